@@ -198,7 +198,7 @@ def test_a_simulation_is_that_of_the_package(run):
 
 def test_what_an_axis_can_hardly_follow_comes_as_a_warning():
     wide = hr.load("kim2009").override("reference_generator", maximum=5e-5)
-    with pytest.warns(UserWarning, match="setpoints out there saturate"):
+    with pytest.warns(UserWarning, match="setpoints beyond it saturate"):
         hr.simulate(wide, duration=0.01)
 
 

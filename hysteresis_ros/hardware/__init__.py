@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Devices and sensors: what stands in the simulated plant's place, how it is found and guarded, and cameras.
+"""Devices and sensors: drivers, their registry and the guard around an open device; cameras.
 
 Read ``driver`` (the contract), then one of ``drivers``; ``registry`` finds drivers, ``library`` loads those in C,
 ``device`` guards an open one. ``tracker`` finds the displacement in images.

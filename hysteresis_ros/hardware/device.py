@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device that is open, and the guard around its driver: what the rest of the package deals with."""
+"""An open device and the guard around its driver; the rest of the package uses this class only."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError, 
 
 
 class Device:
-    """An open device. Whatever its driver raises comes out as a DriverError that names it.
+    """An open device. Every error of its driver becomes a DriverError that names the device.
 
     Parameters
     ----------
     declared : HardwareDriver
     parameters : Parameters
-        Of the class that is declared.
+        Instance of the declared class.
     sample_rate : float
         [Hz]
     suits : callable, optional
-        ``suits(capabilities)`` raises an error when the device is not what is needed; it is let go then.
+        ``suits(capabilities)`` raises an error when the device does not suit; the device is then released.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Device:
             raise
 
     def __deepcopy__(self, memo) -> Device:
-        """Return itself: a double of an axis has no device of its own."""
+        """Return itself: a copy of an axis has no device of its own."""
         return self
 
     @contextlib.contextmanager
@@ -86,20 +86,19 @@ class Device:
             yield
         except passed:
             raise
-        except Exception as error:  # whatever a driver does: the axis has to become safe
+        except Exception as error:  # any error of a driver must make the axis safe
             if isinstance(error, DriverError):
                 raise DriverError(self.name, f"{what}: {error.device} {error.problem}", error.remedy) from error
             text = f"{what}: {type(error).__name__}: {error}"
-            raise DriverError(self.name, text, "look at the device, its connection and its driver") from error
+            raise DriverError(self.name, text, "check the device, its connection and its driver") from error
 
     def read(self) -> tuple[float, ...]:
-        """Return the position of each joint [position_unit] and behind them the forces [N], NaN where there is none.
+        """Return the position of each joint [position_unit], then the forces [N]; NaN when there is none.
 
         Raises
         ------
         DriverError
-            The device does not answer, or with another number of positions or forces than it said, or with an infinite
-            position.
+            The device does not answer, or its answer has a wrong number of positions or forces or an infinite position.
         """
         with self._named("cannot be read"):
             reading = self._driver.read()
@@ -113,7 +112,7 @@ class Device:
             return positions + forces
 
     def write(self, voltages: Sequence[float]) -> None:
-        """Put out voltages.
+        """Output voltages.
 
         Parameters
         ----------
@@ -123,7 +122,7 @@ class Device:
         Raises
         ------
         DriverError
-            They are too many, not finite or out of the device's range, and do not reach it; or it does not take them.
+            They are too many, not finite or out of the device's range, and are not sent; or the device refuses them.
         """
         with self._named("cannot be written"):
             low, high = self.capabilities.minimum, self.capabilities.maximum
@@ -137,7 +136,7 @@ class Device:
             self._driver.write(voltages)
 
     def note(self, voltage: float) -> None:
-        """Take it that the device puts out a voltage, which machine code has written.
+        """Note a voltage that machine code has written to the device.
 
         Parameters
         ----------
@@ -147,30 +146,30 @@ class Device:
         self._written = voltage
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code reads and writes the device; None when only Python can.
+        """Return the functions by which machine code reads and writes the device; None: only Python can.
 
         Raises
         ------
         DriverError
-            The driver does not know.
+            The driver fails.
         """
         with self._named("has no compiled form"):
             return self._driver.compiled()
 
     @property
     def left_at(self) -> float | None:
-        """Voltage that it was told last [voltage_unit]; None when it is in its safe state, or was never told one."""
+        """Last voltage that was sent [voltage_unit]; None in the safe state, and before the first voltage."""
         if self._written is None or self._driver.last_output is None:
             return self._written
         return self._driver.last_output
 
     def make_safe(self) -> None:
-        """Bring the device to its safe state; once it is closed, nothing.
+        """Bring the device to its safe state; do nothing once it is closed.
 
         Raises
         ------
         DriverError
-            It does not answer; then the error says at which voltage its output still is.
+            It does not answer; the error then gives the voltage that is still at its output.
         """
         if not self._open:
             return
@@ -220,13 +219,13 @@ class Device:
             pass
 
     def close(self) -> str:
-        """Let go of the device, which is made safe before if it was written to since; once it is closed, nothing.
+        """Release the device, after making it safe if it was written to; do nothing once it is closed.
 
         Returns
         -------
         str
-            What is wrong with the device that is left, for instance that its output is still at a voltage; empty when
-            nothing is.
+            Problem that the device is left with, for instance a voltage that is still at its output; empty when there
+            is none.
         """
         self.desist()
         if not self._open:
@@ -237,7 +236,7 @@ class Device:
                 self.make_safe()
             except DriverError as error:
                 wrong = str(error)
-        # there is nobody left who could do anything about it
+        # nothing can handle the error any more
         with contextlib.suppress(DriverError), self._named("cannot be closed"):
             self._driver.close()
         self._open = False

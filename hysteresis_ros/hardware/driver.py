@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a driver is: five methods between an axis and a device, its declaration, and the steps of taking a device.
+"""The contract of a driver: five methods between an axis and a device, its declaration, and helpers to take a device.
 
 The package keeps the time. Once a sample it reads the positions and, when the sample is over, writes the voltages that
 are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.device`) and never calls two methods at a
@@ -32,14 +32,14 @@ from hysteresis_ros.registry import resolved
 
 
 class DriverError(HysteresisError):
-    """A device cannot be opened, does not answer, or is not what the axis needs.
+    """A device cannot be opened, does not answer, or does not suit the axis.
 
     Parameters
     ----------
     device : str
-        Which one, for instance driver and address.
+        Name of the device, for instance driver and address.
     problem : str
-        What is wrong, following the name.
+        What is wrong; follows the name in the message.
     remedy : str
         What to do.
     """
@@ -51,7 +51,7 @@ class DriverError(HysteresisError):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a device is able to do.
+    """Capabilities of a device.
 
     Parameters
     ----------
@@ -60,19 +60,19 @@ class Capabilities:
     voltages : int
         Voltages that it puts out; an axis uses the first ones.
     minimum, maximum : float
-        Range of what it can be told to put out [voltage_unit].
+        Range of its output [voltage_unit].
     highest_rate : float
-        Samples per second that it can be read and written [Hz].
+        Highest rate at which it can be read and written [Hz].
     watchdog : float or None
         Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s], if it does.
     keeps_time : bool
-        Whether the device decides when a sample is, and :meth:`Driver.read` waits for it. The package has no loop that
-        follows a device: one that insists is refused.
+        Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package has no loop that
+        follows a device, so it refuses such a device.
     position_unit, voltage_unit : str
-        Units of what is read and put out. Others than ``m`` and ``V`` are those of a device that knows nothing of what
-        stands behind it: the parameters ``calibration`` of the plant's node, which have to name them, make m and V.
+        Units of the readings and of the output. Units other than ``m`` and ``V`` are converted by the parameters
+        ``calibration`` of the plant's node, which must name them.
     forces : int
-        Forces that it reads besides the positions [N]: of an axis that in the stack, or none.
+        Forces that it reads in addition to the positions [N]: 1 (the force in the stack) or 0 for an axis.
     """
 
     joints: int
@@ -90,16 +90,16 @@ class Capabilities:
 class Compiled(NamedTuple):
     """Functions of an open device that machine code calls by their addresses, as in ``hysteresis_driver.h``."""
 
-    #: ``int32_t read(void *device, double *positions)``: 0, an error code, or :data:`NOTHING_NEW`. Forces, if there are
-    #: any, stand behind the positions.
+    #: ``int32_t read(void *device, double *positions)``: 0, an error code, or :data:`NOTHING_NEW`. Forces, if any,
+    #: follow the positions.
     read: int
     #: ``int32_t write(void *device, const double *voltages)``: 0 or an error code.
     write: int
     #: ``int32_t make_safe(void *device)``: 0 or an error code.
     make_safe: int
-    #: The device.
+    #: The handle of the device.
     device: int
-    #: What an error code means.
+    #: Explains an error code.
     explain: Callable[[int], DriverError]
 
 
@@ -108,50 +108,50 @@ NOTHING_NEW = -1
 
 
 class Reading(NamedTuple):
-    """What a device measures at a sample."""
+    """Measurements of a device in a sample."""
 
-    #: Position of each joint [position_unit]; NaN where there is none. What is not finite is not used.
+    #: Position of each joint [position_unit]; NaN when there is none. Values that are not finite are not used.
     positions: tuple[float, ...]
-    #: Forces [N], as many as the capabilities say; NaN where there is none.
+    #: Forces [N], as many as in the capabilities; NaN when there is none.
     forces: tuple[float, ...] = ()
 
 
 class Driver(ABC):
-    """A device in the plant's place. Whatever goes wrong is a :class:`DriverError`.
+    """A device in the plant's place. Every error is a :class:`DriverError`.
 
     An instance is opened once. ``close`` is the last call, also after an ``open`` that failed.
     """
 
     @abstractmethod
     def open(self, parameters: Any, sample_rate: float) -> Capabilities:
-        """Take the device, which nobody else may use from now on, and leave it in its safe state.
+        """Take the device for exclusive use, and leave it in its safe state.
 
         Parameters
         ----------
         parameters : Parameters
-            Of the class that is declared.
+            Instance of the declared class.
         sample_rate : float
             Rate at which it will be read and written [Hz].
 
         Raises
         ------
         DriverError
-            It is not there, or somebody else uses it.
+            The device is absent, or another process uses it.
         """
 
     @abstractmethod
     def read(self) -> Reading:
-        """Return the positions now.
+        """Return the present positions.
 
         Raises
         ------
         DriverError
-            The device does not answer, or not sensibly.
+            The device does not answer, or its answer is invalid.
         """
 
     @abstractmethod
     def write(self, voltages: Sequence[float]) -> None:
-        """Put out the voltages of the axis, and hold them.
+        """Output the voltages of the axis, and hold them.
 
         Parameters
         ----------
@@ -161,23 +161,23 @@ class Driver(ABC):
         Raises
         ------
         DriverError
-            They cannot be put out.
+            They cannot be written.
         """
 
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code reads and writes the open device; None: only Python can.
 
-        They are there until :meth:`close`.
-        Without them the fused loop does not take the driver: Python would have to wait for its lock in each sample.
+        They stay valid until :meth:`close`. Without them the fused loop refuses the driver, because Python would have
+        to wait for its lock in each sample.
         """
         return None
 
-    #: Voltage that the device was told last [voltage_unit], where the driver knows more than what was written.
+    #: Last voltage sent to the device [voltage_unit], when it can differ from the last written voltage.
     last_output: float | None = None
 
     @abstractmethod
     def make_safe(self) -> None:
-        """Bring the device to its safe state, from any state; doing so twice changes nothing.
+        """Bring the device to its safe state, from any state; idempotent.
 
         Raises
         ------
@@ -187,12 +187,12 @@ class Driver(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the device, which is safe by then; doing so twice changes nothing."""
+        """Release the device, which is safe by then; idempotent."""
 
 
 @dataclass(frozen=True, eq=False)
 class EmulatedDevice:
-    """A device that runs by itself, for ``hysteresis emulate``: the driver, or a program of others, is its master.
+    """An emulated device as a process of its own, for ``hysteresis emulate``; a driver or another program commands it.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class EmulatedDevice:
         Options of the command besides the plant and its faults.
     start : callable
         ``start(parameters, bench)``, with a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`, returns a context
-        manager that gives the running device, a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
+        manager with the running device, a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
     """
 
     parameters: type[Parameters]
@@ -216,21 +216,20 @@ class HardwareDriver:
     name : str
         ``driver`` of the plant's node.
     title : str
-        A few words.
+        Short description.
     parameters : type of Parameters
-        What it is opened with: a group of the driver's name. One that wants nothing but what the plant's node has
-        anyway names that class, for instance ``ActuatorParameters``, and has no group.
+        Parameters of :meth:`Driver.open`: a group of the driver's name. A driver that needs only parameters of the
+        plant's node names their class, for instance ``ActuatorParameters``, and has no group.
     driver : type of Driver
         Made without arguments.
     emulator : callable, optional
-        ``emulator()`` returns a context manager that stands in for the device, or for its like, and gives the
-        parameters to open it with: to try the driver without the device, and for the contract test. Only a library
-        that is named by its path has none. :func:`hysteresis_ros.registry.later` imports its module only when it is
-        called.
+        ``emulator()`` returns a context manager that emulates the device and gives the parameters to open it with: to
+        test the driver without the device, and for the contract test. Only a library that is named by its path has
+        none. :func:`hysteresis_ros.registry.later` imports its module only when it is called.
     device : EmulatedDevice or str, optional
-        The like as a device of its own, or the dotted path ``package.module:DEVICE`` of it.
+        The emulated device as a process of its own, or its dotted path ``package.module:DEVICE``.
     package : str
-        Module that it needs beyond those of the package, which the extra of the driver's name installs; '': none.
+        Additional module that it needs, installed by the extra of the driver's name; '': none.
     """
 
     name: str
@@ -243,49 +242,49 @@ class HardwareDriver:
 
     @property
     def emulated(self) -> EmulatedDevice | None:
-        """The device, imported where only its path is named."""
+        """The emulated device, imported when only its path is given."""
         return resolved(self.device) if isinstance(self.device, str) else self.device
 
 
 #: Steps of a ramp.
 STEPS = 20
-#: Samples that are tried, the part of them that the highest rate is for, and how much of a sample a driver may take.
+#: Number of trial samples, the part of them that the highest rate must fit, and a driver's share of a sample.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 
 def claim(path: pathlib.Path, name: str) -> int:
-    """Take the file of a device for this process and return what holds it, until that is closed.
+    """Lock the file of a device for this process and return its descriptor, which holds the lock until it is closed.
 
     Parameters
     ----------
     path : pathlib.Path
     name : str
-        Of the device, for messages.
+        Name of the device, for messages.
 
     Raises
     ------
     DriverError
-        It cannot be opened, or another process has it.
+        It cannot be opened, or another process holds it.
     """
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     except OSError as error:
-        raise DriverError(name, f"cannot be opened ({error})", "look at its address and its cable") from error
+        raise DriverError(name, f"cannot be opened ({error})", "check its address and its cable") from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(file)
-        raise DriverError(name, f"has another master at {path.name}", "end the other program first") from None
+        raise DriverError(name, f"is in use by another program at {path.name}", "end the other program first") from None
     return file
 
 
 def ramp(put_out: Callable[[float], None], start: float, end: float, duration: float) -> None:
-    """Take a voltage to another one in equal steps.
+    """Ramp a voltage in equal steps.
 
     Parameters
     ----------
     put_out : callable
-        Puts a voltage out [V].
+        Outputs a voltage [V].
     start, end : float
         [V]
     duration : float
@@ -298,12 +297,12 @@ def ramp(put_out: Callable[[float], None], start: float, end: float, duration: f
 
 
 def highest_rate(write: Callable[[], None], read: Callable[[], object]) -> float:
-    """Return at which rate nearly all samples leave time for the rest of an axis [Hz].
+    """Return the rate at which nearly all samples leave time for the rest of an axis [Hz].
 
     Parameters
     ----------
     write, read : callable
-        What is done once a sample.
+        Called once per sample.
     """
     durations = []
     for _ in range(TRIALS):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Folders of pictures and videos as frames, and the size of a pixel [m]; OpenCV, an optional extra, reads them."""
+"""Frames from folders of pictures and from videos, and the size of a pixel [m]; needs the optional extra OpenCV."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: A motion has to be so many times as large as the uncertainty of a place, and go to so many places.
+#: Least ratio of a motion to the uncertainty of a place, and least number of places.
 CLEAR, LEAST_PLACES = 20.0, 3
-#: Columns between two edges of a target [px].
+#: Least distance between two edges of a target [px].
 APART = 12
 
 
@@ -38,11 +38,11 @@ class Scale(NamedTuple):
     metres_per_pixel: float
     #: Standard deviation of that [m/px].
     uncertainty: float
-    #: Of a motion: 1, or -1 where the place falls with a growing displacement.
+    #: Of a motion: 1, or -1 when the place decreases with increasing displacement.
     sign: int = 1
     #: Of a motion: displacement at place 0 [m].
     offset: float = math.nan
-    #: Of a motion: root mean square of what the line leaves [m].
+    #: Of a motion: rms residual of the line [m].
     residual: float = math.nan
 
 
@@ -92,7 +92,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     size : float
         Distance of the edges [m].
     smallest_contrast, largest_blur : float
-        What an edge has to have, see :func:`hysteresis_ros.hardware.tracker.find_edge`.
+        Requirements for an edge, see :func:`hysteresis_ros.hardware.tracker.find_edge`.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     return Scale(scale, uncertainty)
 
 
-#: How the names of pictures end.
+#: Suffixes of pictures.
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-#: Numbers in the names of pictures count frames when at most so many frames of one would be missing.
+#: Most missing frames per picture at which numbers in the names count as frame numbers.
 GAPS = 10
 
 _NUMBER = re.compile(r"(\d+)\D*$")
@@ -132,7 +132,7 @@ def opencv() -> Any:
     FrameError
         It is not installed.
     """
-    # OpenCV believes heads of pictures of up to a gigapixel by itself; it looks here once
+    # OpenCV's own limit is a gigapixel; it reads this variable once
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     try:
         import cv2
@@ -151,21 +151,21 @@ class Footage:
     ----------
     source : path-like
         Pictures are taken in the order of the numbers in their names; where all are numbered, a number that is missing
-        is a frame that was lost.
+        is a lost frame.
     rate : float, optional
-        Frames per second [Hz]; that of the video by default.
+        Frame rate [Hz]; by default that of the video.
 
     Attributes
     ----------
     rate : float
         [Hz]
     count : int
-        How many frames there should be.
+        Number of frames, including lost ones.
 
     Raises
     ------
     FrameError
-        OpenCV is missing, there are no frames, or nobody says how many of them there are in a second.
+        OpenCV is missing, there are no frames, or the frame rate is unknown.
     """
 
     def __init__(self, source, rate: float | None = None):
@@ -185,7 +185,7 @@ class Footage:
             raise FrameError(f"{self._source}: holds no frames; give a video, or a folder of {', '.join(PICTURES)}")
         self.rate = rate or said
         if not 0.0 < self.rate < math.inf:
-            raise FrameError(f"{self._source}: does not say how many frames there are in a second: give --rate HZ")
+            raise FrameError(f"{self._source}: has no frame rate: give --rate HZ")
 
     def __iter__(self) -> Iterator[np.ndarray | None]:
         """Yield the grey levels of each frame, 0 to 255; None where one is lost or cannot be read."""
@@ -197,7 +197,7 @@ class Footage:
         for number in range(self.count):
             path = by_number.get(number)
             grey = None
-            with contextlib.suppress(self._cv2.error):  # what OpenCV raises at a head that it does not believe
+            with contextlib.suppress(self._cv2.error):  # OpenCV raises this for an invalid header
                 grey = None if path is None else self._cv2.imread(str(path), kind)
             yield grey if grey is None or grey.dtype == np.uint8 else grey * np.float32(255.0 / 65535.0)
 
@@ -231,7 +231,7 @@ def numbered(paths) -> list[tuple[int, pathlib.Path]]:
 
 
 def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] = lambda number: None) -> Recording:
-    """Return what is seen in frames: ``measured`` [m], and of each frame how well.
+    """Return the displacements found in frames: ``measured`` [m], and the quality of each frame.
 
     Parameters
     ----------

@@ -9,11 +9,11 @@
 
 """Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from where it is trusted.
 
-As sshd does with keys, the file and every folder on the way to it are looked at, those behind symbolic links too. They
-must belong to root, to the user of this process, or to whom this package belongs, who could change that as well; and no
-others may write them. A folder with the sticky bit, such as ``/tmp``, may be written by all: what lies in it can be
-taken away or renamed only by its owner, who is looked at next. A group may write when it has no members but those, as
-the group of one's own that many systems give each user. Access control lists are not looked at.
+As sshd does with keys, the file and every folder on its path are checked, also behind symbolic links. They must belong
+to root, to the user of this process, or to the owner of this package, who could change the package as well; and no
+other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all: only the owner of
+an entry can remove or rename it, and that owner is checked next. A group may write when it has no other members, such
+as the private group that many systems give each user. Access control lists are not checked.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ from hysteresis_ros.hardware.driver import (
     Reading,
 )
 
-#: Environment variable: folders beside which no driver is loaded from; not set: from wherever a parameter file says.
+#: Environment variable: the only folders from which drivers are loaded; not set: any folder.
 FOLDERS = "HYSTERESIS_DRIVERS"
 
 
 def require_trusted(path: pathlib.Path) -> pathlib.Path:
-    """Return where a file really is, if nobody else can change what stands there.
+    """Return the real path of a file, if no other user can change it.
 
     Parameters
     ----------
     path : pathlib.Path
-        Of a file that is there.
+        Path of an existing file.
 
     Raises
     ------
     DriverError
-        Others can change it, or a folder on the way to it, or it lies outside of the folders of ``HYSTERESIS_DRIVERS``;
-        the message names which, who, and what to do.
+        Other users can change it or a folder on its path, or it is outside the folders of ``HYSTERESIS_DRIVERS``; the
+        message names the place, the user, and the remedy.
     """
     name = f"driver {path}"
     real = path.resolve()
@@ -66,17 +66,17 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
         if folder
     ):
         remedy = f"put it there, or add its folder to {FOLDERS}"
-        raise DriverError(name, f"is not loaded: it lies in none of the folders {FOLDERS}={folders}", remedy)
+        raise DriverError(name, f"is not loaded: it is outside the folders {FOLDERS}={folders}", remedy)
     trusted = {0, os.geteuid(), pathlib.Path(__file__).stat().st_uid}
     for place in _on_the_way(path.absolute()):
         problem, remedy = _alterable(place, trusted)
         if problem:
-            raise DriverError(name, f"is not loaded: {problem}, who could put other code there", remedy)
+            raise DriverError(name, f"is not loaded: {problem}: other code could be put there", remedy)
     return real
 
 
 def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield the folders and symbolic links that are passed on the way to a file that is there, and the file."""
+    """Yield the folders and symbolic links on the path of an existing file, and the file."""
     ahead, here = list(reversed(path.parts[1:])), pathlib.Path(path.anchor)
     yield here
     while ahead:
@@ -92,17 +92,17 @@ def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
-    """Return who else can change a file, a folder or a link, and what to do about it; empty texts when nobody can."""
+    """Return which other user can change a file, a folder or a link, and the remedy; empty texts when none can."""
     found = place.lstat()
     if found.st_uid not in trusted:
         whose = f"{place} belongs to {_user(found.st_uid)}"
         return whose, f"make it yours (chown {_user(os.geteuid())} {place}), or copy the driver to a folder of your own"
     if stat.S_ISLNK(found.st_mode):
-        return "", ""  # what a link says can be changed by its owner and in its folder only
+        return "", ""  # only the owner of a link, or a writer of its folder, can change its target
     mode = f"{place} (mode {stat.S_IMODE(found.st_mode):04o})"
     sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     if found.st_mode & stat.S_IWOTH and not sticky:
-        return f"{mode} can be written by everybody", f"chmod o-w {place}"
+        return f"{mode} can be written by all users", f"chmod o-w {place}"
     if found.st_mode & stat.S_IWGRP and not sticky:
         others = _members(found.st_gid) - trusted
         if others:
@@ -112,28 +112,28 @@ def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
 
 
 def _members(group: int) -> set[int]:
-    """Return the users of a group: those it names, and those whose own group it is."""
+    """Return the users of a group: its members, and users whose primary group it is."""
     users = pwd.getpwall()
     try:
         named = set(grp.getgrgid(group).gr_mem)
-    except KeyError:  # no such group here, and so nobody in it
+    except KeyError:  # no such group here, hence no members
         named = set()
     return {user.pw_uid for user in users if user.pw_gid == group or user.pw_name in named}
 
 
 def _user(number: int) -> str:
-    """Return the name of a user, or the number of one who has none here."""
+    """Return the name of a user, or the number if there is no name."""
     try:
         return pwd.getpwuid(number).pw_name
     except KeyError:
         return f"user {number}"
 
 
-#: Functions without which a library is no driver; the first two are called in each sample.
+#: Functions that a driver must have; the first two are called in each sample.
 FUNCTIONS = ("hysteresis_read", "hysteresis_write", "hysteresis_open", "hysteresis_make_safe", "hysteresis_close")
 DESCRIBE = "hysteresis_describe"
 
-#: How the file names of shared libraries end.
+#: Suffixes of shared libraries.
 SUFFIXES = (".so", ".dylib")
 
 
@@ -149,7 +149,7 @@ class _Capabilities(ctypes.Structure):
 
 @dataclass(frozen=True)
 class LibraryParameters(Parameters):
-    """What a shared library is opened with that no Python stands before."""
+    """Parameters of a shared library without a Python class of its own."""
 
     options: tuple[str, ...] = parameter((), description="NAME=VALUE each, as hysteresis_open takes them")
 
@@ -164,8 +164,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     Raises
     ------
     DriverError
-        There is no such library, others could put another one in its place, or functions are missing; the message
-        names them.
+        There is no such library, another user could replace it, or functions are missing; the message names them.
     """
     path = pathlib.Path(path).expanduser()
     name = f"library {path}"
@@ -180,7 +179,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     missing = [function for function in FUNCTIONS if not hasattr(library, function)]
     if missing:
         raise DriverError(
-            name, f"has no function {', '.join(missing)}", "a driver in C offers what hysteresis_driver.h declares"
+            name, f"has no function {', '.join(missing)}", "a driver in C needs those of hysteresis_driver.h"
         )
     pointer, code = ctypes.c_void_p, ctypes.c_int32
     library.hysteresis_read.argtypes = library.hysteresis_write.argtypes = pointer, pointer
@@ -206,9 +205,9 @@ def option_texts(parameters: Parameters) -> list[str]:
 
 
 class SharedLibrary(Driver):
-    """A driver in C; a class of its own for each library, which says where that is.
+    """A driver in C; each library has a subclass with its path.
 
-    Its functions are called through ctypes, which lets other threads of Python run meanwhile, or by their addresses.
+    Its functions are called through ctypes, which releases the lock of Python, or by their addresses.
     """
 
     #: The library.
@@ -222,14 +221,14 @@ class SharedLibrary(Driver):
         Parameters
         ----------
         parameters : Parameters
-            What ``hysteresis_open`` gets as options; of :class:`LibraryParameters` the options themselves.
+            Options for ``hysteresis_open``; an instance of :class:`LibraryParameters` holds the options themselves.
         sample_rate : float
             [Hz]
 
         Raises
         ------
         DriverError
-            The library is no driver, or its device cannot be opened.
+            The library is not a driver, or its device cannot be opened.
         """
         self._library = loaded(self.path)
         texts = [text.encode() for text in option_texts(parameters)]
@@ -246,21 +245,21 @@ class SharedLibrary(Driver):
         return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units)
 
     def _error(self, code: int) -> DriverError:
-        """Return what an error code means."""
+        """Return the error of an error code."""
         text = f"reports error {code}"
         if hasattr(self._library, DESCRIBE):
             text = (self._library.hysteresis_describe(code) or text.encode()).decode(errors="replace")
         problem, _, remedy = text.partition(";")
         name = f"{pathlib.Path(self.path).name}:"
-        return DriverError(name, problem.strip(), remedy.strip() or "look at the device and its driver")
+        return DriverError(name, problem.strip(), remedy.strip() or "check the device and its driver")
 
     def read(self) -> Reading:
-        """Return the positions, NaN when there is nothing new.
+        """Return the positions; NaN when there is nothing new.
 
         Raises
         ------
         DriverError
-            The library reports an error, or a position is no number.
+            The library reports an error, or a position is not a number.
         """
         code = self._library.hysteresis_read(self._device, self._positions)
         if code == NOTHING_NEW:
@@ -272,7 +271,7 @@ class SharedLibrary(Driver):
         return Reading(tuple(self._positions))
 
     def write(self, voltages: Sequence[float]) -> None:
-        """Put out the voltages.
+        """Output the voltages.
 
         Parameters
         ----------
@@ -311,25 +310,25 @@ class SharedLibrary(Driver):
         return Compiled(read, write, make_safe, device or 0, self._error)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         if self._device is not None:
             device, self._device = self._device, None
             self._library.hysteresis_close(device)
 
 
 def nonsense(name: str) -> DriverError:
-    """Return the error of a device whose position is no number.
+    """Return the error of a device whose position is not a number.
 
     Parameters
     ----------
     name : str
-        Who said so.
+        Name of the device.
     """
-    return DriverError(f"{name}:", "answers a position that is no number", "look at the sensor and its scaling")
+    return DriverError(f"{name}:", "returns a position that is not a number", "check the sensor and its scaling")
 
 
 def library_driver(path: pathlib.Path) -> HardwareDriver:
-    """Return the driver that a shared library is; it is opened with ``driver_options``.
+    """Return the driver in a shared library; it is opened with ``driver_options``.
 
     Parameters
     ----------
@@ -338,7 +337,7 @@ def library_driver(path: pathlib.Path) -> HardwareDriver:
     Raises
     ------
     DriverError
-        It is no driver.
+        It is not a driver.
     """
     loaded(path)
     driver = type("SharedLibrary", (SharedLibrary,), {"path": path})

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The drivers there are: of the folder ``drivers``, of other packages by an entry point, and those found by a path."""
+"""Registry of drivers: of the folder ``drivers``, of other packages by an entry point, and drivers given by a path."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.registry import discover
 #: Group of entry points by which a package adds a driver: ``my_stage = my_package.my_stage:DRIVER``.
 GROUP = "hysteresis_ros.drivers"
 
-#: What each driver declares, by name.
+#: The declaration of each driver, by name.
 DRIVERS: dict[str, HardwareDriver] = discover("hysteresis_ros.hardware.drivers", "DRIVER", HardwareDriver, GROUP)
 
 
@@ -38,7 +38,7 @@ _TRUTHS = {"true": True, "false": False}
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Compiles a file anew each time: bytecode is not looked at, which others might have put into a cache."""
+    """Compiles a file each time and ignores cached bytecode, which another user might have changed."""
 
     def get_code(self, fullname: str):
         """Return the code of the file."""
@@ -57,7 +57,7 @@ def driver_of(name: str) -> HardwareDriver:
     Raises
     ------
     DriverError
-        There is none, or what stands there is no driver.
+        There is none, or the file is not a driver.
     """
     if name in DRIVERS:
         return DRIVERS[name]
@@ -79,12 +79,12 @@ def _driver_at(path: str) -> HardwareDriver:
 
 
 def _declared_in(path: pathlib.Path) -> HardwareDriver:
-    """Return what a Python file declares."""
+    """Return the driver that a Python file declares."""
     where = f"driver {path}"
     if not path.is_file():
-        raise DriverError(where, "is not there", "give the path of a Python file that declares DRIVER")
+        raise DriverError(where, "does not exist", "give the path of a Python file that declares DRIVER")
     require_trusted(path)
-    # pickling, dataclasses and cached machine code look their module up by name, in another process too
+    # pickling, dataclasses and cached machine code look up their module by name, in other processes too
     name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
     specification: Any = importlib.util.spec_from_file_location(name, path, loader=_FromSource(name, str(path)))
     module = importlib.util.module_from_spec(specification)
@@ -95,7 +95,7 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
         del sys.modules[name]
         if isinstance(error, DriverError):
             raise
-        raise DriverError(where, f"cannot be loaded: {type(error).__name__}: {error}", "mend the file") from error
+        raise DriverError(where, f"cannot be loaded: {type(error).__name__}: {error}", "correct the file") from error
     declared = getattr(module, "DRIVER", None)
     if not isinstance(declared, HardwareDriver):
         remedy = "DRIVER = HardwareDriver(…), see docs/extending.md"
@@ -104,19 +104,19 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
 
 
 def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters:
-    """Return the parameters that options of a parameter file stand for.
+    """Return the parameters given by the options of a parameter file.
 
     Parameters
     ----------
     declared : HardwareDriver
-        Found by a path: its parameters are no part of the table of parameters.
+        Driver given by a path: its parameters are not in the table of parameters.
     options : tuple of str
         ``NAME=VALUE`` each.
 
     Raises
     ------
     ParameterError
-        One is not written so, or the driver does not take it.
+        An option has another form, or the driver does not accept it.
     """
     if declared.parameters is LibraryParameters:
         return LibraryParameters(options)
@@ -139,7 +139,7 @@ def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters
 
 
 def _value_of(row: ParameterRow | None, text: str):
-    """Return the value that a text stands for, of the type of its row."""
+    """Return the value of a text, in the type of its row."""
     if row is None or row.type is str:
         return text
     if row.type is bool:

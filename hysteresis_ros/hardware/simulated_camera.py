@@ -9,9 +9,9 @@
 
 """A camera that takes a rendered frame of a simulated tip at each sample, and delivers it some frames later.
 
-A bright body with a straight edge stands before a dark ground and moves along the rows of the frame. The optics blur
-the edge, the light drifts, the sensor has noise and 8 bits. It is there to try what reads such frames, and to close a
-loop through them without a camera.
+A bright body with a straight edge moves along the rows of the frame before a dark background. The optics blur the edge,
+the light drifts, the sensor has noise and 8 bits. It serves to test trackers, and to close a loop through frames
+without a camera.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Scene:
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
         """Return the integral of a blurred edge up to a distance from it [px]."""
-        # at first use: only who renders needs it, and every node knows the parameters
+        # at first use: only rendering needs it, but every node imports the parameters
         from scipy.special import erf
 
         sigma = self.parameters.blur
@@ -184,7 +184,7 @@ class SimulatedCamera:
         self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
 
     def take(self, displacement: float) -> np.ndarray:
-        """Take a frame of the tip, and return the one that arrives now: before all others that of the first sample.
+        """Take a frame of the tip, and return the frame that arrives now; at the beginning, that of the first sample.
 
         Parameters
         ----------

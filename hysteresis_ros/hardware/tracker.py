@@ -7,16 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Displacement out of images, frame by frame: where the tip is, how certain that is, or why a frame is refused.
+"""Displacement from images, frame by frame: the position of the tip, its uncertainty, or why a frame is refused.
 
 Pixels become grey levels; the place of an edge or the motion of a pattern is found to a hundredth of a pixel.
 
-Of each row that crosses the edge, the sum of its normalised grey levels says how many pixels lie on one side of it,
-whatever the blur, as long as it is symmetric. A line through all rows, without outliers, gives place, tilt and how
-certain the place is. How blurred the edge is follows from all pixels over their distance from that line, as in the
-slanted-edge method of ISO 12233.
+For each row that crosses the edge, the sum of its normalised grey levels gives the number of pixels on one side,
+independent of the blur if that is symmetric. A line through all rows, without outliers, gives place, tilt and
+uncertainty. The blur follows from all pixels over their distance from that line, as in the slanted-edge method of
+ISO 12233.
 
-Of a pattern, after the whole pixels, the phase of the cross-spectrum is a plane whose slopes are the displacement (H.
+For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane whose slopes are the
+displacement (H.
 S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for subpixel registration of
 images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). It is fitted where there is light, at the lower
 frequencies, which noise and aliasing spare.
@@ -52,7 +53,7 @@ ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "bgra8": (1, 4, (2, 1, 0)),
 }
 
-#: Most pixels of an image: those of the largest screens, 7680 x 4320, fit in.
+#: Most pixels of an image: 7680 x 4320 fits.
 MOST_PIXELS = 2**25
 
 #: Parts of red, green and blue in the luminance of ITU-R BT.601.
@@ -124,7 +125,7 @@ LOW_PART, HIGH_PART = 0.158655, 0.841345
 
 
 class Place(NamedTuple):
-    """Where something is in a frame, or why it is nowhere."""
+    """Position of the edge or pattern in a frame, or why there is none."""
 
     #: Column, from the centre of the first one of the frame [px]; NaN with a reason.
     pixels: float
@@ -141,7 +142,7 @@ class Place(NamedTuple):
 
 
 def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) -> Place:
-    """Return that a frame shows no place.
+    """Return a place without a position.
 
     Parameters
     ----------
@@ -197,7 +198,7 @@ class _Found(NamedTuple):
 
 
 def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contrast: float) -> _Found | Place:
-    """Return what windows of ``2 half + 1`` columns around a line show of the edge, or why nothing."""
+    """Return the edge in windows of ``2 half + 1`` columns around a line, or why there is none."""
     first = np.rint(line[0] + line[1] * rows).astype(int) - half
     if first.min() < 0 or first.max() + 2 * half + 1 > grey.shape[1]:
         return nowhere("the edge is at the border of the frame or region")
@@ -367,7 +368,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class TrackingParameters(Parameters):
-    """How the tip is found in a frame."""
+    """Parameters of the search for the tip in a frame."""
 
     method: str = parameter(
         "edge",
@@ -423,7 +424,7 @@ class CameraCalibrationParameters(SensorCalibrationParameters):
 
 @dataclass(frozen=True)
 class CameraParameters(Parameters):
-    """What makes displacements of frames."""
+    """Parameters of the conversion of frames to displacements."""
 
     tracking: TrackingParameters = group(TrackingParameters)
     calibration: CameraCalibrationParameters = group(CameraCalibrationParameters)
@@ -442,13 +443,13 @@ def turned(grey: np.ndarray, tracking: TrackingParameters) -> tuple[np.ndarray, 
 
 
 def looked_at(grey: np.ndarray, tracking: TrackingParameters) -> np.ndarray:
-    """Return the part of a frame that is looked at, its motion along the rows."""
+    """Return the region of a frame, with the motion along its rows."""
     frame, (x, y, width, height) = turned(grey, tracking)
     return frame[y : y + height, x : x + width]
 
 
 class Tracker:
-    """Makes displacements of frames.
+    """Converts frames to displacements.
 
     Parameters
     ----------
@@ -477,11 +478,11 @@ class Tracker:
         self.refused = 0
 
     def rehearse(self) -> None:
-        """Compile what is called, so that no frame waits for it."""
+        """Compile the functions in advance, so that no frame waits for it."""
         self.calibration.step(math.nan)
 
     def retune(self, parameters: CameraParameters) -> None:
-        """Take other limits of what is refused."""
+        """Apply other limits for refused frames."""
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:

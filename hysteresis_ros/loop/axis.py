@@ -29,29 +29,29 @@ from hysteresis_ros.models.block import specialised
 
 
 def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:
-    """Return the times [s] of samples ``first`` … ``first + count - 1`` as the nodes stamp them: whole nanoseconds.
+    """Return the times [s] of samples ``first`` … ``first + count - 1`` at ``sample_rate`` [Hz].
 
-    Units: ``sample_rate`` [Hz].
+    They are whole nanoseconds, as in the stamps of the nodes.
     """
     return np.rint(np.arange(first, first + count) * 1e9 / sample_rate) / 1e9
 
 
-#: Order of what of a sample may have been done when something changes.
+#: Order of the steps of a sample after which a change may take effect.
 STEPS = {BEFORE: 0, MEASURED: 1, ANSWERED: 2}
 
 
 class Change(NamedTuple):
-    """Something that changes between two samples of a run."""
+    """A change between two samples of a run."""
 
-    sample: int  #: Number of the sample from which on it holds, counted from the beginning of the axis.
-    node: str  #: Name of the node whose part it concerns.
+    sample: int  #: Number of the first sample for which it holds, counted from the start of the axis.
+    node: str  #: Name of the node whose part changes.
     #: ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow``, ``hold`` and
     #: ``begin_at``.
     action: str
     #: With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
     #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
     parameters: dict = {}
-    #: What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
+    #: Step of the sample that was done before the change: ``measured`` of the plant,
     #: ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
     after: str = BEFORE
 
@@ -93,11 +93,11 @@ class Axis:
         }
 
     def default_samples(self) -> int:
-        """Return the length of a run that the configuration itself gives, in samples; 0 when it gives none."""
+        """Return the configured length of a run in samples; 0: no end."""
         return self.parameters.plant_simulator.samples or self.source.duration_samples
 
     def default_setpoints(self, samples: int) -> np.ndarray:
-        """Return the setpoint [m] that the configuration has in force at each of the first ``samples`` samples."""
+        """Return the configured setpoint [m] at each of the first ``samples`` samples."""
         return self.source.setpoints(samples)
 
     @property
@@ -115,17 +115,14 @@ class Axis:
 
     @property
     def given(self) -> np.ndarray:
-        """Places of what a run is given, for the loop."""
+        """Places in the row of the inputs of a run, for the loop."""
         places = signals.GIVEN if self.motor else signals.GIVEN[: signals.ACTUATOR_GIVEN]
         return np.array([*places, *self.plant.given], dtype=float)
 
     def run(
         self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None, answers=None
     ) -> dict[str, np.ndarray]:
-        """Simulate ``len(setpoints)`` samples.
-
-        Units: ``setpoints`` [m].
-        """
+        """Simulate ``len(setpoints)`` samples with these setpoints [m]."""
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
         row = signals.row_signals(self.motor)
         count = len(setpoints)
@@ -158,7 +155,7 @@ class Axis:
         return {"time": sample_times(begin, count, self.sample_rate), **named}
 
     def _run(self, columns: np.ndarray, what: int = WHOLE, row: np.ndarray | None = None) -> None:
-        """Make the samples of these columns, in which what people ask for stands already."""
+        """Compute the samples of these columns, which already contain the inputs."""
         if not columns.shape[1]:
             return
         whole = np.ascontiguousarray(columns)
@@ -169,7 +166,7 @@ class Axis:
             columns[:] = whole
 
     def _run_sample(self, column: np.ndarray, changes: list[Change]) -> None:
-        """Make one sample in steps, with changes between them."""
+        """Compute one sample in steps, with changes between them."""
         row = np.zeros(len(column))
         for what, after in ((MEASURE, MEASURED), (ANSWER, ANSWERED), (CONFIRM, None)):
             self._run(column, what, row)
@@ -178,9 +175,9 @@ class Axis:
                     self.apply(change)
 
     def with_plant(self, parameters: AxisParameters) -> Axis:
-        """Return an axis with the source, the controller and the compensator of this one, as they are, and a new plant.
+        """Return an axis with a new plant and the source, the controller and the compensator of this axis.
 
-        Where only the plant differs from run to run the others need not be built again; this axis is not used further.
+        This saves building the other parts when only the plant differs between runs; do not use this axis afterwards.
         """
         other = copy.copy(self)
         other.parameters, other.sample = parameters, 0
@@ -197,12 +194,12 @@ class Axis:
             getattr(part, change.action)(**change.parameters)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from the present sample on, and no others."""
+        """Replace the scheduled faults; their times count from the present sample."""
         for part in self.by_node.values():
             part.inject(faults)
 
     def reset(self) -> None:
-        """Return all parts to their beginning."""
+        """Return all parts to their initial states."""
         for part in self.by_node.values():
             part.reset()
         self.sample = 0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis compensator as a part of the loop: from the command to the voltage, and what that carries out."""
+"""The hysteresis compensator as a part of the loop: from the command to the voltage and the achieved command."""
 
 from __future__ import annotations
 
@@ -74,35 +74,35 @@ class AdaptiveArrays(NamedTuple):
 
 _ADAPTED_HEADER = """\
 # The model of a hysteresis_compensator as ~/save found it, adapted to the actuator. SI units.
-# Lay it over the parameter file of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a second
-# --params-file of ros2 run. adaptation.factors are in the weights already: weight / factor is what was identified.
+# Give it in addition to the parameter file of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a
+# second --params-file of ros2 run. The weights include adaptation.factors: weight / factor is the identified weight.
 """
 
 # Own parameters.
 SAFE_VOLTAGE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
-TOLERANCE = 2  # what the plant puts out may differ by so much from what was asked [V]; infinite: it is not known here
+TOLERANCE = 2  # tolerance between the plant's output and the voltage sent [V]; infinite: the output is unknown
 OWN_PARAMETERS = 3
 
 # Own state.
-STOP = 0  # 1 while told to stop
-RETURNING = 1  # 1: the next voltage goes on from the present one
+STOP = 0  # 1 while stopped
+RETURNING = 1  # 1: the next voltage continues from the present one
 COMMAND = 2  # last finite command [m]
 OWN_STATES = 3
 
 
 @by_part
 def compensate(laws, part, row):
-    """Take the command of a sample out of its row; put the voltage and what it carries out in."""
+    """Read the command of a sample from its row; write the voltage and the achieved command."""
 
 
 @nested
 def compensate_fixed(laws, arrays, row):
-    """Answer a command by the inverse as it is.
+    """Compute the voltage by the fixed inverse.
 
-    Where the plant has put out something else than was asked, the model follows what was put out, and the next voltage
-    goes on from there: what is said of the command that is carried out stays true, and the next step is a small one.
-    In a sample that was skipped the voltage stays where it is, and the model follows that.
+    When the plant's output differs from the voltage sent, the model follows the output, and the next voltage continues
+    from there: the reported achieved command stays true, and the next step is small. In a skipped sample the voltage
+    stays, and the model follows it.
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
@@ -133,7 +133,7 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # beside what the path itself asks, no faster than to safe
+        # in addition to the path's own motion, no faster than to safe
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -151,7 +151,7 @@ def compensate_fixed(laws, arrays, row):
 
 @kernel
 def note_output(own_p, row):
-    """Let the row of a sample say what has left for the actuator where that is not what was asked."""
+    """Write the voltage that reached the actuator into the row when it differs from the voltage sent."""
     if abs(row[at.PLANT_VOLTAGE] - row[at.VOLTAGE]) > own_p[TOLERANCE]:
         row[at.VOLTAGE] = row[at.PLANT_VOLTAGE]
         row[at.SATURATED] = 1.0
@@ -159,7 +159,7 @@ def note_output(own_p, row):
 
 @nested
 def compensate_adaptive(laws, arrays, row):
-    """Answer a command by the inverse that the measurement of this sample leaves, and remember what was put out."""
+    """Compute the voltage by the inverse adapted with this sample's measurement, and store the output."""
     p, x, settings, states = arrays.p, arrays.x, arrays.settings, arrays.adaptation
     voltage = x.limits[limiting.OUTPUT]
     measured = math.nan if row[at.SKIPPED] != 0.0 else row[at.MEASURED]
@@ -176,7 +176,7 @@ def compensate_adaptive(laws, arrays, row):
 
 @kernel
 def may_learn(own_p, own, limited):
-    """Tell whether anything may be learned from the present sample, and note why not; 0: nothing."""
+    """Tell whether the present sample may be used for adaptation, and note why not; 0: it may not."""
     if own[adapting.WAIT] > 0.0:
         own[adapting.WAIT] -= 1.0
         own[adapting.STATE] = adapting.WAITING
@@ -193,12 +193,12 @@ compensate.kinds[CompensationArrays], compensate.kinds[AdaptiveArrays] = compens
 
 
 def adapted_text(name: str, part: CompensatorPart) -> str:
-    """Return the text of a parameter file with the adapted model of a compensator."""
+    """Return a parameter file with the adapted model of a compensator."""
     return _ADAPTED_HEADER + dump_configuration({name: part.saved()})
 
 
 class CompensatorPart:
-    """The compensator of an axis, with what watches over its command."""
+    """The compensator of an axis, with the monitoring of its command."""
 
     def __init__(self, parameters: CompensatorNodeParameters):
         self.parameters = parameters
@@ -218,9 +218,9 @@ class CompensatorPart:
         self._begins_safe = False
 
     def follow_plant(self, rounding: float, begins_safe: bool) -> None:
-        """Go on from what the plant puts out wherever that is not what was asked.
+        """Follow the plant's output when it differs from the voltage sent.
 
-        Only where one loop makes whole samples: between nodes nobody tells the compensator in time.
+        Only in one loop for whole samples: separate nodes do not learn the output in time.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -234,13 +234,13 @@ class CompensatorPart:
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that was put out last."""
+        """Last output voltage [V]."""
         return self.compensator.voltage
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from now on, and no others."""
+        """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, (faulty.COMMAND,), self.parameters.sample_rate)
-        # commands are numbered from now on, too
+        # commands are also numbered from now
         self.arrays.watch_x.guard[STAMP] = -1.0
         watch_p = self.arrays.watch_p._replace(faults=p)
         self.arrays = self.arrays._replace(
@@ -248,36 +248,36 @@ class CompensatorPart:
         )
 
     def stop(self) -> None:
-        """Slew to the safe voltage from the next sample on."""
+        """Slew to the safe voltage, beginning with the next sample."""
         self.arrays.watch_x.own[STOP] = 1.0
 
     def start(self) -> None:
-        """Go on without a jump: the difference to the command fades out."""
+        """Continue without a jump: the difference to the command fades out."""
         self.arrays.watch_x.own[STOP] = 0.0
         self.arrays.watch_x.own[RETURNING] = 1.0
 
     def _adapted(self) -> Adaptation:
         if self.adaptation is None:
-            allowed = "nothing is adapted: start the node with adaptation.type: recursive"
+            allowed = "adaptation is off: start the node with adaptation.type: recursive"
             raise ParameterError([Problem("adaptation.type", "none", allowed)])
         return self.adaptation
 
     def freeze(self) -> None:
-        """Leave the weights of the inverse as they are."""
+        """Stop adapting the weights of the inverse."""
         self._adapted().freeze()
 
     def resume(self) -> None:
-        """Let the weights follow the measurements again."""
+        """Resume adapting the weights."""
         self._adapted().resume()
 
     def forget(self) -> None:
-        """Go back to the identified weights; the voltage does not jump."""
+        """Return to the identified weights; the voltage does not jump."""
         adaptation = self._adapted()
         adaptation.forget()
         self._take(self.parameters, adaptation.identified)
 
     def saved(self) -> dict:
-        """Return the adapted model as parameters of the node; with them an axis begins where this one is."""
+        """Return the adapted model as parameters of the node; an axis with them starts in this state."""
         adaptation = self._adapted()
         model = {f"hysteresis.{name}": value for name, value in adaptation.weighted.to_mapping().items()}
         chosen = f"hysteresis.{self.parameters.hysteresis.type}."
@@ -301,7 +301,7 @@ class CompensatorPart:
         watch_x.own[RETURNING] = float(self._begins_safe)
 
     def retune(self, parameters: CompensatorNodeParameters) -> None:
-        """Take new model parameters and limits; the voltage does not jump."""
+        """Apply new model parameters and limits; the voltage does not jump."""
         if self.adaptation is None:
             self._take(parameters, parameters.hysteresis)
         else:
@@ -314,7 +314,7 @@ class CompensatorPart:
         self.compensator.retune(replace(part(parameters, CompensatorParameters), hysteresis=hysteresis))
 
     def _retune_adaptive(self, adaptation: Adaptation, parameters: CompensatorNodeParameters) -> None:
-        """Keep what was learned, unless it is another model that is given."""
+        """Keep the adapted weights, unless another model is given."""
         before, given = self.parameters, parameters.hysteresis
         adaptation.dynamics.retune(parameters.adaptation.dynamics)
         try:
@@ -325,9 +325,9 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Return the safe voltage [V], put out at once: the last message of a node that leaves."""
+        """Return the safe voltage [V], output at once: the last message of a node that exits."""
         limits = self.arrays.p.limits
-        # the limit of the slew rate, of one sample, must not keep the last message from being the safe voltage
+        # the slew rate limit must not keep the last message from being the safe voltage
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0
         voltage = self.compensator.hold(self.parameters.safe_voltage)
         limits[limiting.SLEW] = slew

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motion controller as a part of the loop: one sample of it, its blocks, their live changes, and requests."""
+"""The motion controller as a part of the loop: its sample, its blocks, live parameter changes, and requests."""
 
 from __future__ import annotations
 
@@ -92,10 +92,10 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: Samples without an answer of the compensator after which commands are taken not to be carried out.
+#: Samples without the compensator's achieved command after which commands count as not achieved.
 UNFOLLOWED_SAMPLES = 20
 
-#: Faults that act on what the controller is given.
+#: Faults that act on the inputs of the controller.
 TARGETS = (faulty.MEASUREMENT, faulty.APPLIED, faulty.STOP)
 
 # Own parameters.
@@ -103,31 +103,31 @@ SAFE_COMMAND = 0  # [m]
 SAFE_STEP = 1  # [m] a sample
 PRELOAD = 2  # offset of the model [m]
 USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
-PREDICTS = 4  # 1: the law goes on by what its observer foresees while a measurement is missing
+PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is missing
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
-NEEDS_FORCE = 7  # 1: the damping is one of the force; without it nothing is answered
+NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a force there is no command
 OWN_PARAMETERS = 8
 
 # Own state.
-STOP = 0  # 1 while told to stop
-RETURNING = 1  # 1: the next command goes on from the last one, with a controller that starts anew
-ON_PATH = 2  # 1 while the reference fades from the displacement to the one that is received
-UNANSWERED = 3  # samples since the compensator said what it carried out
-ANSWERED = 4  # 1 once it did
+STOP = 0  # 1 while stopped
+RETURNING = 1  # 1: restart the controller with the next sample; its command continues from the last one
+ON_PATH = 2  # 1 while the reference fades from the displacement to the received reference
+UNANSWERED = 3  # samples since the last achieved command
+ANSWERED = 4  # 1 after the first achieved command
 REFERENCE = 5  # last finite reference [m]
-COMMANDED = 6  # last command [m]; behind a damping the law knows it as an output of its own
-OFFSET_LEFT = 7  # what is left of the offset before its last change [m]
+COMMANDED = 6  # last command [m]; with a damping this is the output of the damping, not of the law
+OFFSET_LEFT = 7  # rest of the offset before its last change [m]
 FORCE = 8  # measured force of the last sample [N]
 OWN_STATES = 9
 
-#: An offset that is smaller is none [m].
+#: Smaller offsets count as zero [m].
 NO_OFFSET = 1e-18
 
 
 @kernel
 def present_offset(own_p, own, decay):
-    """Return the offset of the measurement in this sample [m]: after a change it fades from the old one to the new."""
+    """Return the offset of the measurement in this sample [m]; after a change it fades from the old to the new."""
     left = own[OFFSET_LEFT]
     if left == 0.0:
         return own_p[PRELOAD]
@@ -137,11 +137,11 @@ def present_offset(own_p, own, decay):
 
 @kernel
 def resume(x, own, value):
-    """Start the controller anew at the displacement ``value``; the command continues from the last one.
+    """Restart the controller at the displacement ``value``; the command continues from the last one.
 
-    The reference starts from there too and fades to the one received: a reaching law answers a step of the reference
-    calmly, but a long difference between its command and what is carried out violently (Φ = 0.93 amplifies a constant
-    one by 1/(1 - Φ) = 14).
+    The reference starts at the displacement too and fades to the received reference: a reaching law responds mildly to
+    a step of the reference, but strongly to a lasting difference between its command and the achieved command
+    (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14).
     """
     own[RETURNING] = 0.0
     own[ON_PATH] = 1.0
@@ -155,13 +155,13 @@ def resume(x, own, value):
 
 @kernel
 def foreseeable(own_p, own, state, seen):
-    """Tell whether it is the measurement that is missing, and an observer at work knows where the axis is."""
+    """Tell whether only the measurement is missing and an active observer predicts the displacement."""
     return own_p[PREDICTS] != 0.0 and own[RETURNING] == 0.0 and state[header.STARTED] != 0.0 and seen != seen
 
 
 @kernel
 def corrected(p, x, own, value, followed, skipped):
-    """Return the reference [m] with what was learned; ``followed``: whether the axis follows it in this sample."""
+    """Return the reference [m] with the learned correction; ``followed``: whether the axis follows it now."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
     error = own[REFERENCE] - value
@@ -174,9 +174,9 @@ def corrected(p, x, own, value, followed, skipped):
 
 @nested
 def answer(laws, arrays, value, wanted, force):
-    """Return the command [m] for the displacement ``value`` [m] without offset, NaN: for what the law foresees.
+    """Return the command [m] for the displacement ``value`` [m] without offset; NaN: for the law's prediction.
 
-    ``force`` is the measured one [N].
+    ``force`` is the measured force [N].
     """
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
@@ -198,13 +198,13 @@ def answer(laws, arrays, value, wanted, force):
 
 @nested
 def control(laws, arrays, row):
-    """Take reference and measurement of a sample out of its row and put the command in."""
+    """Read reference and measurement of a sample from its row and write the command."""
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
     guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
     own[FORCE] = row[at.FORCE]
-    # a loop that was made for a damped stage is not closed without the damping
+    # a loop designed for a damped stage is not closed without the damping
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
     missing = 1.0 if unforced else row[at.SKIPPED]
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
@@ -213,7 +213,7 @@ def control(laws, arrays, row):
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
     elif own_p[USE_ORIGIN] != 0.0:
-        value = row[at.REFERENCE]  # without reference and origin nobody knows where the extender should go: it stays
+        value = row[at.REFERENCE]  # without reference and origin the target of the extender is unknown: it stays
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
     offset = present_offset(own_p, own, arrays.p.handover[DECAY])
@@ -238,14 +238,14 @@ def control(laws, arrays, row):
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode == FOLLOWING:
-        # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
+        # no faster than to safe: if commands are achieved after all, a copy would close a loop of gain one
         command = towards(command, value, own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     if mode in (TRIPPED, STOPPED, STALE):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     own[UNANSWERED] += 1.0
-    # what the law wanted stays: by the difference to what was carried out it knows of saturation
+    # the law's own command stays: its difference to the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
     sent = min(max(command, own_p[LOWEST]), own_p[HIGHEST])
     if sent != command:
@@ -261,7 +261,7 @@ def control(laws, arrays, row):
 
 @nested
 def carried_out(arrays, applied):
-    """Tell the controller what the compensator has carried out [m] of the last command; NaN: it did not say."""
+    """Give the controller the achieved part [m] of the last command; NaN: unknown."""
     own = arrays.watch_x.own
     heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
     if heard - heard == 0.0:
@@ -271,10 +271,10 @@ def carried_out(arrays, applied):
 
 
 class ControllerPart:
-    """Feedforward, controller and hand-over of an axis, with what watches over them.
+    """Feedforward, controller and bumpless transfer of an axis, with their monitoring.
 
-    The preload's offset is taken off the measurement before the laws see it: a change of it is nothing to them but a
-    measurement that moves, and all they have integrated stays right.
+    The preload's offset is subtracted from the measurement before the laws see it: they see its change as a motion, and
+    their integrated states stay valid.
     """
 
     def __init__(self, parameters: ControllerNodeParameters):
@@ -316,7 +316,7 @@ class ControllerPart:
         return (*first, self._return_path, self.history, self.learning)
 
     def _connect(self) -> None:
-        """Put the arrays of the present blocks together."""
+        """Combine the arrays of the present blocks."""
         self.arrays = ControllerArrays(
             ControlArrays(*(block.p for block in self._blocks)),
             ControlArrays(*(block.x for block in self._blocks)),
@@ -335,47 +335,47 @@ class ControllerPart:
         return float(self._watch_x.own[COMMANDED])
 
     def install(self, controller: Controller) -> None:
-        """Put another controller in the place of the present one, at rest; :meth:`retune` takes one over live."""
+        """Replace the controller at rest; :meth:`retune` replaces it live."""
         self.controller = controller
         self._pack_own(self.parameters)
         self._connect()
 
     def prepare(self) -> None:
-        """Compile whatever may be needed while running: any controller may take over within a sample."""
+        """Compile everything that may be needed while running: any controller may take over within a sample."""
         prepare_controllers()
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from now on, and no others."""
+        """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
-        # measurements are numbered from now on, too
+        # measurements are also numbered from now
         self._watch_x.guard[STAMP] = -1.0
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
         self._connect()
 
     def stop(self) -> None:
-        """Slew to the safe command from the next sample on."""
+        """Slew to the safe command, beginning with the next sample."""
         self._watch_x.own[STOP] = 1.0
 
     def start(self) -> None:
-        """Go on without a jump."""
+        """Continue without a jump."""
         self._watch_x.own[STOP] = 0.0
         self._watch_x.own[RETURNING] = 1.0
 
     def learn(self) -> None:
-        """Learn from the next sample on."""
+        """Learn, beginning with the next sample."""
         self.learning.set_mode(LEARNING)
 
     def freeze(self) -> None:
-        """Repeat what was learned from the next sample on."""
+        """Stop learning and keep applying the learned correction, beginning with the next sample."""
         self.learning.set_mode(FROZEN)
 
     def forget(self) -> None:
-        """Let what was learned go to zero."""
+        """Let the learned correction decay to zero."""
         self.learning.set_mode(FORGETTING)
 
     def save(self, path, configuration: str = "") -> None:
-        """Write what was learned."""
+        """Write the learned correction to a file."""
         write_learned(path, self.learning.learned(), configuration)
 
     def reset(self) -> None:
@@ -389,7 +389,7 @@ class ControllerPart:
         self._watch_x.own[STOP] = stopped
 
     def retune(self, parameters: ControllerNodeParameters) -> None:
-        """Take new gains, or another type of controller; the command goes on from where it is."""
+        """Apply new gains, or another type of controller; the command continues without a jump."""
         block = part(parameters, ControllerParameters).without_preload.validated()
         own = block.before_damping(1.0 / parameters.sample_rate)
         learning = self.learning.changed(block.learning, block.handover_time)
@@ -399,7 +399,7 @@ class ControllerPart:
             self._require_order(block, own)
             self._retune_controller(own)
         else:
-            # whatever may be refused is, before anything changes
+            # everything that can be refused is refused before anything changes
             controller, lasting = successor(own, 1.0 / parameters.sample_rate, self.controller, self.history)
             self.feedforward.retune(own)
             self.controller = controller
@@ -415,20 +415,20 @@ class ControllerPart:
         self._connect()
 
     def _require_force(self, block: ControllerParameters) -> None:
-        """Refuse to begin with a damping of a force that nobody measures."""
+        """Refuse a force damping when no force is measured."""
         if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
             allowed = f"missing force joint '{self.parameters.force_joint}': no force is measured; take irc or ppf"
             raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
-        """Refuse another damping under an observer, or an inverse of the dynamics, of the order of the present one."""
+        """Refuse another damping when an observer or an inverse of the dynamics has the order of the present one."""
         given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"
         if fixed and given != present and block.damping.type != damping:
             allowed = (
                 f"gives the damped plant {given} states, observer and feedforward have {present}: keep {damping}, or "
-                "clean up and configure anew"
+                "clean up and configure again"
             )
             raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
 

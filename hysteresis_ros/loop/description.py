@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis as tools of ROS describe robots: a URDF with its joint."""
+"""The URDF of an axis, with its joint."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def robot_description(
 ) -> str:
     """Return a URDF of an axis: a base, and a link that a prismatic joint moves along z.
 
-    Positions are limited to what the source of references allows, velocities to what it asks for at most; where a step
-    is passed on as it is, that is the whole range in one sample. The effort is stated as 0: nobody knows or limits it.
+    The position limits are those of the reference source, the velocity limit is its largest velocity; when steps are
+    passed on unchanged, that is the whole range in one sample. The effort limit is 0: it is unknown.
     """
     moved = f"{parameters.joint}_tip"
     robot = ET.Element("robot", name=name)
@@ -43,7 +43,7 @@ def robot_description(
 
 
 def _fastest(parameters) -> float:
-    """Return the largest velocity [m/s] that a source of references asks for."""
+    """Return the largest velocity [m/s] of a reference source."""
     if isinstance(parameters, InchwormSequencerNodeParameters):
         gait, walk = parameters.gait, parameters.walk
         return walk.fastest(gait) if walk.continuous else gait.speed

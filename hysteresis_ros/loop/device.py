@@ -9,11 +9,11 @@
 
 """A device in the plant's place: read and written through its driver in Python, or by machine code at two addresses.
 
-The compiled functions take no lock of Python, wait for none and allocate nothing. What watches over the voltages is
-that of the simulated plant. A device that answers with an error, or a position that is no number, stops the axis in
-that sample: it is made safe at once and left alone until the axis is started again.
+The compiled functions need no lock of Python and allocate nothing. The voltages are monitored as those of the simulated
+plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it is made
+safe at once and not used until the axis is started again.
 
-The limits are the file's, which the device's range contains.
+The limits are those of the parameter file, which must lie within the device's range.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ from hysteresis_ros.models.calibration import (
 )
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
-# What leads to the device, int64: the addresses of its functions and of itself, and that of this very array. In a copy
-# of the arrays the last one is another one's, so no copy ever reaches the device.
+# Link to the device, int64: the addresses of its functions, of the device and of this array itself. In a copy of the
+# arrays the last address is wrong, so no copy ever reaches the device.
 READ, WRITE, MAKE_SAFE, DEVICE, SELF = range(5)
 LINKS = 5
 
-# What it answered when it failed, int64: which of its functions, and its code; what making it safe gave then.
+# Failure, int64: which function failed, its code, and the result of making the device safe.
 FAILED, CODE, SAFE_CODE = range(3)
 ANSWERS = 3
-#: Values of ``FAILED``: nothing, reading, writing, a position that is no number.
+#: Values of ``FAILED``: nothing, reading, writing, a position that is not a number.
 NOTHING, READING, WRITING, NONSENSE = range(4)
 
 
@@ -77,7 +77,7 @@ class DevicePlantArrays(NamedTuple):
 
     link: np.ndarray
     answer: np.ndarray
-    #: Where the device finds all its voltages and leaves all its positions, both in its own units, and then its forces.
+    #: Buffers of the device's voltages and positions, both in its own units, the forces after the positions.
     positions: np.ndarray
     voltages: np.ndarray
     limits_p: np.ndarray
@@ -90,7 +90,7 @@ class DevicePlantArrays(NamedTuple):
 
 
 def link_to(compiled: Compiled | None) -> np.ndarray:
-    """Return the array that leads to a device, or to none."""
+    """Return the link array of a device, or of none."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
         link[:SELF] = compiled.read, compiled.write, compiled.make_safe, compiled.device
@@ -106,9 +106,9 @@ if COMPILED:
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int) -> Any:
-        """Return what calls ``int32_t function(void *, …)`` of so many pointers.
+        """Return a caller of ``int32_t function(void *, …)`` with ``count`` pointers.
 
-        Addresses are data to it, so that the code can be cached.
+        Addresses are data, so that the code can be cached.
         """
 
         def generate(context, builder, signature, arguments):
@@ -135,7 +135,7 @@ if COMPILED:
 
     @kernel
     def call_alone(link, which):
-        """Call a function of the device that takes nothing else; return its code."""
+        """Call a function of the device without further arguments; return its code."""
         return _call_alone(link[which], link[DEVICE])
 
 else:
@@ -147,19 +147,19 @@ else:
         return _WITH(int(link[which]))(int(link[DEVICE]), values.ctypes.data)
 
     def call_alone(link, which):
-        """Call a function of the device that takes nothing else; return its code."""
+        """Call a function of the device without further arguments; return its code."""
         return _ALONE(int(link[which]))(int(link[DEVICE]))
 
 
 @nested
 def is_linked(link):
-    """Tell whether these arrays lead to a device."""
+    """Tell whether these arrays are linked to a device."""
     return link[SELF] != 0 and link[SELF] == link.ctypes.data
 
 
 @nested
 def rest_device(limits_x, watch_p, watch_x):
-    """Go on from the safe voltage."""
+    """Continue from the safe voltage."""
     safe, hold = watch_p.hold[SAFE], watch_x.hold
     hold[HELD] = hold[GIVEN] = limits_x[OUTPUT] = limits_x[UNQUANTISED] = safe
     hold[HELD_AGE] = hold[HELD_BEGUN] = hold[FOLLOWS] = 0.0
@@ -167,7 +167,7 @@ def rest_device(limits_x, watch_p, watch_x):
 
 @nested
 def fail_device(arrays, failed, code):
-    """Stop the axis: the device is made safe, as far as it still listens."""
+    """Stop the axis and make the device safe, if it still responds."""
     arrays.watch_x.trip[TRIP] = DEVICE_FAILED
     rest_device(arrays.limits_x, arrays.watch_p, arrays.watch_x)
     if is_linked(arrays.link):
@@ -177,7 +177,7 @@ def fail_device(arrays, failed, code):
 
 @nested
 def read_device(arrays):
-    """Return the measurement [m] of the device, NaN when there is none."""
+    """Return the measurement [m] of the device; NaN when there is none."""
     code = call_with(arrays.link, READ, arrays.positions)
     reading = arrays.positions[0]
     if code == NOTHING_NEW:
@@ -193,7 +193,7 @@ def read_device(arrays):
 
 @nested
 def stop_for_homing(trip, homing):
-    """Keep the axis at its safe voltage while its sensor is homed, and let it go on afterwards."""
+    """Keep the axis at its safe voltage while its sensor is homed, then let it continue."""
     if homing and trip[TRIP] == NOT_TRIPPED:
         trip[TRIP] = FINDING_HOME
     elif not homing and trip[TRIP] == FINDING_HOME:
@@ -202,7 +202,7 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read a device; without one, what the row was given stands for what it answered."""
+    """Read a device; without a device, use the readings in the row."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
     if is_linked(arrays.link):
@@ -222,9 +222,9 @@ def sense_device(laws, arrays, row):
 
 @nested
 def actuate_device(laws, arrays, row):
-    """Put out the voltage of the row, or what the watch makes of it.
+    """Output the voltage of the row after monitoring.
 
-    In a sample that was skipped nothing is written: the voltage stays, though it may be on its way to safe or back.
+    In a skipped sample nothing is written: the voltage stays, even on its way to safe or back.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -260,7 +260,7 @@ INSIST = 1.0
 class DrivenPlant(Plant):
     """One actuator that is a device, driven from Python.
 
-    After opening and after :meth:`make_safe` the device is taken to be at ``safe_voltage``.
+    After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``.
     """
 
     #: Nothing of it is compiled.
@@ -269,7 +269,7 @@ class DrivenPlant(Plant):
     insists_every = INSIST
 
     _failure = ""
-    #: What was wrong when a device could not be made safe, and the voltage [V] that it has been left at.
+    #: Why a device could not be made safe, and the voltage [V] that it still outputs.
     _left, _left_at = "", math.nan
 
     def __init__(self, parameters: PlantNodeParameters):
@@ -279,7 +279,7 @@ class DrivenPlant(Plant):
         super().__init__(parameters)
         self.arrays = self
         self._device: Device | None = None
-        for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
+        for voltage in (0.0, math.nan):  # compile now, not at the first sample
             row = {at.VOLTAGE: voltage, at.MEASURED: 0.0, at.SKIPPED: 0.0}
             self.amplifier.value(self.limits.step(watched_voltage(self._watch_p, self._watch_x, row)))
         self.sensor.step(math.nan)
@@ -302,7 +302,7 @@ class DrivenPlant(Plant):
         parameters, device = self.parameters, f"driver {self.parameters.driver}:"
         low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
         if can.keeps_time:
-            remedy = "the package has its own: let the driver sample it, or write a node (docs/hardware.md)"
+            remedy = "the package keeps the time: let the driver sample the device, or write a node (docs/hardware.md)"
             raise DriverError(device, "the device insists on keeping the time", remedy)
         units, given = (can.position_unit, can.voltage_unit), parameters.calibration
         if units != (given.sensor.unit, given.amplifier.unit):
@@ -314,7 +314,7 @@ class DrivenPlant(Plant):
         if not 0 <= can.forces <= 1:
             raise DriverError(device, f"the device has {can.forces} forces", "an axis has none or 1")
         if can.voltages < 1:
-            raise DriverError(device, "the device puts out no voltage", "an axis needs 1: choose another device")
+            raise DriverError(device, "the device has no voltage output", "an axis needs 1: choose another device")
         least, most = sorted(map(self.amplifier.value, (low, high)))
         if not (can.minimum <= least and most <= can.maximum):
             problem = f"the device's range of {can.minimum:g} … {can.maximum:g} {units[1]} does not contain "
@@ -346,7 +346,7 @@ class DrivenPlant(Plant):
 
     @property
     def description(self) -> str:
-        """What stands there, in a line."""
+        """One line about the device."""
         can = self.capabilities
         text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
         text += f"{can.highest_rate:g} Hz; "
@@ -365,7 +365,7 @@ class DrivenPlant(Plant):
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Between which measurements [m] the axis may go on, by the model in the file."""
+        """Allowed range of the measurement [m], by the model in the parameter file."""
         return self.parameters.allowed_travel
 
     @property
@@ -375,13 +375,13 @@ class DrivenPlant(Plant):
 
     @property
     def limited_samples(self) -> int:
-        """Samples so far that range or slew rate limited."""
+        """Samples so far in which range or slew rate limited the voltage."""
         return self.limits.limited_samples
 
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row, NaN when there is none."""
+        """Read the position into the row; NaN when there is none."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -396,7 +396,7 @@ class DrivenPlant(Plant):
         row[at.TRIPPED] = self._watch_x.trip[TRIP]
 
     def actuate(self, row) -> None:
-        """Put out the voltage of the row, or what the watch makes of it."""
+        """Output the voltage of the row after monitoring."""
         self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
         row[at.PLANT_VOLTAGE] = self._left_at if self._left else float(self.limits.x[OUTPUT])
 
@@ -408,14 +408,14 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def _fail(self, error: DriverError) -> None:
-        """Stop the axis: the device is made safe, on a new connection if need be."""
+        """Stop the axis and make the device safe, on a new connection if necessary."""
         self._failure = str(error)
         self._watch_x.trip[TRIP] = DEVICE_FAILED
-        with contextlib.suppress(DriverError):  # the failure says it
+        with contextlib.suppress(DriverError):  # the failure reports it
             self.make_safe()
 
     def _at_rest(self) -> None:
-        """Go on from the safe voltage."""
+        """Continue from the safe voltage."""
         safe, x = self.parameters.safe_voltage, self.limits.x
         self._watch_x.hold[:] = hold_state(safe)
         x[OUTPUT] = x[UNQUANTISED] = safe
@@ -423,7 +423,7 @@ class DrivenPlant(Plant):
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Let the axis go on; a device that has failed is tried again, and has lost the zero of a relative sensor."""
+        """Start the axis; a device that has failed is tried again, and its relative sensor has lost its zero."""
         failed = bool(self.failure)
         if failed:
             self.sensor.begin_homing()
@@ -439,7 +439,7 @@ class DrivenPlant(Plant):
         self._failure = self._left = ""
 
     def _try_device(self) -> None:
-        """Read and write the device once at its safe voltage: a person who starts the axis hears if it still fails."""
+        """Read and write the device once at its safe voltage, so that a start reports a device that still fails."""
         try:
             self._opened.read()
             self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
@@ -447,7 +447,7 @@ class DrivenPlant(Plant):
             self._fail(error)
 
     def reset(self) -> None:
-        """Begin again where the device is: its voltage goes to the safe one, and to what comes, without a jump."""
+        """Begin again at the device's present voltage; it slews to the safe and then to the received voltage."""
         self._acknowledge()
         held = self.held()
         super().reset()
@@ -455,14 +455,14 @@ class DrivenPlant(Plant):
         self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
 
     def home(self) -> None:
-        """Take the place where the actuator stands for that of home."""
+        """Define the present position of the actuator as home."""
         sensor, safe = self.parameters.calibration.sensor, self.parameters.safe_voltage
         if sensor.reference != "relative":
-            allowed = "knows its place by itself; only a relative sensor is homed"
+            allowed = "is an absolute sensor; only a relative sensor is homed"
             raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, allowed)])
         if not self.tripped or self.held() != safe:
             allowed = (
-                f"home is the place at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
+                f"home is the position at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
             )
             allowed += "there, then home it"
             raise ParameterError([Problem("voltage", self.held(), allowed)])
@@ -470,16 +470,16 @@ class DrivenPlant(Plant):
 
     @property
     def complaint(self) -> str:
-        """What is wrong with the last reading of the sensor; empty: nothing."""
+        """Error of the last reading of the sensor; empty: none."""
         return self.sensor.complaint
 
     @property
     def finding_home(self) -> bool:
-        """Whether the axis stands still because its sensor is homed."""
+        """Whether the axis is stopped because its sensor is being homed."""
         return bool(self._watch_x.trip[TRIP] == FINDING_HOME)
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Take new limits, time-outs and safe voltages while running."""
+        """Apply new limits, time-outs and safe voltages while running."""
         before, after = self.parameters.driver_parameters, parameters.driver_parameters
         for name, value in after.to_mapping().items():
             if not name.startswith("limits.") and value != before.to_mapping().get(name):
@@ -495,7 +495,7 @@ class DrivenPlant(Plant):
         super().retune(parameters)
 
     def step_to_safe(self) -> bool:
-        """Take the voltage a sample further towards the safe one; False when it is there, or out of reach."""
+        """Move the voltage one sample towards the safe voltage; False when it is there, or the device has failed."""
         p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
         if self._failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
             return False
@@ -503,7 +503,7 @@ class DrivenPlant(Plant):
         return True
 
     def refresh(self) -> None:
-        """Put the voltage out again, for the device's watchdog."""
+        """Output the voltage again, for the device's watchdog."""
         if not self._failure:
             try:
                 self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
@@ -511,7 +511,7 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def held(self, input_: int = 0) -> float:
-        """Return the voltage that is put out [V], also by a device that could not be made safe."""
+        """Return the output voltage [V], also of a device that could not be made safe."""
         return self._left_at if self._left else super().held(input_)
 
     def make_safe(self) -> None:
@@ -538,7 +538,7 @@ class DrivenPlant(Plant):
 
 
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:
-    """Return limits that do not round: the converter is the device's."""
+    """Return limits without rounding, because the device has its own converter."""
     return replace(limits, bits=0)
 
 
@@ -606,7 +606,7 @@ class CompiledPlant(DrivenPlant):
 
     @property
     def failure(self) -> str:
-        """What is wrong with a device that has stopped the axis."""
+        """Error of a device that has stopped the axis."""
         if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
             return self._failure
         failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
@@ -638,12 +638,12 @@ class CompiledPlant(DrivenPlant):
             super().make_safe()
 
     def close(self) -> str:
-        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        """Release the device; return the problem it is left with, empty when there is none."""
         return super().close() if self._linked else ""
 
 
 def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
-    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type."""
+    """Return the plant of a fused axis: the device of its driver, or the simulated plant of its type."""
     if not parameters.driver:
         return PLANTS[parameters.type](parameters)
     return CompiledPlant(parameters, linked)

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Faults on purpose: what a part of the loop is given instead of what was there.
+"""Fault injection: replaces the inputs of the parts of the loop.
 
-A fault has a name, a beginning and a duration in seconds of the axis' own time, and a value where it needs one, written
-``NAME:START:DURATION[:VALUE]``. It stands in the parameters of the axis (``faults``, under ``/**``), so nodes, offline
-twin and recording know it: a run with faults is repeated bit for bit like any other.
+A fault has a name, a start and a duration in seconds of the axis' own time, and a value if it needs one, written
+``NAME:START:DURATION[:VALUE]``. It is in the parameters of the axis (``faults``, under ``/**``), so nodes, offline
+twin and recording know it: a run with faults can be repeated bit for bit like any other.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MEASUREMENT, APPLIED, COMMAND, VOLTAGE, GRIP, STOP, FORCE = range(7)
 # What it does to it.
 LOST, SPIKE, FREEZE, DELAY, DROP, ADD, DISORDER, SCALE, SET = range(9)
 
-#: A spike comes every so many samples.
+#: Interval of the spikes [samples].
 SPIKE_PERIOD = 10
 #: Longest delay [samples].
 LONGEST_DELAY = 10000
@@ -42,10 +42,10 @@ LONGEST_DELAY = 10000
 class FaultKind:
     """One kind of fault."""
 
-    target: int  #: target, action: What it acts on, and what it does to it.
+    target: int  #: target, action: the signal it acts on, and its effect.
     action: int
     description: str
-    value: float | None = None  #: Default of the value; None: it has none.
+    value: float | None = None  #: Default of the value; None: the fault has no value.
     unit: str = ""  #: Unit of the value.
     low: float = -math.inf  #: low, high: Range of the value.
     high: float = math.inf
@@ -194,18 +194,15 @@ ENTRIES = 2
 TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first one after it, value
 ENTRY = 5
 
-# State array: samples so far, the number of the sample of which the measurement claims to be, what freezes, the
-# generator; then a ring of the last measurements.
+# State array: samples so far, the sample number of the measurement, the frozen value, the random generator; then a
+# ring of the last measurements.
 SAMPLES, STAMP, FROZEN_AT = range(3)
 GENERATOR = 3
 RING = 9
 
 
 def fault_parameters(faults: tuple[str, ...], targets: tuple[int, ...], sample_rate: float) -> np.ndarray:
-    """Return the parameter array of those faults that act on one of the ``targets``.
-
-    Units: ``sample_rate`` [Hz].
-    """
+    """Return the parameter array of the faults that act on one of the ``targets``, at ``sample_rate`` [Hz]."""
     chosen = [entry for entry in map(parse_fault, faults) if entry.kind.target in targets]
     longest = max((entry.amount for entry in chosen if entry.kind.action == DELAY), default=1.0)
     p = [float(len(chosen)), longest + 1.0]
@@ -231,14 +228,14 @@ def draw(x):
 
 @kernel
 def begin_sample(x):
-    """Count a sample; what is given in it is the present one, until a fault says otherwise."""
+    """Count a sample; its measurement has the present stamp unless a fault changes it."""
     x[STAMP] = x[SAMPLES]
     x[SAMPLES] += 1.0
 
 
 @called
 def corrupt(p, x, target, value):
-    """Return what the part is given instead of ``value`` in the present sample; for each target once a sample."""
+    """Return the replacement of ``value`` in the present sample; call it once per target and sample."""
     count = int(p[COUNT])
     if count == 0:
         return value
@@ -282,5 +279,5 @@ def corrupt(p, x, target, value):
 
 @nested
 def given_instead(p, x, target, value):
-    """Return what :func:`corrupt` does; without faults a node, which calls from Python, is spared the call."""
+    """Return :func:`corrupt` of the value; without faults a node saves the call from Python."""
     return value if p[COUNT] == 0.0 else corrupt(p, x, target, value)

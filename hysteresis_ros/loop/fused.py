@@ -7,12 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused runner: one compiled thread makes an axis' samples against absolute deadlines; what it costs on a machine.
+"""The fused runner: one compiled thread runs an axis against absolute deadlines; its cost on a machine.
 
-Other threads steer it: setpoints, starts and stops are taken by the compiled code at a sample's boundary, whole; for
-other changes it pauses between two samples, while whoever wants them makes them. Everything that was changed is logged
-with its sample, so that an :class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples
-gives the same bits.
+Other threads control it: the compiled code applies setpoints, starts and stops at the boundary of a sample; for other
+changes it pauses between two samples while the calling thread makes them. Every change is logged with its sample, so an
+:class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from hysteresis_ros.loop.plant import JOINT_NUMBERS
 from hysteresis_ros.loop.tick import WHOLE, ticks
 from hysteresis_ros.models.block import COMPILED, specialised
 
-#: Turn of a thread of Python while the loop waits for another one [s].
+#: Switch interval of Python's threads while the loop waits for another thread [s].
 TURN = 5e-4
 
 _TIMER_SLACK = 29
@@ -51,9 +50,9 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Give the calling thread its priority and core, and keep the process in RAM, as far as that is permitted."""
+    """Set priority and core of the calling thread and lock the process in RAM; return what was refused."""
     library = ctypes.CDLL(None, use_errno=True)
-    # without priority a thread is woken up to 50 µs late on purpose, to save energy
+    # without priority the kernel wakes a thread up to 50 µs late to save energy
     if hasattr(library, "prctl"):
         library.prctl(_TIMER_SLACK, ctypes.c_ulong(1), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
     refused = []
@@ -77,12 +76,12 @@ def ask_for(parameters: RealtimeParameters) -> str:
             f"realtime.lock_memory = true ({os.strerror(ctypes.get_errno())}: a line '@GROUP - memlock unlimited' in "
             "/etc/security/limits.conf and a new login, or CAP_IPC_LOCK)"
         )
-    return f"goes on without {'; without '.join(refused)}" if refused else ""
+    return f"continues without {'; without '.join(refused)}" if refused else ""
 
 
 @contextlib.contextmanager
 def boosted(parameters: RealtimeParameters):
-    """Be nearly as urgent as the thread that keeps time, where that is permitted: on one core that one goes first."""
+    """Run just below the priority of the loop's thread, if permitted, so that the loop goes first on a shared core."""
     priority = max(parameters.priority - 1, 1)
     before = None
     if parameters.priority:
@@ -99,11 +98,11 @@ def boosted(parameters: RealtimeParameters):
 
 @contextlib.contextmanager
 def undisturbed():
-    """Run without the garbage collector, and with other threads of Python in the way as shortly as possible."""
+    """Run without the garbage collector and with the shortest switch interval of Python's threads."""
     collects, interval = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(TURN)
-    time.sleep(0.0)  # whoever waits for its turn has had one, and now waits for a whole turn again
+    time.sleep(0.0)  # a thread that waits for its turn restarts its wait with the new interval
     try:
         yield
     finally:
@@ -113,28 +112,28 @@ def undisturbed():
 
 
 def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or "this system does not know it"
+    return getattr(error, "strerror", None) or "this system does not support it"
 
 
-#: Samples per second that are held without Numba: a sample takes up to 0.4 ms (a motor's), and any other thread of
-#: Python a turn of 5 ms, which is a period then.
+#: Samples per second that are held without Numba: a sample takes up to 0.4 ms (of a motor), and another thread of
+#: Python may run for 5 ms, one period.
 INTERPRETED_RATE = 200.0
-#: Time for which samples are kept for readers [s], and the least and the largest number of them.
+#: Time for which samples are kept for readers [s], and least and largest number of samples.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
-#: A sample that is worked at for longer is one in which a device does not return [s].
+#: Duration of a sample after which the device counts as blocked [s].
 BLOCKED = 0.5
-#: Whoever was suspended for so long goes on within this time [s].
+#: Time within which a suspended process continues [s].
 WAKING = 0.02
-#: Between starting and the first sample [ns].
+#: Time from the start to the first sample [ns].
 LEAD = 5_000_000
-#: How often is looked whether something was taken [s].
+#: Polling interval for an accepted request [s].
 LOOK = 2e-4
-#: Longest wait for a pause without giving other threads a turn [s]: who gives one may wait 5 ms for the next.
+#: Longest busy wait for a pause [s]; yielding to other threads may cost 5 ms.
 HASTE = 2e-3
 
 
 def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
-    """Return the arrays of a loop that goes on with the next sample of an axis."""
+    """Return the arrays of a loop that continues with the next sample of an axis."""
     size = len(signals.row_signals(axis.motor))
     rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
     kept = min(max(math.ceil(KEPT * rate), LEAST_KEPT), MOST_KEPT)
@@ -152,7 +151,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
         np.zeros((at.POSTS, at.POST)),
         np.zeros((at.EVENTS, 2), dtype=np.int64),
         np.zeros(at.BINS, dtype=np.int64),
-        np.full((kept, size), math.nan),  # written, so that the memory is really there
+        np.full((kept, size), math.nan),  # written, so that the memory is really allocated
         np.full(kept, -1, dtype=np.int64),
         np.full((kept, JOINT_NUMBERS if axis.motor else 0), math.nan),
         np.zeros(2, dtype=np.int64),
@@ -170,7 +169,7 @@ def machine(axis: Axis, own: Pace):
 class FusedLoop:
     """Runs an axis in a thread of its own.
 
-    All methods may be called from any thread. While it runs nobody else may run or change the axis.
+    All methods may be called from any thread. While it runs, nothing else may run or change the axis.
     """
 
     def __init__(self, axis: Axis, factor: float = 1.0, samples: int = 0, warn: Callable[[str], object] | None = None):
@@ -215,22 +214,22 @@ class FusedLoop:
 
     @property
     def origin(self) -> int:
-        """When sample 0 was to begin [ns since 1970]; known once it was started."""
+        """Deadline of sample 0 [ns since 1970]; known after the start."""
         return int(self._state[at.ORIGIN]) + self._offset
 
     @property
     def running(self) -> bool:
-        """Whether the thread is there."""
+        """Whether the thread runs."""
         return self._thread is not None and self._thread.is_alive()
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait until the last sample is made, or the time [s] is over; tell whether the thread has ended."""
+        """Wait until the last sample is done or the time-out [s] is over; tell whether the thread has ended."""
         if self._thread is not None:
             self._thread.join(timeout)
         return not self.running
 
     def leave(self) -> bool:
-        """End after the present sample; tell whether it has ended: a device that does not return is left to itself."""
+        """End after the present sample; tell whether the thread has ended: it cannot while a device blocks."""
         self._ending = True
         self._state[at.LEAVE] = 1
         while not self.is_blocked:
@@ -248,7 +247,7 @@ class FusedLoop:
         return int(self._state[at.AT_WORK]) == begun
 
     def _run(self) -> None:
-        """Make samples until the end; the thread's main function."""
+        """Run the loop until the end; the thread's main function."""
         try:
             self.warning = ask_for(self.axis.parameters.plant_simulator.realtime)
             if self.warning and self._warn is not None:
@@ -262,19 +261,19 @@ class FusedLoop:
                 run(*arguments)
                 if not state[at.LEAVE] or self._ending:
                     break
-                state[at.LEAVE] = 0  # it was for the parts, which others have taken the place of
+                state[at.LEAVE] = 0  # the change was for parts that have been replaced
         except Exception as error:
             self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
         finally:
             self._begun.set()
             self.axis.sample = self.sample
 
-    # -- steering ------------------------------------------------------------------------------------------------
+    # -- requests and changes --------------------------------------------------------------------------------------
 
     def set(self, setpoint: float | None = None, request: float | None = None, speed: float | None = None) -> None:
-        """Ask for something from the next sample on; what is None stays. The last of several in one sample counts.
+        """Request a setpoint [m], a motor's request or speed for the next sample; None: no change.
 
-        Units: ``setpoint`` [m].
+        Of several requests in one sample the last one counts.
         """
         if not self.axis.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor takes them")
@@ -282,11 +281,11 @@ class FusedLoop:
         self._post(dict(zip(places, (setpoint, request, speed), strict=True)))
 
     def halt(self) -> None:
-        """Stop everything with the next sample: the plant goes to safe until all that was stopped is started again."""
+        """Stop everything with the next sample; the plant stays safe until all stopped parts are started again."""
         self._post({}, halts=1)
 
     def apply(self, change: Change) -> int:
-        """Change something, wait until it is, and return the number of the first sample for which it holds."""
+        """Make a change, wait until it is done, and return the number of the first sample for which it holds."""
         with self._changing:
             code = CODES.get((change.node, change.action))
             sample = None
@@ -299,7 +298,7 @@ class FusedLoop:
         return sample
 
     def _post(self, values: dict, switch: int = 0, halts: int = 0) -> float:
-        """Put what is asked for where the loop finds it; return the number of the switch."""
+        """Post requests for the loop; return the number of the switch."""
         asked = self._asked
         with self._posting:
             for place, value in values.items():
@@ -316,7 +315,7 @@ class FusedLoop:
             return asked[at.POST_SWITCHES]
 
     def _switch(self, code: int) -> int | None:
-        """Have a part started or stopped; return the sample, None when the thread ended before."""
+        """Start or stop a part; return the sample, None when the thread ended before."""
         number = self._post({}, switch=code)
         while self._state[at.SWITCHED] != number:
             if self.join(LOOK) and self._state[at.SWITCHED] != number:
@@ -346,14 +345,14 @@ class FusedLoop:
         try:
             part.retune(parameters)
         except Exception:
-            # the double took them: it has to be what the axis is
+            # the copy was changed: it must equal the axis again
             with contextlib.suppress(ParameterError):
                 self._double.by_node[node].retune(part.parameters)
             raise
 
     @contextlib.contextmanager
     def _between_samples(self):
-        """Hold the loop between two samples, at nearly its priority: so it waits for nobody less urgent."""
+        """Pause the loop between two samples, at nearly its priority."""
         state = self._state
         wanted = int(state[at.PAUSE]) + 1
         with boosted(self.axis.parameters.plant_simulator.realtime), undisturbed():
@@ -371,10 +370,12 @@ class FusedLoop:
     def _refuse_blocked(self) -> None:
         """Raise a LoopError while nothing can be changed."""
         if self.is_blocked:
-            raise LoopError(f"the device has not returned from sample {self.sample} for {BLOCKED:g} s: nothing changes")
+            raise LoopError(
+                f"the device has not returned from sample {self.sample} for {BLOCKED:g} s: the change is refused"
+            )
 
     def _rehearse(self, change: Change | None) -> Parameters | None:
-        """Apply a change to a double of the axis and run that: it is refused here, and nothing is compiled later.
+        """Apply a change to a copy of the axis and run it: errors occur here, and nothing is compiled later.
 
         Returns the new parameters of the part, checked.
         """
@@ -389,7 +390,7 @@ class FusedLoop:
         run(*arguments)
         return None if change is None else double.by_node[change.node].parameters
 
-    # -- what it has made ----------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------
 
     @property
     def sample(self) -> int:
@@ -398,17 +399,17 @@ class FusedLoop:
 
     @property
     def missed(self) -> int:
-        """Samples so far that were skipped."""
+        """Skipped samples so far."""
         return int(self._state[at.MISSED])
 
     @property
     def changes(self) -> list[Change]:
-        """What was changed so far, in the order of the samples, for :meth:`Axis.run`."""
+        """Changes so far, in the order of the samples, for :meth:`Axis.run`."""
         self._read_events()
         return [change for *_, change in sorted(self._log, key=lambda entry: entry[:2])]
 
     def _read_events(self) -> None:
-        """Move what the compiled code has switched into the log."""
+        """Move the switches of the compiled code into the log."""
         with self._posting:
             count = int(self._state[at.EVENT_COUNT])
             for index in range(self._events_read, count):
@@ -418,11 +419,11 @@ class FusedLoop:
             self._events_read = count
 
     def reader(self) -> Reader:
-        """Return somebody who takes samples out of the ring, beginning with the next one."""
+        """Return a reader of the ring that begins with the next sample."""
         return Reader(self._own, lambda: self._offset)
 
     def take(self) -> Samples:
-        """Return all samples since the last time."""
+        """Return all samples since the last call."""
         return self._reader.take()
 
     def latest(self) -> tuple[int, np.ndarray]:
@@ -430,7 +431,7 @@ class FusedLoop:
         return latest(self._own)
 
     def lateness(self) -> Lateness:
-        """Return how late samples began so far."""
+        """Return the lateness of the samples so far."""
         return lateness(self._own)
 
 
@@ -444,7 +445,7 @@ def _copy_states(source, target) -> None:
 
 
 def _same(one, other) -> bool:
-    """Tell whether two named tuples hold the very same arrays and functions."""
+    """Tell whether two named tuples hold the same objects."""
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     return one is other
@@ -452,16 +453,16 @@ def _same(one, other) -> bool:
 
 #: A rate is held when 99 % of the samples begin within this part of a period, and fewer than this part are skipped.
 LATEST, MOST_SKIPPED = 0.5, 0.005
-#: Batches, and samples of each, in which the cost of a sample is measured: of the batches the quickest counts.
+#: Number of batches and samples per batch to measure the cost of a sample; the fastest batch counts.
 BATCHES, BATCH = 5, 100
 
 
 class Trial(NamedTuple):
-    """What a loop did at a rate."""
+    """Result of a trial of the loop at a rate."""
 
     rate: float  #: Samples per second [Hz].
-    lateness: Lateness  #: How late its samples began, and how many were skipped.
-    warning: str  #: What the operating system did not permit; empty when all was.
+    lateness: Lateness  #: Lateness of its samples, and the number of skipped ones.
+    warning: str  #: What the operating system refused; empty when it permitted everything.
 
     @property
     def is_held(self) -> bool:
@@ -471,27 +472,24 @@ class Trial(NamedTuple):
 
 
 def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
-    """Run an axis' fused loop for a moment in real time, and return how it kept the time.
-
-    Units: ``seconds`` [s].
-    """
+    """Run the fused loop of an axis for ``seconds`` [s] in real time, and return its timing."""
     plant = parameters.plant_simulator
     realtime = replace(plant.realtime, priority=priority)
-    # what a busy machine makes late must not end the trial
+    # lateness on a busy machine must not end the trial
     asked = replace(parameters, plant_simulator=replace(plant, realtime=realtime, late_limit=-1))
     loop = FusedLoop(Axis(asked), samples=max(round(seconds * plant.sample_rate), 1))
     loop.start()
     try:
         loop.join()
     finally:
-        loop.leave()  # also when somebody interrupts
+        loop.leave()  # also after an interrupt
     if loop.failure:
         raise ConfigurationError(loop.failure)
     return Trial(plant.sample_rate, loop.lateness(), loop.warning)
 
 
 def tick_cost(parameters: AxisParameters) -> float:
-    """Return what a sample of an axis takes on this machine at least, beyond waiting [s]; its plant is simulated."""
+    """Return the least computing time of a sample of an axis on this machine [s]; its plant is simulated."""
     axis = Axis(parameters)
     found = []
     for _ in range(BATCHES):
@@ -504,10 +502,10 @@ def tick_cost(parameters: AxisParameters) -> float:
 
 
 def require_speed(parameters: AxisParameters) -> None:
-    """Refuse an axis whose samples take longer than they may, before anything moves."""
+    """Refuse an axis whose samples take longer than a period, before anything moves."""
     plant = parameters.plant_simulator
     if plant.realtime.force or plant.driver or not COMPILED:
-        return  # what a device takes is known only once it is driven; without Numba the loop has its own limit
+        return  # the time of a device is known only once it is driven; without Numba the loop has its own limit
     rate, cost = plant.sample_rate * plant.real_time_factor, tick_cost(parameters)
     if cost * rate > 1.0:
         raise ConfigurationError(

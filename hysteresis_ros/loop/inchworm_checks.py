@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Whether an inchworm's gait fits its motor: what the sequencer alone cannot know."""
+"""Checks of an inchworm's gait against its motor, which the sequencer alone cannot make."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.references.inchworm_parameters import SWING_RANGE
 from hysteresis_ros.references.inchworm_steps import LOAD_PART
 
-#: Holding force over load below which an axis is doubtful.
+#: Ratio of holding force to load below which a warning is given.
 SAFETY_FACTOR = 2.0
-#: Periods of the slider's swing on the extender below which a motion of the extender is doubtful.
+#: Duration of a motion of the extender, in periods of the slider on the extender, below which a warning is given.
 SWINGS = 2.0
-#: Part of the frequency of that swing up to which a designed loop may have gain.
+#: Largest crossover of a designed loop, as a part of the frequency of the slider on the extender.
 CROSSOVER_PART = 0.25
 
 
 def inchworm_problems(plant, parts):
-    """Yield a Problem for whatever of the gait does not fit the other nodes.
+    """Yield a Problem for each parameter of the gait that does not fit the other nodes.
 
-    That is: clamps too weak for the load or too slow for the gait, voltages beyond the clamps' amplifiers, extensions
-    beyond what the compensator can carry out, travel beyond the end stops.
+    These are: clamps too slow for the gait, voltages beyond the clamps' amplifiers, extensions beyond the range of the
+    compensator, travel beyond the end stops.
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
@@ -44,7 +44,7 @@ def inchworm_problems(plant, parts):
         ("highest_extension", gait.highest_extension + gait.fine_margin),
     ):
         if not lowest <= value <= highest:
-            allowed = f"with fine_margin beyond what the compensator can carry out, {lowest:.4g} … {highest:.4g} m"
+            allowed = f"with fine_margin beyond the range of the compensator, {lowest:.4g} … {highest:.4g} m"
             yield Problem(f"inchworm_sequencer: gait.{name}", getattr(gait, name), allowed)
     yield from motor.holding_problems(gait.grip_voltage, gait.grip_voltage, prefix="plant_simulator: inchworm.")
     for name in ("front_clamp", "rear_clamp"):
@@ -57,7 +57,7 @@ def inchworm_problems(plant, parts):
         for which in ("grip_voltage", "release_voltage", "initial_voltage"):
             value = getattr(gait, which)
             if not low <= value <= high:
-                allowed = f"outside of the limits of the plant's {name}: {low:g} … {high:g} V"
+                allowed = f"outside the limits of the plant's {name}: {low:g} … {high:g} V"
                 yield Problem(f"inchworm_sequencer: gait.{which}", value, allowed)
     travel = motor.slider.minimum, motor.slider.maximum
     for which, value in (("minimum", sequencer.minimum), ("maximum", sequencer.maximum)):
@@ -67,45 +67,42 @@ def inchworm_problems(plant, parts):
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
-    """Return a sentence for each doubt: clamps below twice the load, a load too heavy for the stroke, hasty motions."""
+    """Return the warnings: clamps below twice the load, a load too heavy for the stroke, motions that are too fast."""
     return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
-    """Return a sentence when a designed loop reaches the slider's swing on the extender, which its model has not.
-
-    Units: ``crossovers`` [Hz].
-    """
+    """Return a warning when ``crossovers`` [Hz] of a design reach the slider's resonance, which its model lacks."""
     frequency = 1.0 / _swing(plant.inchworm)
     highest = max(crossovers, default=0.0)
     if highest <= CROSSOVER_PART * frequency:
         return ()
     return (
-        f"the design's gain crosses one at {highest:.4g} Hz, and the model has not the slider on the extender at "
-        f"{frequency:.4g} Hz: it will swing; ask for a --bandwidth below {CROSSOVER_PART * frequency:.3g} Hz",
+        f"the design's crossover is {highest:.4g} Hz; its model lacks the slider's resonance on the extender at "
+        f"{frequency:.4g} Hz: it will oscillate; give a --bandwidth below {CROSSOVER_PART * frequency:.3g} Hz",
     )
 
 
 def _swing(motor) -> float:
-    """Return the period of the slider on the extender [s]."""
+    """Return the period of the slider's oscillation on the extender [s]."""
     return 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
 
 
 def _walking_doubts(motor, walk):
-    """Yield what continuous walking over the phase assumes and the motor is not."""
+    """Yield warnings where the motor violates assumptions of continuous walking over the phase."""
     if not walk.continuous:
         return
     swing = 1.0 / _swing(motor)
     if walk.swing > 0.0 and abs(walk.swing / swing - 1.0) > SWING_RANGE:
         yield (
-            f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider on the extender swings at {swing:.4g} Hz: "
-            "what is learned may not settle"
+            f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider oscillates on the extender at "
+            f"{swing:.4g} Hz: learning may not converge"
         )
     deflection = abs(motor.slider.force) / motor.extender_stiffness
     if deflection > walk.bound:
         yield (
             f"inchworm_sequencer: the load bends the extender by {deflection:.3g} m, more than walk.bound = "
-            f"{walk.bound:g} m can make good: raise it and shorten walk.step"
+            f"{walk.bound:g} m can compensate: raise it and shorten walk.step"
         )
 
 
@@ -131,5 +128,5 @@ def _doubts(motor, gait):
         if value < SWINGS * swing:
             yield (
                 f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on "
-                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: it swings beyond the end of its steps"
+                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: it oscillates past the end of its steps"
             )

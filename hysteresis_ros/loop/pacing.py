@@ -9,12 +9,12 @@
 
 """The compiled loop of the fused runner: samples against absolute deadlines, its switches, and the ring it writes.
 
-What is started and stopped within a sample is switched here; every other change takes Python (
-:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as
-the methods ``start``, ``stop``, ``halt`` and ``hold`` of the parts.
+Starts and stops within a sample are switched here; every other change is made in Python
+(:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as the methods ``start``, ``stop``, ``halt`` and
+``hold`` of the parts.
 
-A sample that would begin a whole period or more after its deadline is skipped: nobody measures or answers, the voltage
-stays, and time goes on. So a burst of late answers never follows a missed deadline.
+A sample that would begin a whole period or more after its deadline is skipped: there is no measurement and no command,
+the voltage stays, and time goes on. So a burst of late outputs never follows a missed deadline.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hysteresis_ros.loop.tick import WHOLE
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import COMPILED, nested
 
-# Codes of what can be switched; HALT is the emergency stop, all that can be stopped.
+# Codes of the switches; HALT is the emergency stop, which stops everything that can be stopped.
 NOTHING, START_PLANT, HALT_PLANT, START_CONTROLLER, STOP_CONTROLLER, START_COMPENSATOR, STOP_COMPENSATOR = range(7)
 STOP_GENERATOR, HALT, HOLD_GENERATOR = 7, 8, 9
 
@@ -56,7 +56,7 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, motor: bool) -> list[tuple[str, str]]:
-    """Return node and action of everything that a code switches; a motor's sequencer is asked to stop instead."""
+    """Return node and action of everything that a code switches; a motor's sequencer gets a stop request instead."""
     if code != HALT:
         return [SWITCHES[code]]
     stopped = [HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, *([] if motor else [STOP_GENERATOR])]
@@ -65,7 +65,7 @@ def switched(code: int, motor: bool) -> list[tuple[str, str]]:
 
 @nested
 def switch(laws, parts, column, code):
-    """Start or stop a part from this sample on; what a source asks for because of that is put into the column."""
+    """Start or stop a part, beginning with this sample; resulting inputs of a source are written into the column."""
     trip = parts.plant.watch_x.trip
     controller, compensator = parts.controller.watch_x.own, parts.compensator.watch_x.own
     if code == START_PLANT:
@@ -95,56 +95,56 @@ class Pace(NamedTuple):
 
     #: Counters and flags, int64, see below.
     state: np.ndarray
-    #: What the parts are given and the row they work on.
+    #: Inputs of the parts, and the row they work on.
     given: np.ndarray
     column: np.ndarray
     row: np.ndarray
     #: Setpoints of the configuration: first sample, value [m]; shape (N, 2).
     schedule: np.ndarray
-    #: What people ask for, a row for each time they do, shape (POSTS, POST).
+    #: Requests, a row per request, shape (POSTS, POST).
     posts: np.ndarray
-    #: What was started and stopped: sample, code; int64, shape (EVENTS, 2).
+    #: Switches that were made: sample, code; int64, shape (EVENTS, 2).
     events: np.ndarray
     #: Samples by their lateness, int64, shape (BINS,).
     histogram: np.ndarray
     #: Rows of the last samples, shape (N, row length), and the time each began [ns], int64, shape (N,).
     rows: np.ndarray
     times: np.ndarray
-    #: Of a motor: what ``joint_states`` says of its joints, shape (N, JOINTS).
+    #: Contents of ``joint_states`` of a motor, shape (N, JOINTS).
     joints: np.ndarray
     #: For the C library, int64, shape (2,).
     timespec: np.ndarray
 
 
-# State, written by the loop: number of the next sample; samples in the ring, ever; skipped ones; posts, setpoints,
+# State, written by the loop: number of the next sample; samples ever in the ring; skipped samples; posts, setpoints,
 # requests, speeds, switches and emergency stops taken; setpoints of the schedule so far; greatest lateness, all time
 # spent beyond waiting, the longest of it [ns].
 SAMPLE, HEAD, MISSED, TAKEN, SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED = range(9)
 SCHEDULED, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9, 15)
-# Written from outside: 1: leave before the next sample; sample before which to leave, 0: never; number of posts; time
-# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the pause that
-# somebody wants, and of the last one that is over.
+# Written by other threads: 1: end before the next sample; sample before which to end, 0: never; number of posts; time
+# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the last pause
+# that was requested, and of the last one that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(15, 24)
-# Number of the last pause that has begun; since when a sample is worked at [ns], 0: none is.
+# Number of the last pause that has begun; start of the sample in progress [ns], 0: no sample is in progress.
 PAUSED, AT_WORK = 24, 25
 STATES = 26
 
-# A post: each with the number of times it was given so far.
+# A post: each value with the number of times it was given so far.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
 POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
 POST = 9
 
-#: Posts and events that are kept: many more than anybody makes or leaves unread within a sample.
+#: Capacity for posts and events: many more than are made or left unread within a sample.
 POSTS, EVENTS = 64, 1024
 
-#: Lateness of the first bin [ns], bins, and how many of them for a factor e.
+#: Lateness of the first bin [ns], number of bins, and bins per factor e.
 LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
-#: Longest wait in one piece [ns]: so soon somebody who wants it to leave is heard.
+#: Longest uninterrupted wait [ns], hence the delay after which a request to end is noticed.
 PIECE = 50_000_000
-#: How often is looked whether a pause is over [ns].
+#: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: Skipped samples in a row, as a part of the ring, after which readers get time, and how much [ns].
+#: Skipped samples in a row, as a part of the ring, after which the loop waits for readers, and how long [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
@@ -153,7 +153,7 @@ FEMTO = 1_000_000
 if COMPILED:
     from numba import types
 
-    # by their symbols, not by ctypes: addresses of this process would make the code useless for the cache
+    # by symbol, not by ctypes: addresses of this process could not be cached with the code
     _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     _nanosleep: Any = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
@@ -184,14 +184,14 @@ else:
 
 @nested
 def deadline_of(state):
-    """Return when the next sample is to begin [ns]."""
+    """Return the deadline of the next sample [ns]."""
     samples, whole, rest = state[SAMPLE], state[PERIOD] // FEMTO, state[PERIOD] % FEMTO
     return state[ORIGIN] + samples * whole + samples * rest // FEMTO
 
 
 @nested
 def pause(state, timespec):
-    """Let somebody change the parts between two samples, as long as that takes; return the time [ns]."""
+    """Pause between two samples while another thread changes the parts; return the time [ns]."""
     state[PAUSED] = state[PAUSE]
     now = clock(timespec)
     while state[RESUMED] != state[PAUSED]:
@@ -202,7 +202,7 @@ def pause(state, timespec):
 
 @nested
 def await_deadline(state, timespec, deadline):
-    """Wait for a deadline [ns], or until somebody wants to change something; return the time [ns]."""
+    """Wait for a deadline [ns], or until a pause or the end is requested; return the time [ns]."""
     now = clock(timespec)
     while now < deadline and state[LEAVE] == 0 and state[PAUSE] == state[RESUMED]:
         sleep_until(timespec, min(deadline, now + PIECE))
@@ -212,7 +212,7 @@ def await_deadline(state, timespec, deadline):
 
 @nested
 def note_lateness(state, histogram, late):
-    """Count a sample that began so late [ns]."""
+    """Count a sample that began ``late`` [ns] after its deadline."""
     state[LATEST] = max(state[LATEST], late)
     index = 0
     if late > LEAST:
@@ -222,7 +222,7 @@ def note_lateness(state, histogram, late):
 
 @nested
 def take_setpoint(state, schedule, column):
-    """Put the setpoint of the schedule into the column when a new one begins; not once somebody gave one."""
+    """Write a new setpoint of the schedule into the column, unless a setpoint was ever received."""
     index = state[SCHEDULED]
     while state[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= state[SAMPLE]:
         column[at.SETPOINT, 0] = schedule[index, 1]
@@ -232,10 +232,10 @@ def take_setpoint(state, schedule, column):
 
 @nested
 def take_post(own, motor):
-    """Take what was asked for since the last sample, whole; return what is to be switched, and then.
+    """Read all requests since the last sample; return the switches to make.
 
-    Several posts between two samples are one: each states everything that was asked for so far. The row of a post is
-    complete before its number is, and it is overwritten POSTS posts later.
+    Several posts between two samples act as one: each contains all requests so far. The row of a post is complete
+    before its number is written, and it is overwritten POSTS posts later.
     """
     state, column = own.state, own.column
     column[at.SKIPPED, 0] = 0.0
@@ -263,7 +263,7 @@ def take_post(own, motor):
 
 @nested
 def log_switch(state, events, code):
-    """Write down that something was switched before the next sample."""
+    """Log a switch before the next sample."""
     event = events[state[EVENT_COUNT] % EVENTS]
     event[0], event[1] = state[SAMPLE], code
     state[EVENT_COUNT] += 1
@@ -271,7 +271,7 @@ def log_switch(state, events, code):
 
 @nested
 def keep(laws, parts, own, begun):
-    """Put the sample that was made into the ring."""
+    """Write the finished sample into the ring."""
     state, column = own.state, own.column
     slot = state[HEAD] % own.rows.shape[0]
     for i in range(column.shape[0]):
@@ -281,7 +281,7 @@ def keep(laws, parts, own, begun):
 
 
 def pace(step, laws, parts, own, motor):
-    """Make samples until the last one, or until somebody wants it to leave."""
+    """Run the loop until the last sample, or until the end is requested."""
     state, column, timespec = own.state, own.column, own.timespec
     now = clock(timespec)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
@@ -316,7 +316,7 @@ def pace(step, laws, parts, own, motor):
         state[AT_WORK] = 0
         state[BUSY] += spent
         state[BUSIEST] = max(state[BUSIEST], spent)
-        # after a call of a function that the compiler does not know, and so not before the row is there
+        # after a call that is opaque to the compiler, so that the store is not moved before the row is complete
         state[HEAD] += 1
         state[SAMPLE] += 1
         if state[IN_ROW] * CATCH_UP >= own.rows.shape[0]:
@@ -326,34 +326,34 @@ def pace(step, laws, parts, own, motor):
 
 
 class Samples(NamedTuple):
-    """Samples that follow one another."""
+    """Consecutive samples."""
 
-    first: int  #: Number of the first one, counted from the beginning of the axis.
-    #: shape (row length, N); A column for each sample, a row for each signal, see
+    first: int  #: Number of the first sample, counted from the start of the axis.
+    #: Shape (row length, N): a column for each sample, a row for each signal, see
     #: :func:`hysteresis_ros.signals.row_signals`.
     table: np.ndarray
-    times: np.ndarray  #: shape (N,); When each was begun [ns since 1970], whole numbers.
-    #: shape (JOINT_NUMBERS, N); Of a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
+    times: np.ndarray  #: Start of each sample [ns since 1970], whole numbers, shape (N,).
+    #: Positions [m], velocities [m/s] and efforts [N] of a motor's joints, shape (JOINT_NUMBERS, N).
     joints: np.ndarray | None
-    lost: int  #: Samples before the first one that were overwritten before anybody took them.
+    lost: int  #: Samples before the first one that were overwritten before they were read.
 
 
 class Lateness(NamedTuple):
-    """How late samples began, skipped ones included, and what they took."""
+    """Lateness of the samples, skipped samples included, and their cost."""
 
-    #: p50, p99, p999, max: So late [s] at most began 50, 99, 99.9 and 100 % of the samples; the first three to 2 %.
+    #: p50, p99, p999, max: quantiles of the lateness [s]; the first three are accurate to 2 %.
     p50: float
     p99: float
     p999: float
     max: float
     missed: int  #: Samples that were skipped.
-    samples: int  #: All of them.
-    cost: float  #: cost, highest_cost: Time that a sample took beyond waiting [s]: the mean, and the longest.
+    samples: int  #: All samples.
+    cost: float  #: cost, highest_cost: mean and largest computing time of a sample [s].
     highest_cost: float
 
 
 class Reader:
-    """Takes samples out of the ring, each once; it begins with the next one."""
+    """Reads samples from the ring, each once, beginning with the next sample."""
 
     def __init__(self, own: Pace, offset):
         self._own = own
@@ -361,7 +361,7 @@ class Reader:
         self._next = int(own.state[HEAD])
 
     def take(self) -> Samples:
-        """Return all samples since the last time, none when there are none."""
+        """Return all samples since the last call; may be empty."""
         state, rows = self._own.state, self._own.rows
         size = len(rows)
         head = int(state[HEAD])
@@ -369,7 +369,7 @@ class Reader:
         places = np.arange(first, head) % size
         table, times = np.ascontiguousarray(rows[places].T), self._own.times[places] + self._offset()
         joints = np.ascontiguousarray(self._own.joints[places].T) if self._own.joints.shape[1] else None
-        # what was overwritten while it was copied; of the next sample a part may stand in the ring already
+        # drop samples that were overwritten during the copy; the next sample may be partly in the ring already
         whole = min(max(first, int(state[HEAD]) + 1 - size), head)
         lost, self._next = whole - self._next, head
         begin = int(state[FIRST])
@@ -380,7 +380,7 @@ class Reader:
 
 
 def latest(own: Pace) -> tuple[int, np.ndarray]:
-    """Return number and row of the last sample, -1 and NaN before the first one."""
+    """Return number and row of the last sample; -1 and NaN before the first one."""
     state, rows = own.state, own.rows
     while True:
         head = int(state[HEAD])
@@ -390,7 +390,7 @@ def latest(own: Pace) -> tuple[int, np.ndarray]:
 
 
 def quantile(histogram: np.ndarray, part: float) -> float:
-    """Return the lateness [s] that a part of the samples does not exceed, to 2 %."""
+    """Return a quantile of the lateness [s], accurate to 2 %."""
     counts = np.cumsum(histogram)
     if not counts[-1]:
         return 0.0
@@ -399,7 +399,7 @@ def quantile(histogram: np.ndarray, part: float) -> float:
 
 
 def lateness(own: Pace) -> Lateness:
-    """Return the figures of all samples so far."""
+    """Return the lateness of all samples so far."""
     state, histogram = own.state, own.histogram.copy()
     largest, samples = float(state[LATEST]) * 1e-9, int(state[HEAD])
     p50, p99, p999 = (min(quantile(histogram, part), largest) for part in (0.5, 0.99, 0.999))

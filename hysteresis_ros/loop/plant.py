@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The plant as a part of the loop: an actuator, one that a camera sees, or an inchworm motor, and the watch over it.
+"""The plant as a part of the loop: an actuator, with or without a camera, or an inchworm motor, and its monitoring.
 
-A voltage that does not come in time is late: the last one is held and the miss counted. When none comes for
-``voltage_timeout`` the voltage goes to its safe value, and back without a jump when they return. When more than
-``late_limit`` are late in a row, or come together within a second, the loop is not closed any more: the plant *trips*,
-goes to its safe voltage and stops the axis until it is started again. So it does when an actuator is measured far
-beyond where it can rest: only a loop that is unstable gets there.
+A voltage that is not received in time is late: the last one is held and the miss is counted. After
+``voltage_timeout`` without a voltage, the output goes to its safe value; it returns without a jump when voltages
+return. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed: the
+plant *trips*, goes to its safe voltage and stops the axis until it is started again. It also trips when an actuator is
+measured far beyond its static range: only an unstable loop gets there.
 
-A plant that a camera sees measures nothing itself. Offline the part looks at each frame at once; between nodes the
-frames are messages. Both run in Python: a frame takes a thousand times as long as a sample of anything else.
+A plant with a camera measures nothing itself. Offline, the part evaluates each frame at once; between nodes, frames are
+messages. Both run in Python, because a frame takes a thousand times as long as any other sample.
 """
 
 from __future__ import annotations
@@ -75,16 +75,16 @@ def sense(laws, part, row):
 
 @by_part
 def actuate(laws, part, row):
-    """Hold the voltages of a sample until the next one, as far as they came in time."""
+    """Hold the voltages of a sample until the next one, if they were received in time."""
 
 
 @by_part
 def tell_joints(laws, part, row):
-    """Write what ``joint_states`` says of the joints of a plant of this kind into an array of JOINT_NUMBERS."""
+    """Write the contents of ``joint_states`` of a plant of this kind into an array of JOINT_NUMBERS."""
 
 
 class PlantWatchArrays(NamedTuple):
-    """Parameter arrays, or state arrays, with which a plant watches its voltages."""
+    """Parameter arrays, or state arrays, of the monitoring of a plant's voltages."""
 
     trip: np.ndarray
     faults: np.ndarray
@@ -114,28 +114,28 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 
-# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; between which
-# measurements [m] the axis may go on; the nominal stiffness of the front clamp, for the fault lost_grip.
+# Parameters of the trip: allowed late voltages (0: any), and how many of them each sample forgives; allowed range of
+# the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Why the plant has tripped: too many late voltages; a measurement beyond where it may be; somebody said so; a device
-# that failed, which nothing but a start makes up for; a node of the axis that is lost.
+# Why the plant has tripped: too many late voltages; a measurement out of range; an emergency stop; a device that
+# failed, which only a start clears; a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
-# A relative sensor is being homed: over by itself, and below all others, which take its place.
+# A relative sensor is being homed: ends by itself; every other reason replaces it.
 FINDING_HOME = -1
 
-# Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet; what the
-# plant did with the last voltage.
+# State: reason of the trip, late voltages so far, late voltages in a row, late voltages not yet forgiven; mode of the
+# plant at the last voltage.
 TRIP, LATE, IN_ROW, LEVEL, MODE = range(5)
 TRIP_STATES = 5
 
 
 @kernel
 def watch(p, x, late, measured):
-    """Count a sample whose voltage was late (1) or not (0); trip when there are too many, or on a wild measurement.
+    """Count a sample whose voltage was late (1) or not (0); trip on too many, or on a measurement out of range.
 
-    A loop that is unstable swings at its resonance far beyond what the voltages' range alone would allow.
+    An unstable loop oscillates at its resonance far beyond the static range of the voltages.
     """
     x[LATE] += late
     x[IN_ROW] = (x[IN_ROW] + 1.0) * late
@@ -148,13 +148,13 @@ def watch(p, x, late, measured):
 
 @kernel
 def is_missing(x, voltage):
-    """Return 1.0 when no voltage came, though some did before."""
+    """Return 1.0 when no voltage was received although one was received before."""
     return 1.0 if x[HELD_BEGUN] != 0.0 and voltage - voltage != 0.0 else 0.0
 
 
 @kernel
 def plant_mode(p, x, trip, late):
-    """Return what the plant does with a voltage."""
+    """Return the mode of the plant."""
     if trip[TRIP] != 0.0:
         return TRIPPED
     if x[HELD_AGE] >= p[HOLD_TIMEOUT]:
@@ -164,9 +164,9 @@ def plant_mode(p, x, trip, late):
 
 @kernel
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
-    """Return the voltage [V] to put out for the one that came (NaN: none), after all that is watched.
+    """Return the output voltage [V] for the received voltage (NaN: none), after all monitoring.
 
-    One call, because a node makes it from Python; parameters and states are those of :class:`PlantWatchArrays`.
+    It is one call because a node makes it from Python; parameters and states are those of :class:`PlantWatchArrays`.
     """
     late = is_missing(hold_x, voltage)
     watch(trip_p, trip_x, late, measured)
@@ -177,7 +177,7 @@ def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
 
 @nested
 def told_force(p, x, force):
-    """Return the force [N] that is read, as the faults leave it; ``p`` and ``x`` are :class:`PlantWatchArrays`."""
+    """Return the measured force [N] after fault injection; ``p`` and ``x`` are :class:`PlantWatchArrays`."""
     return faulty.given_instead(p.faults, x.faults, faulty.FORCE, force)
 
 
@@ -194,13 +194,13 @@ def sense_actuator(laws, arrays, row):
 
 @nested
 def sent(row, place):
-    """Return one of the voltages of a row [V]; NaN in a sample that was skipped: it was never sent."""
+    """Return one of the voltages of a row [V]; NaN in a skipped sample, because it was never sent."""
     return math.nan if row[at.SKIPPED] != 0.0 else row[place]
 
 
 @nested
 def watched_voltage(p, x, row):
-    """Return the voltage [V] that an amplifier is to put out after this sample, and say in the row why.
+    """Return the voltage [V] that an amplifier outputs after this sample, and write the plant's mode into the row.
 
     ``p`` and ``x`` are :class:`PlantWatchArrays`.
     """
@@ -238,9 +238,9 @@ def sense_motor(laws, arrays, row):
 def actuate_motor(laws, arrays, row):
     """Hold three voltages on a motor.
 
-    A clamp is never opened for safety: a slider that nobody holds falls. It goes to the voltage at which it stands
-    before the start, or stays where it is when that is higher. The gait keeps one clamp closed at any time; on the way
-    back from safe a clamp opens only when the other one is where the gait has it.
+    Safety never opens a clamp, because a free slider falls. A clamp goes to its voltage before the start, or keeps its
+    voltage when that is higher. The gait keeps one clamp closed at any time; on the way back from safe, a clamp opens
+    only when the other one is at the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -268,13 +268,13 @@ def actuate_motor(laws, arrays, row):
     row[at.LATE] = x.trip[LATE]
 
 
-#: What ``joint_states`` says of a motor's joints: positions, velocities and efforts of four.
+#: Contents of ``joint_states`` of a motor: positions, velocities and efforts of four joints.
 JOINT_NUMBERS = motors.TRUE_POSITION
 
 
 @nested
 def no_joints(laws, part, numbers):
-    """Of an actuator the row says all."""
+    """Do nothing: the row has everything about an actuator."""
 
 
 @nested
@@ -290,7 +290,7 @@ tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no
 
 
 class Plant:
-    """What the plants of an axis have in common: the watch over their voltages."""
+    """Common part of the plants of an axis: the monitoring of their voltages."""
 
     arrays: Any  #: All arrays of the plant in the loop, of the class by which :data:`sense` finds its kernel.
     kernels: tuple[Any, Any, Any]  #: Those of the hysteresis of its actuators; where there is none, another stands in.
@@ -309,12 +309,12 @@ class Plant:
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] of the three inputs before any is received; what an actuator does not have is 0."""
+        """Voltages [V] of the three inputs before any is received; 0 for inputs that an actuator lacks."""
         return 0.0, 0.0, 0.0
 
     @property
     def safe_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] to which the three inputs go when theirs do not come."""
+        """Voltages [V] to which the three inputs go when no voltages are received."""
         return self.parameters.safe_voltage, 0.0, 0.0
 
     def _pack(self, parameters: PlantNodeParameters) -> None:
@@ -330,31 +330,31 @@ class Plant:
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Between which measurements [m] the axis may go on; an inchworm's sequencer watches over its slider."""
+        """Allowed range of the measurement [m]; an inchworm's slider is monitored by its sequencer."""
         return -math.inf, math.inf
 
-    #: What is wrong with a device that has stopped the axis, and with the last reading of its sensor.
+    #: Error of a device that has stopped the axis, and error of the last reading of its sensor.
     failure = complaint = ""
 
     #: The node whose loss has stopped the axis.
     lost = ""
 
-    #: Whether the axis stands still because its sensor is homed.
+    #: Whether the axis is stopped because its sensor is being homed.
     finding_home = False
 
-    #: Whether a force in the stack is measured besides the displacement.
+    #: Whether the force in the stack is measured in addition to the displacement.
     measures_force = False
 
-    #: Rounding [V] of what it puts out, which it says before each sample; infinite: it does not say.
+    #: Rounding [V] of the output that it reports before each sample; infinite: it reports no output.
     rounding = math.inf
 
-    #: Whether the way from its safe voltage to what comes begins with the first sample.
+    #: Whether it slews from its safe voltage to the received voltage, beginning with the first sample.
     begins_safe = False
 
-    #: Whether machine code makes its samples.
+    #: Whether its samples run in machine code.
     is_compiled = True
 
-    #: Places in the row of what a run is given for this plant, beside what every run is.
+    #: Additional places in the row for the inputs of a run with this plant.
     given: tuple[int, ...] = ()
 
     @property
@@ -374,43 +374,43 @@ class Plant:
 
     @property
     def late(self) -> int:
-        """Voltages so far that did not come in time."""
+        """Late voltages so far."""
         return int(self._watch_x.trip[LATE])
 
     @property
     def silent(self) -> bool:
-        """Whether voltages have not come for their time-out."""
+        """Whether no voltage was received for the time-out."""
         holds = zip(self._watch_p[2:], self._watch_x[2:], strict=True)
         return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
 
     def await_voltages(self) -> None:
-        """Count samples without a voltage as late from now on, though none was put out yet."""
+        """Count samples without a voltage as late from now, although none was output yet."""
         for x in self._watch_x[2:]:
             x[HELD_BEGUN] = 1.0
 
     def count_late(self) -> None:
-        """Count a voltage as late that is put out all the same."""
+        """Count a voltage as late that is output nevertheless."""
         self._watch_x.trip[LATE] += 1.0
 
     def held(self, input_: int = 0) -> float:
-        """Voltage [V] that is put out on one of the inputs."""
+        """Output voltage [V] on one of the inputs."""
         return float(self._watch_x[2 + input_][HELD])
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from now on, and no others."""
+        """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
         self.arrays = self.arrays._replace(watch_p=self._watch_p, watch_x=self._watch_x)
 
     def start(self) -> None:
-        """Let the axis go on after the plant has tripped."""
+        """Restart the axis after a trip."""
         self._watch_x.trip[TRIP] = 0.0
         self.lost = ""
         self.forgive()
 
     def lose(self, name: str) -> None:
-        """Stop the axis because a node of it is lost, until it is started again; another reason stays beside it."""
+        """Stop the axis because a node of it is lost, until it is started again; an earlier reason is kept."""
         self.lost = name
         if self._watch_x.trip[TRIP] in (NOT_TRIPPED, WITHOUT_VOLTAGE):
             self._watch_x.trip[TRIP] = PARTNER_LOST
@@ -420,7 +420,7 @@ class Plant:
         self._watch_x.trip[TRIP] = max(self._watch_x.trip[TRIP], HALTED)
 
     def forgive(self) -> None:
-        """Forget late voltages: only what follows counts."""
+        """Reset the count of late voltages."""
         self._watch_x.trip[[IN_ROW, LEVEL]] = 0.0
 
     def reset(self) -> None:
@@ -433,26 +433,26 @@ class Plant:
             hold[:] = hold_state(voltage)
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Take new parameters of the same structure while running."""
+        """Apply new parameters of the same structure while running."""
         self.parameters = parameters
         self._pack(parameters)
 
     def step_to_safe(self) -> bool:
-        """Take the voltage of a device a sample further towards its safe one; False when it is there."""
+        """Move the voltage of a device one sample towards its safe voltage; False when it is reached."""
         return False
 
     def home(self) -> None:
         """Find the zero of a relative sensor."""
-        raise ParameterError([Problem("driver", "", "a simulated sensor knows its place; there is nothing to home")])
+        raise ParameterError([Problem("driver", "", "a simulated sensor is absolute: there is nothing to home")])
 
     def refresh(self) -> None:
-        """Tell a device again what it puts out: its watchdog must not take a pause between samples for a failure."""
+        """Repeat the output of a device, so that its watchdog does not act in a pause between samples."""
 
     def make_safe(self) -> None:
         """Bring a device to its safe state."""
 
     def close(self) -> str:
-        """Let go of a device; return what is wrong with it as it is left, empty when nothing is."""
+        """Release a device; return the problem it is left with, empty when there is none."""
         return ""
 
 
@@ -466,7 +466,7 @@ class ActuatorPlant(Plant):
 
     @property
     def kernels(self):
-        """Hysteresis of the plant for the loop: of the extender and of the clamps, which are not there."""
+        """Kernels of the hysteresis for the loop; the places of the clamps are unused."""
         return (self.actuator.hysteresis_kernel,) * 3
 
     @property
@@ -476,7 +476,7 @@ class ActuatorPlant(Plant):
 
     @property
     def rounding(self) -> float:
-        """Rounding [V] of the voltage that is put out."""
+        """Rounding [V] of the output voltage."""
         return float(self.arrays.p.limits[limiting.STEP])
 
     @property
@@ -486,7 +486,7 @@ class ActuatorPlant(Plant):
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Between which measurements [m] the axis may go on."""
+        """Allowed range of the measurement [m]."""
         return self.parameters.allowed_travel
 
     @property
@@ -496,7 +496,7 @@ class ActuatorPlant(Plant):
 
     @property
     def limited_samples(self) -> int:
-        """Samples so far that range or slew rate limited."""
+        """Samples so far in which range or slew rate limited the voltage."""
         return self.actuator.limits.limited_samples
 
     def reset(self) -> None:
@@ -505,7 +505,7 @@ class ActuatorPlant(Plant):
         super().reset()
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Take new parameters of the same structure while running."""
+        """Apply new parameters of the same structure while running."""
         self.actuator.retune(part(parameters, ActuatorParameters))
         super().retune(parameters)
 
@@ -534,7 +534,7 @@ class MotorPlant(Plant):
 
     @property
     def safe_voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] without commands; a clamp stays where it is when that is higher."""
+        """Voltages [V] without commands; a clamp keeps its voltage when that is higher."""
         motor = self.parameters.inchworm
         return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
 
@@ -555,33 +555,33 @@ class MotorPlant(Plant):
         super().reset()
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Take new parameters of the same structure while running."""
+        """Apply new parameters of the same structure while running."""
         self.motor.retune(part(parameters, InchwormPlantParameters))
         super().retune(parameters)
 
 
 class CameraPart:
-    """Makes displacements of frames: ``displacement_camera`` as a part of the loop."""
+    """Converts frames to displacements: ``displacement_camera`` as a part of the loop."""
 
     def __init__(self, parameters: DisplacementCameraNodeParameters):
         self.parameters = parameters
         self.tracker = Tracker(part(parameters, CameraParameters))
 
     def retune(self, parameters: DisplacementCameraNodeParameters) -> None:
-        """Take other limits of what is refused."""
+        """Apply other limits for refused frames."""
         self.tracker.retune(part(parameters, CameraParameters))
         self.parameters = parameters
 
     def reset(self) -> None:
-        """Begin again with the next frame; a relative place is homed again."""
+        """Begin again with the next frame; a relative position is homed again."""
         self.tracker.reset()
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Faults are those of the measurement, where the controller takes it."""
+        """Do nothing: faults of the measurement act at the controller."""
 
 
 class Eye:
-    """The camera of a plant, and who looks at its frames, if anybody does."""
+    """The camera of a plant, and the part that evaluates its frames, if there is one."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera
@@ -589,13 +589,13 @@ class Eye:
         self.frame: np.ndarray | None = None
 
     def look(self, displacement: float) -> float:
-        """Take a frame of a displacement [m] and return what is seen in it [m]; NaN: somebody else looks at it."""
+        """Take a frame at a displacement [m] and return the displacement found [m]; NaN: evaluated elsewhere."""
         self.frame = self.camera.take(displacement)
         return math.nan if self.part is None else self.part.tracker.see(self.frame)[0]
 
 
 class SeenPlantArrays(NamedTuple):
-    """All arrays of an actuator that is seen by a camera."""
+    """All arrays of an actuator with a camera."""
 
     p: ActuatorArrays
     x: ActuatorArrays
@@ -608,13 +608,13 @@ _SENSE, _ACTUATE = interpreted(sense_actuator), interpreted(actuate_actuator)
 
 
 def _sense_seen(laws, arrays, row):
-    """Let the camera see the tip."""
+    """Measure the tip by the camera."""
     _SENSE(laws, arrays, row)
     row[at.MEASURED] = arrays.eye.look(float(row[at.DISPLACEMENT]))
 
 
 def _actuate_seen(laws, arrays, row):
-    """Hold the voltage on the actuator; the plant itself knows of no measurement."""
+    """Hold the voltage on the actuator; the plant itself has no measurement."""
     seen, row[at.MEASURED] = row[at.MEASURED], math.nan
     _ACTUATE(laws, arrays, row)
     row[at.MEASURED] = seen
@@ -625,7 +625,7 @@ tell_joints.kinds[SeenPlantArrays] = no_joints
 
 
 class SeenPlant(ActuatorPlant):
-    """One actuator that is seen by a camera."""
+    """One actuator with a camera."""
 
     is_compiled = False
 
@@ -636,7 +636,7 @@ class SeenPlant(ActuatorPlant):
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Between which measurements [m] the axis may go on: the plant has none."""
+        """Allowed range of the measurement [m]: unlimited, because the plant has no measurement."""
         return -math.inf, math.inf
 
     def reset(self) -> None:

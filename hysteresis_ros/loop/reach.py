@@ -7,22 +7,22 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The axes that a configuration describes, and what each can reach: references beyond stroke or bandwidth are refused.
+"""The axes of a configuration and their range: references beyond stroke or bandwidth are refused.
 
-Judged by what the axis itself believes, the compensator's model and the controller's: the plant is not known to it.
+The range follows from the models of the compensator and the controller, because the axis does not know the plant.
 
-*Stroke*: all that the compensator's hysteresis model ever reaches within its limits, swept in both directions from rest
-and without creep, times the DC gain of the controller's model. With inverse ``none`` the nominal gain times the limits.
-Steps may need more than that for a moment, to be quick; that is not refused.
+*Stroke*: the range of the compensator's hysteresis model within its limits, swept in both directions from rest without
+creep, times the DC gain of the controller's model. With inverse ``none`` it is the nominal gain times the limits. Steps
+may briefly need more than that; this is not refused.
 
 *Bandwidth*, for controllers but ``open_loop`` and waveforms with one fundamental f; open loop, chirp, multisine and
 files are experiments:
 
 - The command that gives the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
-  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics do work beyond it, as long as
-  there is stroke left. Waveforms with jumps (square) are steps and left out.
-- An answer d samples late, d the relative degree, is wrong by 2 sin(π f d Ts) of the amplitude. From f = 1/(6 d Ts) on
-  standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
+  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work beyond it, as long as
+  there is stroke left. Waveforms with jumps (square) are steps and not checked.
+- A response d samples late, d the relative degree, has an error of 2 sin(π f d Ts) of the amplitude. From
+  f = 1/(6 d Ts) on, standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 
-#: Part of the stroke by which a reference may lie beyond it: rounding, and sweeps that are integrated.
+#: Tolerance of a reference beyond the stroke, as a part of it: rounding, and integrated sweeps.
 TOLERANCE = 1e-4
-#: Part of the stroke by which the command of a fundamental may lie beyond it: the peaks of the waveform are cut then.
+#: Tolerance of a fundamental's command beyond the stroke, as a part of it; the peaks of the waveform are cut then.
 CUT_PEAKS = 0.1
 
 
 def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] at rest, without preload, as the axis' own models have it."""
+    """Return the smallest and largest displacement [m] at rest, without preload, by the axis' own models."""
     gain = _gain(axis.motion_controller.model.dynamics)
     low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
     return min(low * gain, high * gain), max(low * gain, high * gain)
 
 
 def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
-    """Return |G| in SI at ``turns`` cycles a sample; with its sign at 0."""
+    """Return |G| in SI at ``turns`` cycles per sample; signed at 0."""
     model = dynamics.state_space
     scale = dynamics.output_scale / dynamics.resolved_input_scale
     if turns == 0.0:
@@ -80,7 +80,7 @@ def check_reach(axis: AxisParameters) -> None:
 
 
 def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return a sentence for each doubt about an axis: those of its nodes' parameters, and what it reaches only partly."""
+    """Return the warnings about an axis: those of its nodes' parameters, and setpoints that saturate."""
     parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
     found = [
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
@@ -93,8 +93,8 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):
         if beyond:
             found.append(
-                f"reference_generator: {name} = {_micro(getattr(given, name))} lies beyond what the compensator's "
-                f"model reaches, {_range(low, high)}: setpoints out there saturate"
+                f"reference_generator: {name} = {_micro(getattr(given, name))} is beyond the range of the "
+                f"compensator's model, {_range(low, high)}: setpoints beyond it saturate"
             )
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
@@ -109,7 +109,7 @@ def _bare_steps(axis, given: ReferenceParameters):
         return
     add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
     allowed = (
-        "jumps, and feedforward.type inverse_dynamics answers a jump with as much voltage as it can: "
+        "jumps, and feedforward.type inverse_dynamics saturates the voltage at a jump: "
         f"{add}set approach.steps: true, so that the steps keep the limits of the approach, or take "
         "feedforward.type static or none"
     )

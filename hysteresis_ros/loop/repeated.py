@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A recorded run again: the files that an axis names, and the axis with what they held then."""
+"""Repetition of a recorded run: the files that an axis names, and the axis with their recorded contents."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import configured, in_force, note_on_disk, require_same, whole
 
-#: The end of names of parameters of files that are written.
+#: Suffix of the names of parameters of output files.
 WRITTEN = "save_file"
 
 
 def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, pathlib.Path]]:
-    """Yield node, name and path of each parameter that names a file to be read; arguments as of :func:`named_files`."""
+    """Yield node, name and path of each parameter of an input file; arguments as in :func:`named_files`."""
     for node, kind in NODE_PARAMETERS.items():
         values = configured(text, node, namespace) if node != "recorder" else {}
         for row in kind.table():
@@ -37,20 +37,20 @@ def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, 
 
 
 def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
-    """Return the files that a configuration names for its nodes to read, as far as they are there."""
+    """Return the existing input files that a configuration names for its nodes."""
     return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})
 
 
 @contextlib.contextmanager
 def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
-    """Give the axis of a recording, and in lines what of this disk is not used for it.
+    """Give the axis of a recording, and lines about files of this disk that are not used for it.
 
-    Its files are there as long as the context lasts.
+    Its files exist while the context lasts.
     """
     text = in_force(recorded)
     if not text:
         raise RecordingError(
-            f"{name}: holds no configuration, so nobody knows what it is a run of; verify the bag that "
+            f"{name}: holds no configuration, so its axis is unknown; verify the bag that "
             "'up --record' writes, or the .npz of 'simulate -o'"
         )
     configuration = parse_configuration(text, name)
@@ -63,7 +63,7 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
             if str(path) in contents:
                 content = contents[str(path)]
                 notes += filter(None, [note_on_disk(str(path), content)])
-                # readers tell a table by the end of its name
+                # readers recognise a table by its suffix
                 copy = pathlib.Path(folder) / f"{index}{path.suffix.lower()[:8]}"
                 copy.write_bytes(content)
                 configuration = configuration.override(node, **{parameter: str(copy)})

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline simulation: a whole run as a recording; plants that differ from their models, or drift, and what parts did.
+"""Offline simulation: a whole run as a recording; plants that differ from their models or drift; modes of the parts.
 
-Each draw multiplies by independent factors 1 + m u, u uniform in ±1: the gain, the opening of the hysteresis (how, and
-by which factors besides, each model declares), the time scale of the linear dynamics and the rate of the creep. The
-compensator's and the controller's models stay as they are.
+Each draw multiplies these by independent factors 1 + m u, u uniform in ±1: the gain, the loop width of the hysteresis
+(each model declares how, and further factors), the time scale of the linear dynamics and the rate of the creep. The
+compensator's and the controller's models do not change.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance, requests_per_sample
 
-#: Largest mismatch that leaves every drawn parameter its sign with a margin.
+#: Largest mismatch at which every drawn parameter keeps its sign, with a margin.
 LARGEST = 0.5
 
 
@@ -48,7 +48,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
     def factor(count=None):
         return 1.0 + mismatch * random.uniform(-1.0, 1.0, count)
 
-    # always in this order, so that a seed means the same factors for every model
+    # always in this order, so that a seed gives the same factors for every model
     gain, opening, slowness, creeping = factor(), factor(), factor(), factor()
     changed = deviating(plant, Deviation(gain, opening, factor), slowness, creeping)
     return configuration.override("plant_simulator", **changed)
@@ -57,7 +57,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 def deviating(
     plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
 ) -> dict[str, Any]:
-    """Return the parameters of a plant that deviates from a given one, as far as they differ."""
+    """Return those parameters of a deviating plant that differ from the given plant."""
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
     drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
@@ -77,9 +77,9 @@ STEP = 1e-3
 
 
 def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, opening: float = 0.0) -> list[Change]:
-    """Return the changes that let the plant of an axis drift evenly over a run.
+    """Return the changes that let the plant of an axis drift linearly over a run.
 
-    The displacement does not jump at a step, so a drift of the gain turns about where the axis is just then.
+    The displacement does not jump at a step of the drift, so a gain changes about the present displacement.
     """
     plant = parameters.plant_simulator
     for name, value in (("gain", gain), ("opening", opening)):
@@ -118,10 +118,7 @@ def simulate(
     describe: bool = True,
     finished: Callable[[Axis], None] | None = None,
 ) -> Recording:
-    """Run an axis offline from rest.
-
-    Units: ``duration`` [s], ``setpoints`` [m].
-    """
+    """Run an axis offline from rest, for ``duration`` [s] and with ``setpoints`` [m]."""
     if duration is not None:
         parameters = parameters.with_duration(duration)
     plant = fused_plant_of(parameters.plant_simulator, linked=False) if answers else None
@@ -162,7 +159,7 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
     return np.concatenate([values, np.full(samples - len(values), rest)])
 
 
-#: What the log of a run may say of each node.
+#: Actions of each node in the log of a run.
 LOGGED = {
     "plant_simulator": ("start", "halt", "reset", "retune", "home"),
     "reference_generator": ("start", "stop", "hold", "follow", "begin_at", "reset", "retune"),
@@ -174,7 +171,7 @@ LOGGED = {
 
 
 def changes_of(recorded: Recording) -> list[Change]:
-    """Return what people changed while a recorded run was made."""
+    """Return the changes that users made during a recorded run."""
     found = []
     for entry in recorded.metadata.get("changes", ()):
         try:
@@ -184,7 +181,7 @@ def changes_of(recorded: Recording) -> list[Change]:
             if after not in STEPS or entry["action"] not in LOGGED.get(entry["node"], ()):
                 raise ValueError(entry)
         except (AttributeError, KeyError, TypeError, ValueError):
-            raise RecordingError(f"changes: {entry!r} is no entry of a log of changes") from None
+            raise RecordingError(f"changes: {entry!r} is not an entry of a log of changes") from None
     return found
 
 
@@ -195,7 +192,7 @@ def _value(value):
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
-    What a device measured is not computed again, but everything that followed from it.
+    The measurements of a device are taken from the recording; everything that follows from them is computed again.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
@@ -204,10 +201,10 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
         given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     columns = {"time": (recorded.time, twin.time)}
-    # nobody knows where a device really is
+    # the true displacement of a device is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
     if parameters.displacement_camera is not None:
-        unknown = {"measured"}  # the plant's; what the controller took stands in for it in a recording
+        unknown = {"measured"}  # of the plant; in a recording the controller's input replaces it
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
     found = {}
@@ -218,19 +215,19 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     return found
 
 
-#: Columns of modes, and what the parts are called.
+#: Columns of modes, and the names of the parts.
 PARTS = {
     "source_mode": "source",
     "controller_mode": "controller",
     "compensator_mode": "compensator",
     "plant_mode": "plant",
 }
-#: Longest list of one part; a fault by chance makes thousands of short entries.
+#: Most lines of one part; a random fault makes thousands of short entries.
 MOST_LINES = 8
 
 
 def mode_lines(recording: Recording) -> list[str]:
-    """Return a line for each stretch of time in which a part did not run as it should."""
+    """Return a line for each interval in which a part was not in its normal mode."""
     lines = []
     for column, part in PARTS.items():
         if column not in recording:
@@ -245,4 +242,4 @@ def mode_lines(recording: Recording) -> list[str]:
         if len(stretches) > MOST_LINES:
             counted = int(np.sum(modes != RUNNING))
             lines.append(f"{part}: … {len(stretches)} such stretches, {counted} samples in all")
-    return lines or ["nothing of it made a part do anything else than usual"]
+    return lines or ["every part stayed in its normal mode"]

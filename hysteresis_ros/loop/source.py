@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where the reference of a sample comes from: a generator of waveforms and setpoints, or an inchworm's sequencer."""
+"""The reference source of an axis: a generator of waveforms and setpoints, or an inchworm's sequencer."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
 
 @by_part
 def refer(laws, part, row):
-    """Put the reference of a sample into its row, and what else the source of this kind gives."""
+    """Write the reference of a sample, and the other outputs of this kind of source, into its row."""
 
 
 @by_part
 def rest(laws, part, column):
-    """Let a source of this kind hold from this sample on, of which ``column``, shape (row length, 1), is given."""
+    """Hold, beginning with this sample; ``column``, shape (row length, 1), contains its inputs."""
 
 
 @by_part
 def hold(laws, part, column):
-    """Let a motion end from this sample on; setpoints are taken on."""
+    """End a motion, beginning with this sample; later setpoints are still accepted."""
 
 
 class GeneratorSourceArrays(NamedTuple):
@@ -61,7 +61,7 @@ class GeneratorSourceArrays(NamedTuple):
 
 @nested
 def generate(laws, arrays, row):
-    """Reference of a waveform and a setpoint; it stays where it is while the plant has stopped the axis."""
+    """Compute the reference of waveform and setpoint; it is constant while the plant has stopped the axis."""
     x = arrays.x.range
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
@@ -85,7 +85,7 @@ def rest_generator(laws, arrays, column):
 
 @nested
 def hold_generator(laws, arrays, column):
-    """Let what moves come to rest, and stay there."""
+    """Bring the reference to rest and hold it."""
     brake(arrays.p.trajectory, arrays.x.trajectory, NOWHERE, HELD)
 
 
@@ -112,35 +112,35 @@ class GeneratorSource:
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run that the waveform gives, in samples; 0 when it gives none."""
+        """Length of a run by the waveform, in samples; 0: no end."""
         return self.generator.waveform.duration_samples
 
     @property
     def schedule(self) -> np.ndarray:
-        """Samples from which on a setpoint holds that nobody gave, and these [m], shape (1, 2)."""
+        """First samples and values [m] of the configured setpoints, shape (1, 2)."""
         return np.array([[0.0, self.parameters.initial_setpoint]])
 
     def setpoints(self, samples: int) -> np.ndarray:
-        """Return the setpoint [m] in force at each of the first ``samples`` samples when nobody gives another."""
+        """Return the setpoint [m] at each of the first ``samples`` samples when none is received."""
         return np.full(samples, self.parameters.initial_setpoint)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Do nothing: a generator is given nothing that faults act on."""
+        """Do nothing: no fault acts on a generator."""
 
     def stop(self) -> None:
         """Hold the reference where it is."""
         self.generator.stop()
 
     def begin_at(self, position: float) -> None:
-        """Begin where an axis is that runs already [m], and stay there until somebody asks for something."""
+        """Begin at the position of a running axis [m], and hold it until something is requested."""
         self.generator.begin_at(position)
 
     def follow(self, **points) -> None:
-        """Follow a trajectory from the next sample on."""
+        """Follow a trajectory, beginning with the next sample."""
         self.generator.follow(**points)
 
     def hold(self) -> None:
-        """Let what moves come to rest, and stay there."""
+        """Bring the reference to rest and hold it."""
         self.generator.hold()
 
     def start(self) -> None:
@@ -155,7 +155,7 @@ class GeneratorSource:
             self.generator.stop()
 
     def retune(self, parameters: ReferenceNodeParameters) -> None:
-        """Take another waveform while stopped."""
+        """Apply another waveform while stopped."""
         self.generator.retune(part(parameters, ReferenceParameters))
         self.parameters = parameters
 
@@ -178,7 +178,7 @@ class SequencerSourceArrays(NamedTuple):
 def sequenced(laws, arrays, row):
     """Reference, origin and clamp voltages of an inchworm motor.
 
-    While the plant has stopped the axis the sequencer is given no measurement: both clamps close and hold.
+    While the plant has stopped the axis the sequencer gets no measurement: both clamps close and hold.
     """
     p, x, faults = arrays.p.sequencer, arrays.x.sequencer, arrays.x.faults
     faulty.begin_sample(faults)
@@ -222,7 +222,7 @@ def sequenced(laws, arrays, row):
 
 @nested
 def rest_sequencer(laws, arrays, column):
-    """Ask for a stop."""
+    """Request a stop."""
     column[at.REQUEST, 0] = gait.STOP_REQUEST
 
 
@@ -245,22 +245,22 @@ class SequencerSource:
         self.arrays = SequencerSourceArrays(p, SequencerArrays(self.sequencer.x, faulty.fault_state(faults)))
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from now on, and no others."""
+        """Replace the scheduled faults; their times count from now."""
         self._connect(faulty.fault_parameters(faults, (faulty.MEASUREMENT,), self.parameters.sample_rate))
 
     @property
     def waveform(self):
-        """A sequencer has no waveform: its own kernel takes the place, which is never called through it."""
+        """The sequencer's own kernel, as a placeholder: a sequencer has no waveform."""
         return None
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run that the schedule gives, in samples; 0 when it gives none."""
+        """Length of a run by the schedule, in samples; 0: no end."""
         return self.sequencer.duration_samples
 
     @property
     def schedule(self) -> np.ndarray:
-        """Samples from which on a setpoint of the schedule holds, and these [m], shape (N, 2)."""
+        """First samples and values [m] of the scheduled setpoints, shape (N, 2)."""
         given = self.sequencer.parameters
         first = [round(time / self.sequencer.sample_time) for time in given.setpoints.times]
         return np.array([[0.0, given.initial_setpoint], *zip(first, given.setpoints.values, strict=True)], dtype=float)
@@ -270,11 +270,11 @@ class SequencerSource:
         return self.sequencer.scheduled(samples)
 
     def reset(self) -> None:
-        """Begin again: both clamps close, steps and learned lengths are forgotten."""
+        """Begin again: both clamps close, steps and learned lengths are cleared."""
         self.sequencer.reset()
         self.arrays.x.faults[:] = faulty.fault_state(self.arrays.p.faults)
 
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
-        """Take new time-outs; everything of the gait is refused under a motor that walks."""
+        """Apply new time-outs; changes of the gait are refused while the motor walks."""
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters

@@ -11,9 +11,9 @@
 
 plant (measure) → source → controller → compensator → plant (hold the voltage)
 
-Every part reads from the row of the sample what others have written and writes its own signals into it; the row's
-places are those of :mod:`hysteresis_ros.signals`. Offline a row is a line of the table of the run; a node has a row of
-its own, into which its messages are put.
+Every part reads the other parts' signals from the row of the sample and writes its own signals into it;
+:mod:`hysteresis_ros.signals` defines the places in the row. Offline, a row is a line of the table of the run; a node
+has its own row, into which it writes the contents of its messages.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hysteresis_ros.models.block import kernels_of
 
 @kernels_of("kernel", "kernel", "kernel", "kernel", "controller", "kernel", "inverse")
 class Laws(NamedTuple):
-    """The kernels that make an axis that axis; where a part has no use for one, another stands in."""
+    """The kernels of an axis; an unused place holds a placeholder."""
 
     hysteresis: Callable
     front_hysteresis: Callable
@@ -51,18 +51,18 @@ class Parts(NamedTuple):
     compensator: CompensationArrays | AdaptiveArrays
 
 
-#: Which part of each sample :func:`ticks` makes: all of it, or one step after the other: measuring, answering, and
-#: telling the controller what was carried out.
+#: Which part of each sample :func:`ticks` computes: all of it, or one step: the measurement, the command, or the
+#: feedback of the achieved command to the controller.
 WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 
-#: What of a sample may have been done when something changes: nothing, measuring, answering.
+#: Steps of a sample that may precede a change: none, the measurement, the command.
 BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
 
 
 def ticks(laws, parts, given, columns, row, what):
-    """Make ``columns.shape[1]`` samples; all states go on in place.
+    """Compute ``columns.shape[1]`` samples; all states are updated in place.
 
-    What stands in the loop is one tick. It is no function of its own: compiled, that would be made twice.
+    The body of the loop is one tick. It is not a separate function, because that would be compiled twice.
     """
     for k in range(columns.shape[1]):
         for i in range(given.shape[0]):

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a part of the loop does about inputs that are missing, late or wrong; everything is counted in samples.
+"""Monitoring of the inputs of a part: missing, late or wrong values; all times are counted in samples.
 
-An input that is not there is NaN: nothing came, or what came cannot be used. :func:`accept` decides that for
-measurements and commands, :func:`hold_voltage` for the voltage of an amplifier. What a part then does is its *mode*.
+A missing input is NaN: no value was received, or the value is unusable. :func:`accept` decides that for measurements
+and commands, :func:`hold_voltage` for the voltage of an amplifier. The reaction of a part is its *mode*.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MODE_NAMES = ("running", "holding", "stale", "stopped", "tripped", "following")
 
 
 class WatchArrays(NamedTuple):
-    """Parameter arrays, or state arrays, with which a part watches its inputs."""
+    """Parameter arrays, or state arrays, of the monitoring of a part's inputs."""
 
     guard: np.ndarray
     faults: np.ndarray
@@ -41,27 +41,24 @@ class WatchArrays(NamedTuple):
 # Parameters of a guard.
 TIMEOUT = 0  # samples without a good value after which the input is stale
 SPIKE = 1  # largest change from one good value to the next, 0: any
-CONFIRM = 2  # samples in a row that must be beyond it to be believed
-FROZEN = 3  # equal values in a row from which on a sensor is taken to be frozen, 0: never
+CONFIRM = 2  # samples in a row beyond it after which the change is accepted
+FROZEN = 3  # equal values in a row after which a sensor counts as frozen, 0: never
 GUARD_PARAMETERS = 4
 
 # State of a guard.
 GOOD = 0  # last good value
 AGE = 1  # samples since then
 BEGUN = 2  # 1 after the first good value
-STAMP = 3  # its number
-SUSPECTS = 4  # values in a row that were taken for spikes
+STAMP = 3  # its sample number
+SUSPECTS = 4  # values in a row that were rejected as spikes
 SAME = 5  # equal values in a row
 LAST = 6  # last value, good or not
-REJECTED = 7  # values so far that were not used
+REJECTED = 7  # rejected values so far
 GUARD_STATES = 8
 
 
 def guard_parameters(timeout: float, sample_rate: float, spike: float = 0.0, confirm: int = 3, frozen: int = 0):
-    """Return the parameter array of a guard.
-
-    Units: ``timeout`` [s], ``sample_rate`` [Hz].
-    """
+    """Return the parameter array of a guard with a ``timeout`` [s] at ``sample_rate`` [Hz]."""
     return np.array([samples_of(timeout, sample_rate), spike, confirm, frozen], dtype=float)
 
 
@@ -72,11 +69,11 @@ def samples_of(duration: float, sample_rate: float) -> float:
 
 @called
 def accept(p, x, value, stamp):
-    """Return ``value`` when it can be used, NaN otherwise.
+    """Return ``value`` when it is accepted, NaN otherwise.
 
-    Not used are values that are not finite, that do not follow the last one (``stamp``, the number of the sample they
-    are of), that jump further than is believed, and those of a sensor that is frozen. After a time-out the next value
-    is taken whatever it is: nothing is known any more that could contradict it.
+    Rejected are values that are not finite, that are not newer than the last one (``stamp``, their sample number), that
+    jump too far, and those of a frozen sensor. After a time-out the next finite value is accepted, because nothing
+    recent could contradict it.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -108,7 +105,7 @@ def accept(p, x, value, stamp):
 
 @kernel
 def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
-    """Begin a sample with the input it is given: ``value``, as the faults leave it, when it can be used, NaN otherwise."""
+    """Begin a sample; return its input ``value``, after fault injection, when it is accepted, NaN otherwise."""
     faulty.begin_sample(faults_x)
     given = faulty.corrupt(faults_p, faults_x, target, value)
     if missing != 0.0:
@@ -132,26 +129,26 @@ def towards(value, target, step):
 SAFE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
 HOLD_TIMEOUT = 2  # samples
-KEEP = 3  # 1: the safe voltage is never below what is put out, as with a clamp that must not open
+KEEP = 3  # 1: the safe voltage is never below the present output, for a clamp that must not open
 HOLD_PARAMETERS = 4
 
 # State of a held voltage.
-HELD = 0  # what is put out [V]
-GIVEN = 1  # last voltage that came [V]
+HELD = 0  # output [V]
+GIVEN = 1  # last received voltage [V]
 HELD_AGE = 2  # samples since then
-HELD_BEGUN = 3  # 1 once one came
-FOLLOWS = 4  # 1 while the output is what comes
+HELD_BEGUN = 3  # 1 after the first received voltage
+FOLLOWS = 4  # 1 while the output equals the received voltage
 HOLD_STATES = 5
 
 
 @called
 def hold_voltage(p, x, voltage, stopped, least):
-    """Return the voltage [V] to put out for a sample, given the one that came in time (NaN: none).
+    """Return the output voltage [V] of a sample, given the voltage received in time (NaN: none).
 
-    It is the last one that came. After the time-out, and while ``stopped`` is not 0, it goes to the safe voltage by at
-    most a step a sample. On the way back its difference to what comes shrinks by at least a step a sample: beside the
-    step it may move as far as what comes has moved, so the way back ends however fast that is. While what is wanted is
-    below ``least``, it goes there instead.
+    It is the last received voltage. After the time-out, and while ``stopped`` is not 0, the output slews to the safe
+    voltage by at most one step per sample. On the way back, its difference to the received voltage shrinks by at least
+    one step per sample: it may move by that step plus the motion of the received voltage, so the way back always ends.
+    A target below ``least`` is replaced by ``least``.
     """
     step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
@@ -183,13 +180,13 @@ def hold_voltage(p, x, voltage, stopped, least):
 
 @kernel
 def least_beside(x, other):
-    """Return the least voltage [V] of a clamp: what it has, while the ``other`` one is below what it was sent to.
+    """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
 
-    Who sends them opens one when it has sent the other to close; after a stop that one may still be on its way.
+    The sequencer opens one clamp when it has sent the other to close; after a stop that one may still be closing.
     """
     return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
 
 
 def hold_state(voltage: float) -> np.ndarray:
-    """Return the state of a held voltage that has put out ``voltage`` [V] before any came."""
+    """Return the state of a held voltage with the output ``voltage`` [V], before any was received."""
     return np.array([voltage, voltage, 0.0, 0.0, 1.0])

@@ -151,7 +151,7 @@ def fail_fused(stage, number: int) -> tuple[Axis, np.ndarray]:
     [
         (signal.SIGKILL, "cannot be read: libstage.so: the process of stage {name} has died; start"),
         (signal.SIGSTOP, "cannot be read: libstage.so: the process of stage {name} stands still; look at stage_device"),
-        (signal.SIGUSR1, "answers a position that is no number; look at the sensor and its scaling"),
+        (signal.SIGUSR1, "returns a position that is not a number; check the sensor and its scaling"),
     ],
 )
 def test_a_stage_that_dies_stands_still_or_answers_nonsense_stops_the_axis(number, said):
@@ -247,10 +247,10 @@ def test_message_by_message_the_same_library_is_called_through_python():
         ({"driver_options": ("depth=2",)}, r"driver_options: depth = '2': unknown parameter"),
         ({"driver_options": ("name",)}, r"driver_options = 'name': write NAME=VALUE with a string"),
         ({"driver_options": ("standstill=soon",)}, "standstill=soon': write NAME=VALUE with a double in 0.001"),
-        ({"driver": "/nowhere/driver.py"}, "driver /nowhere/driver.py is not there; give the path"),
+        ({"driver": "/nowhere/driver.py"}, "driver /nowhere/driver.py does not exist; give the path"),
         ({"driver": "/nowhere/lib.so"}, "library /nowhere/lib.so is not there; build it"),
         ({"driver": "/nowhere/driver"}, "driver /nowhere/driver is neither; give a Python file"),
-        ({"driver": str(HEADERS / "errors.py")}, "is not there"),
+        ({"driver": str(HEADERS / "errors.py")}, "does not exist"),
         ({"driver": str(HEADERS / "device.py")}, "declares no driver: DRIVER is None; DRIVER = HardwareDriver"),
         ({"driver": "simulated"}, "driver_options = .*belong to a driver that is given by its path"),
     ],

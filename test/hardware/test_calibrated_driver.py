@@ -140,7 +140,7 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
     assert rows[5] == pytest.approx(step + 2.0e-6, abs=1e-15)
     run(plant, [60.0] * 400)
     with pytest.raises(
-        ParameterError, match=r"voltage = 60\.0: home is the place at safe_voltage = 5 V: stop the axis"
+        ParameterError, match=r"voltage = 60\.0: home is the position at safe_voltage = 5 V: stop the axis"
     ):
         plant.home()
     plant.halt()

@@ -130,7 +130,7 @@ def test_machine_code_and_python_drive_it_alike(library):
     [
         ("fail_read=51", "cannot be read: liblisted.so: lost its sensor; plug it in"),
         ("fail_write=51", "cannot be written: liblisted.so: lost its amplifier; plug it in"),
-        ("nonsense=51", "cannot be read: .*: answers a position that is no number; look at the sensor"),
+        ("nonsense=51", "cannot be read: .*: returns a position that is not a number; check the sensor"),
         ("nonsense=52", "cannot be read: .*: answers a position that is no number"),
     ],
 )
@@ -371,7 +371,7 @@ def test_between_samples_it_is_told_its_voltage_again_and_nothing_else_moves(lib
         (("keeps_time=1",), "the device insists on keeping the time; the package has its own"),
         (("unit=mm",), "the device reads 'mm' and puts out 'V'; calibration.sensor.unit is 'm' and"),
         (("joints=2",), "the device has 2 joints; an axis has 1"),
-        (("depth=2",), "cannot be opened: liblisted.so: does not know an option; look at the device"),
+        (("depth=2",), "cannot be opened: liblisted.so: does not know an option; check the device"),
     ],
 )
 def test_a_device_that_is_not_what_the_axis_needs_is_refused(library, options, words):

@@ -61,12 +61,15 @@ def declared(monkeypatch):
 @pytest.mark.parametrize(
     ("raised", "said"),
     [
-        (OSError("no such bus"), "driver stage: cannot be read: OSError: no such bus; look at the device"),
+        (OSError("no such bus"), "driver stage: cannot be read: OSError: no such bus; check the device"),
         (
             DriverError("stage 7", "is not homed", "home it"),
             "driver stage: cannot be read: stage 7 is not homed; home it",
         ),
-        (ParameterError([Problem("a", 1, "no")]), "driver stage: cannot be read: ParameterError: a = 1: no; look at"),
+        (
+            ParameterError([Problem("a", 1, "no")]),
+            "driver stage: cannot be read: ParameterError: a = 1: no; check the device",
+        ),
     ],
 )
 def test_whatever_a_driver_raises_names_it_and_says_what_to_do(declared, raised, said):

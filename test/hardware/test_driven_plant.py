@@ -176,7 +176,7 @@ def test_a_reset_does_not_make_the_voltage_jump(device):
     ("changes", "words"),
     [
         ({"joints": 2}, "has 2 joints; an axis has 1"),
-        ({"voltages": 0}, "puts out no voltage"),
+        ({"voltages": 0}, "has no voltage output"),
         ({"minimum": 0.0}, r"range of 0 … 120 V does not contain limits\.minimum … limits\.maximum = -30 … 120 V"),
         ({"maximum": math.nan}, "range of -30 … nan V"),
         ({"highest_rate": 1000.0}, "makes at most 1000 Hz; lower sample_rate"),

@@ -109,16 +109,16 @@ def test_a_range_that_the_device_says_is_taken(tree):
         (
             {"output_device": "ad5686"},
             None,
-            r"'ad5686' .*is not there; there are iio:device0 \(ad7606\), iio:device1 \(ad5592r\)",
+            r"'ad5686' .*is absent; there are iio:device0 \(ad7606\), iio:device1 \(ad5592r\)",
         ),
-        ({"directory": "/nowhere"}, None, "is not there; there are none"),
+        ({"directory": "/nowhere"}, None, "is absent; there are none"),
         ({"output_channel": "voltage0"}, None, "has no channel out_voltage0, it has voltage3"),
         ({"input_channel": "voltage9"}, None, "has no channel in_voltage9, it has temp, voltage0, voltage1"),
-        ({"output_raw_range": ()}, None, "does not say the range of out_voltage3_raw; give iio.output_raw_range"),
+        ({"output_raw_range": ()}, None, "has no range for out_voltage3_raw; give iio.output_raw_range"),
         ({"safe_voltage": 9.0}, None, "range of -5.12 … 5.1175 V without iio.safe_voltage = 9 V"),
-        ({}, (1, "out_voltage3_scale", None), "does not say a scale of out_voltage3_raw"),
-        ({}, (1, "out_voltage3_scale", "big"), "says 'big' as out_voltage3_scale, which is no number"),
-        ({}, (0, "in_voltage1_raw", "?"), r"says '\?' as in_voltage1_raw, which is no number"),
+        ({}, (1, "out_voltage3_scale", None), "has no scale for out_voltage3_raw"),
+        ({}, (1, "out_voltage3_scale", "big"), "has 'big' in out_voltage3_scale, which is not a number"),
+        ({}, (0, "in_voltage1_raw", "?"), r"has '\?' in in_voltage1_raw, which is not a number"),
         (
             {"input_device": "iio:device0"},
             (0, "name", "ad5592r"),
@@ -143,7 +143,9 @@ def test_a_device_may_be_named_by_its_folder(tree):
 
 def test_a_second_master_is_refused_until_the_first_has_gone(tree):
     first = tree.open()
-    with pytest.raises(DriverError, match="has another master at out_voltage3_raw; end the other program first"):
+    with pytest.raises(
+        DriverError, match="is in use by another program at out_voltage3_raw; end the other program first"
+    ):
         tree.open()
     first.close()
     tree.open().close()
@@ -166,7 +168,7 @@ def test_between_emulated_converters_a_stage_moves_and_what_has_gone_comes_back(
         # 50 V at the actuator, some 36 µm, 3.6 V at the ADC
         until(lambda: 3.0 < device.read()[0] < 4.5)
         running.faults.add("cut:0:0.1")
-        with pytest.raises(DriverError, match="has lost in_voltage0_raw|is not there"):
+        with pytest.raises(DriverError, match="has lost in_voltage0_raw|is absent"):
             until(lambda: device.read() is None)
         until(lambda: "cut" not in running.faults)
         # from the safe voltage

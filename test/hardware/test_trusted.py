@@ -64,8 +64,8 @@ def test_what_everybody_may_write_is_refused_with_the_place_and_the_remedy(place
     what = {"file": place, "folder": place.parent, "folder above": place.parents[1]}[which]
     what.chmod(what.stat().st_mode | 0o002)
     said = refusal(place)
-    assert f"{what} (mode 0" in said and "can be written by everybody" in said and f"chmod o-w {what}" in said
-    with pytest.raises(DriverError, match="can be written by everybody"):
+    assert f"{what} (mode 0" in said and "can be written by all users" in said and f"chmod o-w {what}" in said
+    with pytest.raises(DriverError, match="can be written by all users"):
         driver_of(str(place))
     what.chmod(0o755)
     assert require_trusted(place) == place
@@ -161,7 +161,7 @@ def test_stated_folders_are_the_only_ones(place, monkeypatch):
     outside.write_text("")
     link.symlink_to(outside)
     for path in (outside, link, place.parent / ".." / "other.py"):
-        assert f"it lies in none of the folders {FOLDERS}=/nowhere:{place.parent}" in refusal(path)
+        assert f"it is outside the folders {FOLDERS}=/nowhere:{place.parent}" in refusal(path)
     monkeypatch.setenv(FOLDERS, "")
     assert FOLDERS in refusal(place)
 
@@ -172,7 +172,7 @@ def test_libraries_are_looked_at_before_they_are_loaded(place):
     with pytest.raises(DriverError, match="cannot be loaded"):
         loaded(library)
     library.chmod(0o666)
-    with pytest.raises(DriverError, match="can be written by everybody"):
+    with pytest.raises(DriverError, match="can be written by all users"):
         loaded(library)
 
 

@@ -158,7 +158,7 @@ def test_the_saved_file_is_a_model_from_which_an_axis_goes_on():
     np.testing.assert_allclose(again.compensator.adaptation.settings.nominal[:20], _identified(), rtol=1e-15)
     made = run(again, 1000)
     assert made["adapted_gain"][0] == pytest.approx(axis.compensator.adaptation.gain, rel=1e-12)
-    with pytest.raises(ParameterError, match="nothing is adapted: start the node with adaptation.type: recursive"):
+    with pytest.raises(ParameterError, match="adaptation is off: start the node with adaptation.type: recursive"):
         Axis(adapting({"adaptation__type": "none"})).apply(Change(0, NODE, "forget"))
 
 

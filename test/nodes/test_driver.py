@@ -228,7 +228,7 @@ def test_a_relative_sensor_is_homed_by_the_service_where_the_axis_is_safe(inside
     setpoint.publish(Float64(data=TARGET))
     until(lambda: joints[-1].position[0] > 4.0e-6, what="the axis to move")
     refused = observer.trigger("/plant_simulator/home")
-    assert not refused.success and "home is the place at safe_voltage = 0 V: stop the axis" in refused.message
+    assert not refused.success and "home is the position at safe_voltage = 0 V: stop the axis" in refused.message
     estop.publish(Bool(data=True))
     until(lambda: plant.part.tripped and plant.part.held() == 0.0, what="the axis at its safe voltage")
     until(lambda: abs(joints[-1].position[0] - 1.0e-6) > 1e-8, what="the place where hysteresis leaves it")

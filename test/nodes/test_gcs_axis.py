@@ -94,8 +94,13 @@ def test_an_axis_whose_controller_says_a_wrong_line_is_safe_and_says_which(runni
     running.faults.add(f"{happens}:0:60:1")
     until(lambda: plant.part.tripped, what="the axis to stop")
     until(lambda: "axis stopped" in said(), what="its reason")
-    reasons = ("a line too many", "answers '", "does not answer '", "has hung up at '")
-    assert any(reason in said() for reason in reasons) and "somebody else" not in said() and "still" not in said()
+    reasons = ("an unexpected line", "answers '", "does not answer '", "has closed the connection at '")
+    assert (
+        any(reason in said() for reason in reasons)
+        and "another program has" not in said()
+        and "by another program" not in said()
+        and "still" not in said()
+    )
     assert amplifier.open_value == 0.0
     assert observer.trigger("/plant_simulator/start").success
     until(lambda: amplifier.open_value > 5.0, what="the axis to go on")

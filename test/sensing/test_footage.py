@@ -99,7 +99,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
             ("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "0,0,500,9"),
             "none of 12 frames .* does not lie",
         ),
-        (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "does not say how many frames .* give --rate HZ"),
+        (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "has no frame rate: give --rate HZ"),
         (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "holds no frames"),
         (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "there is no such file or folder"),
         (("{0}/tip.avi", "-o", "x.txt", "--scale", "1um"), "unknown kind of file '.txt'"),

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Controllers of Physik Instrumente that speak GCS 2.0 over TCP: E-709, E-727, E-754 and their like.
+"""Controllers of Physik Instrumente with GCS 2.0 over TCP: E-709, E-727, E-754 and similar ones.
 
-From the words of the protocol over the link to the driver; the emulated controller uses the same words.
+This module has the commands of the protocol, the link and the driver; the emulated controller uses the same commands.
 
 Sources: E-727 Digital Multi-Channel Piezo Controller, user manual E727T0005 (2019), sections "GCS commands", "Data
 recorder" and "Wave generator"; C-863 Mercury Controller, user manual MS249E, section "GCS commands" (answers of
-``DRR?`` and ``HPA?``). A command ends with LF, an answer too; of an answer of several lines all but the last end with a
-space before the LF. Commands of one character need no LF.
+``DRR?`` and ``HPA?``). A command ends with LF, an answer too; in an answer of several lines, all lines but the last
+end with a space before the LF. Commands of one character need no LF.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ STATUS, MOTION_STATUS, READY_STATUS, GENERATOR_STATUS, STOP = "\x04", "\x05", "\
 #: Answers to :data:`READY_STATUS`.
 READY, NOT_READY = b"\xb1", b"\xb0"
 
-#: Codes of ``ERR?`` by what they mean.
+#: Codes of ``ERR?`` and their meanings.
 NO_ERROR, SYNTAX, UNKNOWN_COMMAND, TOO_LONG = 0, 1, 2, 3
 SERVO_OFF, POSITION_LIMIT, STOPPED, WRONG_AXIS, OUT_OF_RANGE = 5, 7, 10, 15, 17
 WRONG_COUNT, UNKNOWN_PARAMETER, READ_ONLY, SERVO_ON = 24, 54, 64, 79
@@ -86,7 +86,7 @@ MEANINGS = {
     BUSY: "busy with a lengthy operation",
 }
 
-#: Metres of a unit, as controllers write it.
+#: Metres per unit, in the spelling of controllers.
 UNITS = {"m": 1.0, "mm": 1.0e-3, "um": 1.0e-6, "µm": 1.0e-6, "nm": 1.0e-9}
 
 #: Parameters by their number.
@@ -95,12 +95,12 @@ VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM = 0x0B000007, 0x0B000008
 SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004, 0x16000200, 0x16000300
 TOLERANCE, SETTLING = 0x07000900, 0x07000901
 
-#: What a record table holds.
+#: Contents of a record table.
 TARGET, POSITION, POSITION_ERROR, CONTROL_VOLTAGE, OPEN_LOOP, VOLTAGE = 1, 2, 3, 7, 14, 16
 
 
 def meaning(code: int) -> str:
-    """Return what a code of ``ERR?`` means.
+    """Return the meaning of a code of ``ERR?``.
 
     Parameters
     ----------
@@ -109,31 +109,31 @@ def meaning(code: int) -> str:
     return f"error {code}: {MEANINGS.get(code, 'see ERR? in the manual of the controller')}"
 
 
-#: What ends an answer, and what a line ends with after which another one follows.
+#: End of an answer, and end of a line that is followed by another one.
 END, MORE = b"\n", b" \n"
-#: Most bytes at a time.
+#: Most bytes per read.
 CHUNK = 65536
-#: What no answer is longer than: a controller that says more is none, or out of order.
+#: Limits of an answer; a longer one comes from another device, or from a faulty one.
 LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
-#: Most bytes of an answer that a message shows.
+#: Most bytes of an answer in a message.
 SHOWN = 60
-#: The question for the last error, and what its answer looks like: no other answer in a sample does.
+#: The query of the last error, and the pattern of its answer, which no other answer in a sample matches.
 ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
 
 
 def _names(text: str) -> list[str]:
-    """Return the words before an equals sign, hexadecimal numbers of parameters as decimal ones."""
+    """Return the words before an equals sign, with hexadecimal parameter numbers as decimal ones."""
     with contextlib.suppress(ValueError):
         return [str(int(word, 16)) if word[:2].lower() == "0x" else word for word in text.split()]
     return []
 
 
 class GcsLink:
-    """The connection to a controller: commands out, answers back, errors by what they mean.
+    """The connection to a controller: commands, answers and errors.
 
-    An answer has no number. So nothing may be under way when something is asked, each answer has to look like one to
-    its question, and each exchange has the answer to ``ERR?``, which looks different. What does not fit breaks the
-    link, as a missing answer does: from a line too many on, each answer would be the one before.
+    An answer has no number. So no answer may be pending when a query is sent, each answer must match its query, and
+    each exchange ends with the answer to ``ERR?``, which has another form. A mismatch breaks the link, as a missing
+    answer does: after one extra line, each answer would belong to the query before.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class GcsLink:
     name : str
         For messages.
     broken : bool
-        Whether nothing more can be said over it.
+        Whether it can no longer be used.
 
     Raises
     ------
@@ -164,12 +164,12 @@ class GcsLink:
         try:
             self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
-            remedy = "switch it on, look at address and network, end other programs that use it"
+            remedy = "switch it on, check address and network, end other programs that use it"
             raise DriverError(self.name, f"cannot be reached ({error})", remedy) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, *commands: str) -> None:
-        """Send commands that are not answered.
+        """Send commands that have no answer.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            The connection is gone, or something came over it that nothing asked for.
+            The connection is lost, or an unexpected line was received.
         """
         self._put("".join(f"{command}\n" for command in commands), commands[0])
 
@@ -191,22 +191,22 @@ class GcsLink:
             raise self._gone(f"does not take {what!r} ({error})") from error
 
     def _require_silence(self, what: str) -> None:
-        """Refuse what came before it was asked for: each later answer would be taken for that of another question."""
+        """Refuse an unexpected line: it would shift every later answer to another query."""
         said = self._rest
         if not said and select.select([self._socket], [], [], 0.0)[0]:
             said = self._receive(what)
         if said:
             text = said[:SHOWN].decode("latin-1")
-            raise self._astray(f"says {text!r} before it is asked {what!r}, a line too many")
+            raise self._astray(f"sends {text!r} before {what!r}, an unexpected line")
 
     def _gone(self, problem: str) -> DriverError:
         self.broken = True
-        return DriverError(self.name, problem, "look at controller, network and other programs that use it")
+        return DriverError(self.name, problem, "check controller, network and other programs that use it")
 
     def _astray(self, problem: str) -> DriverError:
-        """Return the error of an answer that is not that of its question; nothing more is believed of the link."""
+        """Return the error of an answer that does not match its query, and mark the link as broken."""
         self.broken = True
-        return DriverError(self.name, problem, "give the address of a controller with GCS 2.0, look at its network")
+        return DriverError(self.name, problem, "give the address of a controller with GCS 2.0, check its network")
 
     def _receive(self, asked: str) -> bytes:
         try:
@@ -214,7 +214,7 @@ class GcsLink:
         except OSError as error:
             raise self._gone(f"does not answer {asked!r} ({error})") from error
         if not data:
-            raise self._gone(f"has hung up at {asked!r}: it is off, or has another master")
+            raise self._gone(f"has closed the connection at {asked!r}: it is off, or in use by another program")
         return data
 
     def _line(self, asked: str) -> bytes:
@@ -234,7 +234,7 @@ class GcsLink:
         return [line.decode("latin-1").rstrip() for line in lines]
 
     def ask(self, question: str) -> list[str]:
-        """Return the lines of the answer to a question; the one to ``ERR?`` has to come behind it.
+        """Return the lines of the answer to a query, which the answer to ``ERR?`` must follow.
 
         Parameters
         ----------
@@ -244,7 +244,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            There is no answer, or a line is missing or too many.
+            There is no answer, or a line is missing or unexpected.
         """
         self.send(question, ERROR)
         lines = self._lines(question)
@@ -268,34 +268,34 @@ class GcsLink:
         return self._line(name).decode("latin-1").rstrip()
 
     def find(self, question: str, item: str) -> str | None:
-        """Return what a controller says of an item, ``1=2.5`` being ``2.5`` of the item ``1``; None when it refuses.
+        """Return the value of an item, for instance ``2.5`` of item ``1`` from ``1=2.5``; None when it is refused.
 
         Parameters
         ----------
         question : str
         item : str
-            What stands before the equals sign.
+            Text before the equals sign.
 
         Raises
         ------
         DriverError
-            There is no answer, or not that of the question.
+            There is no answer, or it does not match the query.
         """
         return self._asked(question, item)[0]
 
     def value(self, question: str, item: str) -> str:
-        """Return what a controller says of an item.
+        """Return the value of an item.
 
         Parameters
         ----------
         question : str
         item : str
-            What stands before the equals sign.
+            Text before the equals sign.
 
         Raises
         ------
         DriverError
-            It refuses, there is no answer, or not that of the question.
+            It is refused, there is no answer, or it does not match the query.
         """
         text, code = self._asked(question, item)
         if text is None:
@@ -308,7 +308,7 @@ class GcsLink:
         self.send(asked, ERROR)
         lines = self._lines(asked)
         if CODE.fullmatch(lines[0]) and int(lines[0]) != NO_ERROR:
-            return None, int(lines[0])  # the question has no answer, so that was the one to ERR?
+            return None, int(lines[0])  # the query has no answer, so this was the answer to ERR?
         text = self._of_item(asked, item, lines)
         return text, self._code()
 
@@ -319,18 +319,18 @@ class GcsLink:
         return right.strip()
 
     def number(self, question: str, item: str) -> float:
-        """Return the number that a controller says of an item.
+        """Return the value of an item as a number.
 
         Parameters
         ----------
         question : str
         item : str
-            What stands before the equals sign.
+            Text before the equals sign.
 
         Raises
         ------
         DriverError
-            There is none.
+            There is no number.
         """
         return self._real(f"{question} {item}", self.value(question, item))
 
@@ -338,14 +338,14 @@ class GcsLink:
         try:
             return float(text)
         except ValueError:
-            raise self._astray(f"answers {asked!r} with {text!r}, which is no number") from None
+            raise self._astray(f"answers {asked!r} with {text!r}, which is not a number") from None
 
     def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
-        """Return the numbers of items that are asked together, and the code of the last error.
+        """Return the numbers of several items in one exchange, and the code of the last error.
 
-        The answer to ``ERR?``, which has no equals sign, stands behind them at one time and before them at the next,
-        and on both sides of several: a line too many or too few never leaves a number in another one's place, nor
-        does a whole answer that comes again.
+        The answer to ``ERR?``, which has no equals sign, alternates between the end and the start of an exchange, and
+        encloses several items: neither an extra or missing line nor a repeated answer can shift a number to another
+        item.
 
         Parameters
         ----------
@@ -355,7 +355,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            There is no answer, or not that of its question.
+            There is no answer, or it does not match its query.
         """
         several = len(questions) > 1
         before, behind = several or self._leads, several or not self._leads
@@ -375,12 +375,12 @@ class GcsLink:
         ----------
         question : str
         tables : int
-            How many are asked for.
+            Number of tables.
 
         Raises
         ------
         DriverError
-            The answer is none.
+            The answer is not an array.
         """
         lines = self.ask(question)
         head = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
@@ -394,34 +394,34 @@ class GcsLink:
             return sample_time, np.array(rows, dtype=float).reshape(int(head["NDATA"]), tables)
         except (KeyError, ValueError, OverflowError) as error:
             problem = f"answers {question!r} with no array ({type(error).__name__}: {error})"
-            raise DriverError(self.name, problem, "look at the controller and its firmware") from None
+            raise DriverError(self.name, problem, "check the controller and its firmware") from None
 
     def error(self) -> int:
-        """Return the code of the last error, which the controller forgets then.
+        """Return the code of the last error, which clears it.
 
         Raises
         ------
         DriverError
-            The answer is no code.
+            The answer is not a code.
         """
         self.send(ERROR)
         return self._code()
 
     def _code(self) -> int:
-        """Return the code that the next answer is."""
+        """Return the code in the next answer."""
         lines = self._lines(ERROR)
         if len(lines) != 1 or not CODE.fullmatch(lines[0]):
             raise self._astray(f"answers {ERROR!r} with {lines[0]!r}")
         return int(lines[0])
 
     def require(self, code: int, what: str) -> None:
-        """Refuse any code but that of no error.
+        """Raise an error for any code but 0.
 
         Parameters
         ----------
         code : int
         what : str
-            What was done, for the message.
+            The action, for the message.
 
         Raises
         ------
@@ -429,10 +429,10 @@ class GcsLink:
             There is an error.
         """
         if code != NO_ERROR:
-            raise DriverError(self.name, f"{what}: {meaning(code)}", "mend the cause at the controller")
+            raise DriverError(self.name, f"{what}: {meaning(code)}", "remove the cause at the controller")
 
     def do(self, *commands: str) -> None:
-        """Send commands and make sure that none was refused.
+        """Send commands and check that none was refused.
 
         Parameters
         ----------
@@ -447,7 +447,7 @@ class GcsLink:
         self.require(self.error(), f"refuses {commands[-1][:40]!r}")
 
     def stop(self) -> None:
-        """Stop all motion; that counts as an error, which is taken.
+        """Stop all motion and clear the error that the controller reports for it.
 
         Raises
         ------
@@ -465,21 +465,21 @@ class GcsLink:
             self._socket.close()
 
 
-#: Voltages that the output may still be at when it is looked at.
+#: Number of recent voltages that the output may still have when it is checked.
 RECENT = 4
-#: Points of a wave that are sent at a time, and how often is looked whether it has been played [s].
+#: Points of a wave per command, and polling interval for its end [s].
 POINTS, PATIENCE = 40, 0.02
-#: How often it is tried to make a controller safe, each time but the first on a new connection.
+#: Attempts to make a controller safe, all but the first on a new connection.
 ATTEMPTS = 3
-#: Part of a value that a controller may round away when it says what it was commanded.
+#: Relative rounding of a commanded value that a controller may report.
 ROUNDING = 1.0e-3
-#: Servo cycles are at most so many times as long as what is played by them.
+#: Longest servo cycle relative to the period that is played.
 LONGEST = 1.0e6
 
 
 @dataclass(frozen=True)
 class GcsParameters(Parameters):
-    """Which controller and axis, and what is commanded."""
+    """Address of the controller, its axis, and the commanded quantity."""
 
     host: str = parameter("127.0.0.1", description="name or address of the controller", read_only=True)
     port: int = parameter(50000, description="its TCP port", low=1, high=65535, read_only=True)
@@ -547,18 +547,18 @@ class GcsParameters(Parameters):
 
 
 class Played(NamedTuple):
-    """What a controller has played and recorded by itself, arrays of shape (N,)."""
+    """Data that a controller has played and recorded by itself, arrays of shape (N,)."""
 
     #: [s]
     time: np.ndarray
-    #: At the output [V].
+    #: Output voltage [V].
     voltage: np.ndarray
     #: [m]
     position: np.ndarray
 
 
 class GcsDriver(Driver):
-    """One axis of a controller; one that has failed is taken anew when it is read again."""
+    """One axis of a controller; after a failure, the next reading connects again."""
 
     _link: GcsLink | None = None
     _given: GcsParameters
@@ -568,7 +568,7 @@ class GcsDriver(Driver):
         self._recent: deque[float] = deque(maxlen=RECENT)
 
     def open(self, parameters: GcsParameters, sample_rate: float) -> Capabilities:
-        """Connect, look whether it is the right one, bring it to its safe state and try how fast it is.
+        """Connect, check the controller, bring it to its safe state and measure the highest rate.
 
         Parameters
         ----------
@@ -579,7 +579,7 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be reached, is another one, is in motion, busy or in error, or has other units.
+            It cannot be reached, is the wrong one, is in motion, busy or in error, or has other units.
         """
         self._given = parameters
         link = self._taken(first=True)
@@ -591,7 +591,7 @@ class GcsDriver(Driver):
     # -- taking the controller -----------------------------------------------------------------------------------
 
     def _taken(self, first: bool = False) -> GcsLink:
-        """Return the link to the controller, in its safe state when it had to be taken."""
+        """Return the link to the controller; a new link begins in the safe state."""
         given = self._given
         if self._link is not None and self._link.broken:
             self._hang_up()
@@ -604,9 +604,9 @@ class GcsDriver(Driver):
 
     def _take(self, link: GcsLink, first: bool) -> None:
         given = self._given
-        said = link.ask("*IDN?")[0]  # and what went wrong before is over
+        said = link.ask("*IDN?")[0]  # clears earlier errors
         if given.identification.lower() not in said.lower():
-            problem = f"says it is {said!r}, which does not contain gcs.identification = {given.identification!r}"
+            problem = f"identifies as {said!r}, which does not contain gcs.identification = {given.identification!r}"
             raise DriverError(link.name, problem, "give the address of the right one, or its name")
         axes = link.ask("SAI?")
         if given.axis not in axes:
@@ -624,7 +624,7 @@ class GcsDriver(Driver):
         self._check(link, *link.numbers(*self._looks))
 
     def _require_rest(self, link: GcsLink) -> None:
-        """Refuse a controller that is not ready, or moves an axis for somebody else."""
+        """Refuse a controller that is not ready, or moves an axis for another program."""
         if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
             raise DriverError(link.name, "is busy with something else", "wait until it is ready, or stop that")
         for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):
@@ -635,7 +635,7 @@ class GcsDriver(Driver):
             raise DriverError(link.name, f"has not referenced axis {self._given.axis}", "reference it first (FRF)")
 
     def _unit_of(self, link: GcsLink) -> float:
-        """Return the metres of a unit of the positions."""
+        """Return the metres per unit of the positions."""
         given, said = self._given, ""
         if "PUN?" in self._commands:
             said = link.value("PUN?", given.axis)
@@ -643,7 +643,7 @@ class GcsDriver(Driver):
             said = link.find("SPA?", f"{given.axis} {AXIS_UNIT:#x}") or ""
         unit = said.lower() or given.position_unit
         if unit not in UNITS:
-            problem = f"measures axis {given.axis} in {said}" if said else f"does not say the unit of axis {given.axis}"
+            problem = f"measures axis {given.axis} in {said}" if said else f"reports no unit of axis {given.axis}"
             raise DriverError(link.name, problem, f"an axis needs one of {', '.join(UNITS)} (gcs.position_unit)")
         if given.position_unit and UNITS[unit] != UNITS[given.position_unit]:
             problem = f"measures axis {given.axis} in {said}, gcs.position_unit is {given.position_unit}"
@@ -651,7 +651,7 @@ class GcsDriver(Driver):
         return UNITS[unit]
 
     def _range_of(self, link: GcsLink) -> tuple[float, float]:
-        """Return the range of what is commanded [V]."""
+        """Return the range of commands [V]."""
         given = self._given
         if given.mode == "servo":
             volts = self._unit / given.servo_scale
@@ -662,7 +662,7 @@ class GcsDriver(Driver):
             return given.voltage_range[0], given.voltage_range[1]
         items = [f"{self._channel} {number:#x}" for number in (VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM)]
         if any(link.find("SPA?", item) is None for item in items):
-            raise DriverError(link.name, "does not say its voltages", "give gcs.voltage_range")
+            raise DriverError(link.name, "does not report its voltage range", "give gcs.voltage_range")
         return link.number("SPA?", items[0]), link.number("SPA?", items[1])
 
     @property
@@ -672,19 +672,19 @@ class GcsDriver(Driver):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def read(self) -> Reading:
-        """Ask for the position and the last error, and now and then for servo and voltage.
+        """Read the position and the last error, and at intervals servo and voltage.
 
         Raises
         ------
         DriverError
-            It does not answer what it is asked, has an error, or somebody else has switched its servo or commands its
-            voltage.
+            Its answer does not match the query, it has an error, or another program has switched its servo or commands
+            its voltage.
         """
         link, given = self._taken(), self._given
         due = time.monotonic() - self._checked >= given.check_period
         try:
             (position, *others), code = link.numbers(("POS?", given.axis), *(self._looks if due else ()))
-            if code != NO_ERROR and not due:  # what has been changed says more than what was refused because of it
+            if code != NO_ERROR and not due:  # report a changed setting first: it explains the refused command
                 (others, _), due = link.numbers(*self._looks), True
             if due:
                 self._check(link, others, code)
@@ -696,17 +696,17 @@ class GcsDriver(Driver):
 
     @property
     def _looks(self) -> tuple[tuple[str, str], ...]:
-        """What is asked to see whether the controller is as this driver left it."""
+        """Queries that show whether settings of the controller were changed."""
         servo = ("SVO?", self._given.axis)
         looks = self._given.mode == "open_loop" and "VOL?" in self._commands
         return (servo, ("VOL?", self._channel)) if looks else (servo,)
 
     def _check(self, link: GcsLink, answers: list[float], code: int) -> None:
-        """Refuse a controller that is not as this driver left it."""
+        """Refuse a controller whose settings were changed."""
         given, (servo, *voltage) = self._given, answers
         on = given.mode == "servo"
         if bool(servo) != on:
-            problem = f"has its servo switched {'off' if on else 'on'} by somebody else"
+            problem = f"has its servo switched {'off' if on else 'on'} by another program"
             raise DriverError(link.name, problem, "end the program that does so")
         link.require(code, "has an error")
         if voltage:
@@ -714,12 +714,12 @@ class GcsDriver(Driver):
             low, high = min(self._recent), max(self._recent)
             if not low - tolerance <= there <= high + tolerance:
                 problem = f"puts out {there:g} V where {self._recent[-1]:g} V are commanded"
-                remedy = "look at gcs.open_loop_scale, the amplifier, and programs that command it too"
+                remedy = "check gcs.open_loop_scale, the amplifier, and programs that also command it"
                 raise DriverError(link.name, problem, remedy)
         self._checked = time.monotonic()
 
     def write(self, voltages: Sequence[float]) -> None:
-        """Send the voltage, or the target that it stands for.
+        """Send the voltage, or the corresponding target.
 
         Parameters
         ----------
@@ -729,7 +729,7 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            The connection is gone.
+            The connection is lost.
         """
         self._taken().send(self._command(voltages[0]))
         self._recent.append(voltages[0])
@@ -739,21 +739,21 @@ class GcsDriver(Driver):
         return f"{name} {self._given.axis} {self._value(voltage):.9f}"
 
     def _value(self, voltage: float) -> float:
-        """Return what the controller is told for a voltage."""
+        """Return the commanded value for a voltage."""
         given = self._given
         return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
 
-    # -- without a sample of the package -------------------------------------------------------------------------
+    # -- at the controller's own pace ----------------------------------------------------------------------------
 
     def play(self, voltages: Sequence[float], period: float) -> Played:
-        """Let the wave generator play voltages and the recorder write down what comes of it, at the controller's pace.
+        """Play voltages by the wave generator and record the response, at the controller's pace.
 
         Parameters
         ----------
         voltages : sequence of float
-            [V], or what stands for targets of the servo.
+            [V]; with the servo on, they represent its targets.
         period : float
-            Time between two of them [s], rounded to samples of the controller.
+            Time between two voltages [s], rounded to samples of the controller.
 
         Returns
         -------
@@ -775,9 +775,7 @@ class GcsDriver(Driver):
             raise DriverError(link.name, problem, "give fewer or smaller ones")
         cycle = link.number("SPA?", item)
         if not 0.0 < cycle < period * LONGEST:
-            raise DriverError(
-                link.name, f"says a servo cycle of {cycle:g} s", "look at the controller and its firmware"
-            )
+            raise DriverError(link.name, f"says a servo cycle of {cycle:g} s", "check the controller and its firmware")
         rate = max(round(period / cycle), 1)
         ramp(lambda voltage: link.do(self._command(voltage)), self._recent[-1], voltages[0], given.safe_time)
         self._define(link, [self._value(voltage) for voltage in voltages], rate)
@@ -789,7 +787,7 @@ class GcsDriver(Driver):
         return Played(sample * np.arange(len(rows)), rows[:, 0], self._unit * rows[:, 1])
 
     def _define(self, link: GcsLink, values: list[float], rate: int) -> None:
-        """Write the wave table and say what is recorded."""
+        """Write the wave table and configure the recorder."""
         given = self._given
         for first in range(0, len(values), POINTS):
             part = values[first : first + POINTS]
@@ -801,12 +799,12 @@ class GcsDriver(Driver):
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop all motion, then go to the safe voltage, or the place that it stands for; on a new link if need be.
+        """Stop all motion, then go to the safe voltage or its target; on a new link if necessary.
 
         Raises
         ------
         DriverError
-            It does not answer, or refuses, each time that it is tried.
+            It does not answer, or refuses, at every attempt.
         """
         for attempt in range(ATTEMPTS):
             try:
@@ -841,16 +839,16 @@ class GcsDriver(Driver):
         self._require_there(link, "SVA?", safe)
 
     def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
-        """Make sure that the controller was given the safe value, whatever else it has answered."""
+        """Check that the controller has the safe value, whatever its other answers were."""
         value = self._value(safe)
         given = link.number(question, self._given.axis)
         if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):
-            problem = f"says {given:g} to {question!r} where {value:g} was commanded to make it safe"
-            raise DriverError(link.name, problem, "end other programs that command it, look at its limits")
+            problem = f"reports {given:g} for {question!r}, but {value:g} was commanded to make it safe"
+            raise DriverError(link.name, problem, "end other programs that command it, check its limits")
 
     @property
     def last_output(self) -> float | None:
-        """Voltage that was commanded last, also on the way to the safe one [V]."""
+        """Last commanded voltage [V], also on the way to the safe voltage."""
         return self._recent[-1] if self._recent else None
 
     def close(self) -> None:
@@ -866,7 +864,7 @@ class GcsDriver(Driver):
 
 DRIVER = HardwareDriver(
     name="gcs",
-    title="a piezo controller that speaks GCS 2.0 over TCP (PI E-709, E-727, E-754)",
+    title="a piezo controller with GCS 2.0 over TCP (PI E-709, E-727, E-754)",
     parameters=GcsParameters,
     driver=GcsDriver,
     emulator=later("hysteresis_ros.laboratory.emulation.gcs:emulator"),

@@ -9,8 +9,8 @@
 
 """Converters of the Linux subsystem *industrial I/O*, through sysfs: a DAC to the amplifier, an ADC from the sensor.
 
-Of a channel of voltage ``(raw + offset) · scale`` is the voltage in mV; scale and offset stand in files of the channel
-or of all channels of its direction (kernel documentation, ABI/testing/sysfs-bus-iio).
+The voltage of a channel in mV is ``(raw + offset) · scale``; scale and offset are in files of the channel or of all
+channels of its direction (kernel documentation, ABI/testing/sysfs-bus-iio).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from hysteresis_ros.hardware.driver import (
 )
 from hysteresis_ros.registry import later
 
-#: Volts of a unit of scale.
+#: Volts per unit of scale.
 MILLIVOLT = 1.0e-3
-#: Largest number of a raw value, scale or offset that is believed, and the smallest one over it.
+#: Largest plausible raw value, scale or offset, and the smallest one relative to it.
 LARGEST = 1.0e20
 CHANNEL = re.compile(r"(alt)?voltage\d*")
 
@@ -48,14 +48,14 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
     Parameters
     ----------
     directory : pathlib.Path
-        Where the devices are.
+        Folder of the devices.
     wanted : str
-        What its file ``name`` says, or the name of its folder.
+        Content of its file ``name``, or the name of its folder.
 
     Raises
     ------
     DriverError
-        It is not there, or several have the name.
+        The device is absent, or several have the name.
     """
     names = {}
     for folder in sorted(directory.glob("iio:device*")) if directory.is_dir() else ():
@@ -66,9 +66,9 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
     found = [folder for folder, name in names.items() if wanted in (folder.name, name)]
     if len(found) != 1:
         there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
-        what = "is not there" if not found else "is there more than once: give its folder"
+        what = "is absent" if not found else "is there more than once: give its folder"
         raise DriverError(
-            f"IIO device {wanted!r} in {directory}", f"{what}; there are {there}", "look at its kernel driver"
+            f"IIO device {wanted!r} in {directory}", f"{what}; there are {there}", "check its kernel driver"
         )
     return found[0]
 
@@ -79,7 +79,7 @@ class Channel:
     Parameters
     ----------
     folder : pathlib.Path
-        Of the device.
+        Folder of the device.
     direction : str
         ``in`` or ``out``.
     channel : str
@@ -88,7 +88,7 @@ class Channel:
     Raises
     ------
     DriverError
-        It has no such channel, or an attribute that is needed is missing or no number.
+        The device has no such channel, or a required attribute is missing or not a number.
     """
 
     def __init__(self, folder: pathlib.Path, direction: str, channel: str):
@@ -101,13 +101,13 @@ class Channel:
             raise DriverError(self.name, problem, "choose one of them")
         scale = self.number("scale")
         if not scale:
-            raise DriverError(self.name, f"does not say a scale of {self.raw.name}", "look at its kernel driver")
+            raise DriverError(self.name, f"has no scale for {self.raw.name}", "check its kernel driver")
         self.volts, self.offset = scale * MILLIVOLT, self.number("offset") or 0.0
 
     def attribute(self, name: str) -> str | None:
-        """Return an attribute of the channel, or of all of its direction and kind; None where there is none.
+        """Return an attribute of the channel, or of all channels of its direction and kind; None when there is none.
 
-        It is the first line of its file: in a file that is none of sysfs a longer number may be left behind a shorter.
+        Only the first line is read: in a file outside sysfs, the rest of a longer number may follow a shorter one.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It is there but cannot be read.
+            It exists but cannot be read.
         """
         kind = self.channel.rstrip("0123456789")
         for path in (self.folder / f"{self.direction}_{part}_{name}" for part in dict.fromkeys((self.channel, kind))):
@@ -129,7 +129,7 @@ class Channel:
         return None
 
     def number(self, name: str) -> float | None:
-        """Return an attribute that is a number.
+        """Return a numerical attribute.
 
         Parameters
         ----------
@@ -144,11 +144,11 @@ class Channel:
         try:
             return None if text is None else _believed(text)
         except ValueError:
-            problem = f"says {text!r} as {self.direction}_{self.channel}_{name}, which is no number"
-            raise DriverError(self.name, problem, "look at its kernel driver") from None
+            problem = f"has {text!r} in {self.direction}_{self.channel}_{name}, which is not a number"
+            raise DriverError(self.name, problem, "check its kernel driver") from None
 
     def _failed(self, path: pathlib.Path, what: str, error: Exception) -> DriverError:
-        return DriverError(self.name, f"{what} at {path.name} ({error})", "look at the device and its kernel driver")
+        return DriverError(self.name, f"{what} at {path.name} ({error})", "check the device and its kernel driver")
 
     def read(self) -> float:
         """Return the voltage [V].
@@ -160,11 +160,11 @@ class Channel:
         """
         raw = self.number("raw")
         if raw is None:
-            raise DriverError(self.name, f"has lost {self.raw.name}", "look whether the device is still there")
+            raise DriverError(self.name, f"has lost {self.raw.name}", "check whether the device is still connected")
         return (raw + self.offset) * self.volts
 
     def put_out(self, voltage: float) -> None:
-        """Put out a voltage, rounded to the converter's grid.
+        """Output a voltage, rounded to the converter's grid.
 
         Parameters
         ----------
@@ -201,17 +201,17 @@ class Channel:
             raise self._failed(path, f"does not take {value}", error) from error
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
-        """Return the least and the greatest voltage [V], as the device or a file says them in raw numbers.
+        """Return the least and the greatest voltage [V], from the raw range of the device or of the parameter file.
 
         Parameters
         ----------
         given : tuple of float
-            Least and greatest raw number of a device that does not say them.
+            Least and greatest raw number, for a device without this attribute.
 
         Raises
         ------
         DriverError
-            Nobody says them.
+            The range is unknown.
         """
         said = re.fullmatch(r"\[\s*(\S+)\s+(\S+)\s+(\S+)\s*\]", self.attribute("raw_available") or "")
         try:
@@ -219,23 +219,23 @@ class Channel:
         except ValueError:
             ends = ()
         if not ends:
-            raise DriverError(self.name, f"does not say the range of {self.raw.name}", "give iio.output_raw_range")
+            raise DriverError(self.name, f"has no range for {self.raw.name}", "give iio.output_raw_range")
         low, high = sorted((raw + self.offset) * self.volts for raw in ends)
         return low, high
 
     def claim(self) -> int:
-        """Take the channel for this process and return what holds it.
+        """Lock the channel for this process and return the descriptor that holds the lock.
 
         Raises
         ------
         DriverError
-            Another process has it.
+            Another process holds it.
         """
         return claim(self.raw, self.name)
 
 
 def _believed(text: str) -> float:
-    """Return the number that a text is; ValueError where it is none, or one that no converter has."""
+    """Return the number in a text; ValueError when it is not a number or not plausible."""
     value = float(text)
     if not abs(value) <= LARGEST or 0.0 < abs(value) < 1.0 / LARGEST:
         raise ValueError(text)
@@ -244,7 +244,7 @@ def _believed(text: str) -> float:
 
 @dataclass(frozen=True)
 class IioParameters(Parameters):
-    """Which converters; what their volts mean is said by ``calibration``."""
+    """The converters to use; ``calibration`` gives the scale of their volts."""
 
     directory: str = parameter(
         "/sys/bus/iio/devices", description="where the devices are", read_only=True, place="files"
@@ -284,14 +284,14 @@ class IioParameters(Parameters):
 
 
 class IioDriver(Driver):
-    """A DAC and an ADC; when they have failed they are looked for anew as soon as they are read again."""
+    """A DAC and an ADC; after a failure, the next reading searches for them again."""
 
     _given: IioParameters
     _claimed: int | None = None
     _output: Channel | None = None
 
     def open(self, parameters: IioParameters, sample_rate: float) -> Capabilities:
-        """Find both devices, bring the DAC to its safe voltage and try how fast they are.
+        """Find both devices, bring the DAC to its safe voltage and measure the highest rate.
 
         Parameters
         ----------
@@ -302,7 +302,7 @@ class IioDriver(Driver):
         Raises
         ------
         DriverError
-            One is not there, is another one, has another master, or does not say its scale or range.
+            A device is absent, is the wrong one, is in use, or lacks its scale or range.
         """
         self._given = parameters
         output = self._taken()
@@ -311,7 +311,7 @@ class IioDriver(Driver):
         return Capabilities(1, 1, low, high, rate, position_unit="V")
 
     def _taken(self) -> Channel:
-        """Return the channel of the DAC, which is taken and brought to its safe voltage when it is not held."""
+        """Return the channel of the DAC; lock it and bring it to its safe voltage when it is not held."""
         if self._output is None:
             given = self._given
             directory = pathlib.Path(given.directory)
@@ -358,7 +358,7 @@ class IioDriver(Driver):
         self._taken().put_out(voltages[0])
 
     def make_safe(self) -> None:
-        """Take the DAC to its safe voltage, then switch it on if it was off.
+        """Bring the DAC to its safe voltage, then switch it on if it was off.
 
         Raises
         ------
@@ -384,7 +384,7 @@ class IioDriver(Driver):
             self._claimed = None
 
     def close(self) -> None:
-        """Let go of the devices."""
+        """Release the devices."""
         self._let_go()
 
 

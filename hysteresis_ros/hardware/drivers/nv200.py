@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The piezo amplifier NV200/D NET of piezosystem jena, through the makers' package ``nv200``.
+"""The piezo amplifier NV200/D NET of piezosystem jena, through the manufacturer's package ``nv200``.
 
-That package is asynchronous: a loop of its own runs in a thread, and each call waits for what it asks there.
+That package is asynchronous: its event loop runs in a thread, and each call waits for its result.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from hysteresis_ros.hardware.driver import (
 )
 from hysteresis_ros.registry import later
 
-#: Metres of a unit of the sensor; both signs that are written for micro.
+#: Metres per unit of the sensor, with both characters in use for micro.
 UNITS = {"µm": 1.0e-6, "μm": 1.0e-6, "um": 1.0e-6, "nm": 1.0e-9, "mm": 1.0e-3}
-#: Bits of the status register and what they say, when they are set.
+#: Bits of the status register and their meanings when set.
 CONNECTED, CLOSED = 1 << 0, 1 << 3
 FAULTS = {1 << 10: "it is too hot", 1 << 11: "the actuator has an error", 1 << 12: "its hardware has an error"}
-#: Time in which it is connected [s].
+#: Time-out of the connection [s].
 CONNECTING = 10.0
 
 
 @dataclass(frozen=True)
 class Nv200Parameters(Parameters):
-    """Where the amplifier is."""
+    """Address and settings of the amplifier."""
 
     host: str = parameter("", description="name or address of the amplifier; '': it is at serial_port", read_only=True)
     port: int = parameter(23, description="its TCP port", low=1, high=65535, read_only=True)
@@ -82,7 +82,7 @@ class Nv200Parameters(Parameters):
 
 
 class Nv200Driver(Driver):
-    """One amplifier in open loop; one that has failed is taken anew when it is read again."""
+    """One amplifier in open loop; after a failure, the next reading connects again."""
 
     _given: Nv200Parameters
     _loop: asyncio.AbstractEventLoop | None = None
@@ -90,7 +90,7 @@ class Nv200Driver(Driver):
     _claimed: int | None = None
 
     def open(self, parameters: Nv200Parameters, sample_rate: float) -> Capabilities:
-        """Connect, look whether it is the right one, bring it to its safe state and try how fast it is.
+        """Connect, check the amplifier, bring it to its safe state and measure the highest rate.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            It cannot be reached, is another one, in error, or has no sensor or other units.
+            It cannot be reached, is the wrong one, in error, or has no sensor or other units.
         """
         self._given = parameters
         self._name = f"NV200 at {f'{parameters.host}:{parameters.port}' if parameters.host else parameters.serial_port}"
@@ -112,10 +112,10 @@ class Nv200Driver(Driver):
         low, high = self._range
         return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
 
-    # -- the makers' package -------------------------------------------------------------------------------------
+    # -- the manufacturer's package ------------------------------------------------------------------------------
 
     def _wait(self, what: str, work: Callable[[], Coroutine], timeout: float | None = None) -> Any:
-        """Return what something asynchronous gives."""
+        """Return the result of a coroutine."""
         if self._loop is None:
             self._loop = asyncio.new_event_loop()
             threading.Thread(target=self._loop.run_forever, name="nv200", daemon=True).start()
@@ -124,18 +124,18 @@ class Nv200Driver(Driver):
             return asyncio.run_coroutine_threadsafe(limited, self._loop).result()
         except TimeoutError as error:
             raise self._failed(f"does not answer when it {what}") from error
-        except Exception as error:  # whatever the package raises
+        except Exception as error:  # the package raises any type
             raise self._failed(f"fails when it {what} ({type(error).__name__}: {error})") from error
 
     def _failed(self, problem: str) -> DriverError:
         self._hang_up()
-        return DriverError(self._name, problem, "look at amplifier, cable and other programs that use it")
+        return DriverError(self._name, problem, "check amplifier, cable and other programs that use it")
 
     def _hang_up(self) -> None:
         if self._device is not None and self._loop is not None:
             device, self._device = self._device, None
             closing = asyncio.run_coroutine_threadsafe(device.close(), self._loop)
-            with contextlib.suppress(Exception):  # there is nobody left who could do anything about it
+            with contextlib.suppress(Exception):  # nothing can handle the error any more
                 closing.result(self._given.timeout)
         if self._claimed is not None:
             os.close(self._claimed)
@@ -144,7 +144,7 @@ class Nv200Driver(Driver):
     # -- taking the amplifier ------------------------------------------------------------------------------------
 
     def _taken(self) -> Any:
-        """Return the device, which is connected and brought to its safe state when it is not."""
+        """Return the device; connect it and bring it to its safe state if necessary."""
         if self._device is None:
             given = self._given
             if given.serial_port:
@@ -168,11 +168,11 @@ class Nv200Driver(Driver):
         given = self._given
         link = TelnetProtocol(given.host, given.port) if given.host else SerialProtocol(given.serial_port)
         device = NV200Device(link)
-        device.CMD_CACHE_ENABLED = False  # what is asked is asked of the device
+        device.CMD_CACHE_ENABLED = False  # read from the device, not from a cache
         return device
 
     def _suits(self, device: Any) -> None:
-        """Refuse a device that is not what the axis needs."""
+        """Refuse a device that does not suit the axis."""
         given = self._given
         actuator = self._wait("says its actuator", device.get_actuator_name)
         if given.actuator.lower() not in actuator.lower():
@@ -191,33 +191,33 @@ class Nv200Driver(Driver):
             raise DriverError(self._name, problem, "give one within it")
 
     def _check(self) -> None:
-        """Refuse a device that is in error, or not as this driver left it."""
+        """Refuse a device that is in error, or whose settings were changed."""
         status = self._wait("says its status", lambda: self._device.read_int_value("stat"))
         found = [text for bit, text in FAULTS.items() if status & bit]
         found += [] if status & CONNECTED else ["no actuator is connected"]
-        found += ["somebody else has closed its loop"] if status & CLOSED else []
+        found += ["another program has closed its loop"] if status & CLOSED else []
         if found:
             self._hang_up()
-            raise DriverError(self._name, f"is not ready: {', '.join(found)}", "mend that, then start again")
+            raise DriverError(self._name, f"is not ready: {', '.join(found)}", "correct this, then start again")
         self._checked = time.monotonic()
 
     # -- samples -------------------------------------------------------------------------------------------------
 
     def _put_out(self, voltage: float) -> None:
         answer = self._wait("is written", lambda: self._device.write(f"set,{voltage:.3f}"))
-        if answer is None:  # the package passes over it
+        if answer is None:  # the package ignores it
             raise self._failed("does not answer when it is written")
 
     def _measure(self) -> float:
         return self._unit * self._wait("measures", self._device.get_current_position)
 
     def read(self) -> Reading:
-        """Ask for the position, and now and then for the status.
+        """Read the position, and at intervals the status.
 
         Raises
         ------
         DriverError
-            It does not answer, has an error, or somebody else has closed its loop.
+            It does not answer, has an error, or another program has closed its loop.
         """
         self._taken()
         if time.monotonic() - self._checked >= self._given.check_period:
@@ -243,7 +243,7 @@ class Nv200Driver(Driver):
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Open its loop, let it listen to nothing else, and go to the safe voltage.
+        """Open its loop, select the setpoint from this connection only, and go to the safe voltage.
 
         Raises
         ------
@@ -263,7 +263,7 @@ class Nv200Driver(Driver):
         ramp(self._put_out, now, given.safe_voltage, given.safe_time)
 
     def close(self) -> None:
-        """Hang up and end the thread."""
+        """Disconnect and end the thread."""
         self._hang_up()
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._loop.stop)
@@ -272,7 +272,7 @@ class Nv200Driver(Driver):
 
 DRIVER = HardwareDriver(
     name="nv200",
-    title="the piezo amplifier NV200/D NET of piezosystem jena, through the makers' package",
+    title="the piezo amplifier NV200/D NET of piezosystem jena, through the manufacturer's package",
     parameters=Nv200Parameters,
     driver=Nv200Driver,
     emulator=later("hysteresis_ros.laboratory.emulation.nv200:emulator"),

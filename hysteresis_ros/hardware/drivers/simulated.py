@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The simulated actuator behind the door of the drivers, with the parameters of ``plant_simulator``.
+"""The simulated actuator as a driver, with the parameters of ``plant_simulator``.
 
-It is the model that stands there without a driver, too: what can be tried on it holds for any driver.
+It is the same model as the plant without a driver; it serves to test everything that holds for any driver.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class SimulatedDriver(Driver):
     """An actuator that moves by one sample at each :meth:`write`."""
 
     def open(self, parameters: ActuatorParameters, sample_rate: float) -> Capabilities:
-        """Make the actuator, at rest.
+        """Create the actuator at rest.
 
         Parameters
         ----------
@@ -35,7 +35,7 @@ class SimulatedDriver(Driver):
             [Hz]
         """
         self._actuator = Actuator(parameters, 1.0 / sample_rate)
-        self._actuator.advance(self._actuator.measure())  # what is called is compiled now, not at the first sample
+        self._actuator.advance(self._actuator.measure())  # compile now, not at the first sample
         self._actuator.reset()
         self._rest = self._actuator.voltage
         limits = parameters.limits
@@ -58,16 +58,16 @@ class SimulatedDriver(Driver):
         self._actuator.advance(voltages[0])
 
     def make_safe(self) -> None:
-        """Put out the voltage at which the actuator began."""
+        """Output the initial voltage."""
         self._actuator.advance(self._rest)
 
     def close(self) -> None:
-        """Nothing has to be let go."""
+        """Do nothing: there is nothing to release."""
 
 
 @contextlib.contextmanager
 def emulator() -> Iterator[ActuatorParameters]:
-    """Give the parameters of an actuator of 0.1 µm/V; it needs nothing outside."""
+    """Give the parameters of an actuator of 0.1 µm/V; it needs no external device."""
     limits = {"limits.minimum": -30.0, "limits.maximum": 120.0}
     yield ActuatorParameters.from_mapping(
         {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 1.0e-7, **limits}
@@ -76,7 +76,7 @@ def emulator() -> Iterator[ActuatorParameters]:
 
 DRIVER = HardwareDriver(
     name="simulated",
-    title="the simulated actuator, behind the door of the drivers",
+    title="the simulated actuator as a driver",
     parameters=ActuatorParameters,
     driver=SimulatedDriver,
     emulator=emulator,

@@ -88,7 +88,7 @@ class Yield:
 
 
 def parse_bound(text: str) -> Bound:
-    """Return a bound in words: ``rms_error_m=10nm`` at most, ``stroke_m=9um:11um`` between, ``stroke_m=9um:`` at least."""
+    """Return a bound as text: ``rms_error_m=10nm`` at most, ``stroke_m=9um:11um`` range, ``stroke_m=9um:`` at least."""
     name, mark, words = text.partition("=")
     (metric,) = require_metrics([name.strip()])
     low, colon, high = words.rpartition(":")

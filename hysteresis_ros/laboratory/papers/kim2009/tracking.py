@@ -448,7 +448,7 @@ CONDITIONS = (
 
 
 def condition_claims(configuration: Configuration) -> list[Claim]:
-    """Return three rows a condition: settling and what is finally left under the paper's law, and with the estimator."""
+    """Return three rows per condition: settling and final error under the paper's law, and with the estimator."""
     rows = []
     for condition in CONDITIONS:
         axes = condition.changes(configuration)
