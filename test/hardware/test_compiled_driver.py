@@ -131,7 +131,7 @@ def test_machine_code_and_python_drive_it_alike(library):
         ("fail_read=51", "cannot be read: liblisted.so: lost its sensor; plug it in"),
         ("fail_write=51", "cannot be written: liblisted.so: lost its amplifier; plug it in"),
         ("nonsense=51", "cannot be read: .*: returns a position that is not a number; check the sensor"),
-        ("nonsense=52", "cannot be read: .*: answers a position that is no number"),
+        ("nonsense=52", "cannot be read: .*: returns a position that is not a number"),
     ],
 )
 def test_one_that_fails_is_made_safe_in_that_sample_and_left_alone_until_start(library, kind, option, said):
