@@ -31,7 +31,7 @@ import yaml
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean, shortened
 from hysteresis_ros.files import BoundsError, read_text, read_yaml
 
-#: Types a ROS 2 parameter can have and the words users know them by.
+#: Types of a ROS 2 parameter and their names for users.
 TYPE_NAMES = {
     float: "double",
     int: "integer",
@@ -42,7 +42,7 @@ TYPE_NAMES = {
 }
 
 
-#: Most elements of an array, and characters of a text.
+#: Maximum number of elements of an array, and of characters of a text.
 MOST_ITEMS, LONGEST_TEXT = 100_000, 4096
 
 #: Types whose values are tuples.
@@ -68,11 +68,11 @@ class ParameterRow:
 
     @property
     def type_name(self) -> str:
-        """Name of the type as ROS 2 users know it."""
+        """Name of the type in ROS 2."""
         return TYPE_NAMES[self.type]
 
     def allowed(self) -> str:
-        """What may be given, in words, for error messages and documentation."""
+        """Return the allowed values as a text, for error messages and documentation."""
         unit = f" {self.unit}" if self.unit else ""
         text = self.type_name
         if self.choices:
@@ -91,11 +91,11 @@ class ParameterRow:
     def convert(self, value):
         """Return ``value`` in this row's type, or raise ParameterError naming the parameter and what is allowed.
 
-        Whole numbers are accepted where a double is wanted (``0`` for ``0.0``); nothing else is converted.
+        Integers are accepted where a double is required (``0`` for ``0.0``); nothing else is converted.
         """
         try:
             converted = _convert(self.type, value)
-        except (TypeError, OverflowError):  # a whole number may have any size, a double not
+        except (TypeError, OverflowError):  # an integer may be too large for a double
             raise ParameterError([Problem(self.name, value, f"wrong type, allowed: {self.allowed()}")]) from None
         items = converted if isinstance(converted, tuple) else (converted,)
         longest = max((len(item) for item in items if isinstance(item, str)), default=0)
@@ -164,9 +164,9 @@ def group(cls, *, variant_of: str | None = None) -> Any:
 
 
 def variants(chooser: str, choices: dict[str, type]):
-    """Return a class decorator that nests one group for each name that the parameter ``chooser`` may have.
+    """Return a class decorator that nests one group for each allowed value of the parameter ``chooser``.
 
-    It stands under ``@dataclass(frozen=True)``. So the groups of a class can come from a registry.
+    Write it under ``@dataclass(frozen=True)``. With it the groups of a class can come from a registry.
     """
 
     def add(cls):
@@ -178,7 +178,7 @@ def variants(chooser: str, choices: dict[str, type]):
     return add
 
 
-#: Annotations are strings here, and evaluating them at every look-up is slow.
+#: Cache of evaluated annotations: they are strings, and evaluating them at every look-up is slow.
 _type_hints: Callable[[type], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints)
 
 
@@ -248,7 +248,7 @@ class Parameters:
     def with_values(self, values, prefix: str = ""):
         """Return the parameters with some values changed, as :meth:`from_mapping` builds and checks them.
 
-        What is not changed is not converted once more, which makes this ten times as quick.
+        Unchanged values are not converted again, which makes this ten times as fast.
         """
         result = self._changed(values)
         problems = result.problems(prefix)
@@ -267,7 +267,7 @@ class Parameters:
         return replace(self, **given)
 
     def problems(self, prefix: str = "") -> list[Problem]:
-        """Return everything that is missing or inconsistent, with full names; empty when all is well."""
+        """Return everything that is missing or inconsistent, with full names; empty when there is no problem."""
         if self.__dict__.get("_is_valid"):
             return []
         found = []
@@ -286,11 +286,11 @@ class Parameters:
         return found
 
     def check(self):
-        """Yield a Problem for every inconsistency between several parameters; overridden where there are any."""
+        """Yield a Problem for every inconsistency between parameters; overridden by classes that have such rules."""
         return ()
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence for each doubt about parameters that are allowed, of the groups in use too."""
+        """Return one sentence per warning about allowed parameters, including the groups in use."""
         found = []
         for item in fields(self):
             chooser = item.metadata.get("variant_of")
@@ -299,7 +299,7 @@ class Parameters:
         return tuple(found)
 
     def validated(self, prefix: str = ""):
-        """Return self, or raise ParameterError with all problems. For parameters that are built in Python."""
+        """Return self, or raise ParameterError with all problems; for parameters that are built in Python."""
         if self.__dict__.get("_is_valid"):
             return self
         problems = self._unfit(prefix) or self.problems(prefix)
@@ -308,10 +308,10 @@ class Parameters:
         return self._valid()
 
     def _valid(self):
-        """Return self, of which all is known to be well.
+        """Return self, marked as free of problems.
 
-        Nothing in it can change: what was found once is kept, for changes that may take no time. What of its groups is
-        not in use has not been looked at.
+        The object is immutable, so the result is kept, for parameter changes at run time. Groups that are not in use
+        have not been checked.
         """
         for item in fields(self):
             chooser = item.metadata.get("variant_of")
@@ -349,25 +349,25 @@ class Parameters:
         return flat
 
 
-#: The nodes every axis has.
+#: Nodes of every axis.
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
-#: Nodes an axis may have besides.
+#: Optional nodes of an axis.
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 
 
 def node_names(inchworm: bool) -> tuple[str, ...]:
-    """Return the names of the nodes every axis has; an inchworm's sequencer stands for the reference generator."""
+    """Return the names of the nodes of an axis; the sequencer of an inchworm replaces the reference generator."""
     return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
 
 
 class _Loader(yaml.SafeLoader):
     """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``).
 
-    A key that stands twice in a mapping is refused: of two values one would be lost without a word.
+    A duplicate key in a mapping is refused, because one of its two values would be lost silently.
     """
 
     def construct_mapping(self, node, deep: bool = False) -> dict:
-        """Return the dictionary of a mapping whose keys are all different."""
+        """Return the dictionary of a mapping with unique keys."""
         lines: dict[str, int] = {}
         for key, _ in node.value:
             line = key.start_mark.line + 1
@@ -377,7 +377,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _RepeatedKeyError(Exception):
-    """A mapping has a key twice: its name and the lines."""
+    """A mapping has a duplicate key: its name and both lines."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -405,7 +405,7 @@ class Configuration:
     text : str
         The file as it was read.
     source : str
-        Where it came from, for messages.
+        Origin of the text, for messages.
     """
 
     entries: tuple[tuple[str, dict], ...]
@@ -413,7 +413,7 @@ class Configuration:
     source: str
 
     def node(self, name: str, namespace: str = "") -> dict:
-        """Return the flat parameters of one node; of several matching entries the later one wins, as in ROS."""
+        """Return the flat parameters of one node; the last matching entry wins, as in ROS."""
         full = f"{normalised_namespace(namespace)}/{name}"
         merged: dict = {}
         for pattern, values in self.entries:
@@ -422,7 +422,7 @@ class Configuration:
         return merged
 
     def describes(self, name: str, namespace: str = "") -> bool:
-        """Tell whether the file has a section of the node called ``name`` itself, not only one for every node."""
+        """Return whether the file has a section for the node ``name`` itself, not only one for every node."""
         full = f"{normalised_namespace(namespace)}/{name}"
         return any(pattern.rsplit("/", 1)[-1] == name and matches(pattern, full) for pattern, _ in self.entries)
 
@@ -436,7 +436,7 @@ class Configuration:
         return replace(self, entries=(*self.entries, (pattern, flat)))
 
     def under(self, *others: Configuration) -> Configuration:
-        """Return this configuration with others laid over it: what stands in a later one wins."""
+        """Return this configuration overlaid by others; the value of a later one wins."""
         return replace(self, entries=(*self.entries, *(entry for other in others for entry in other.entries)))
 
     def namespaces(self) -> tuple[str, ...]:
@@ -459,7 +459,7 @@ def normalised_namespace(namespace: str) -> str:
 
 
 def matches(pattern: str, full_name: str) -> bool:
-    """Tell whether a node's full name fits a pattern: ``**`` stands for any tokens, ``*`` for one."""
+    """Return whether a node's full name matches a pattern: ``**`` matches any tokens, ``*`` one."""
     if not pattern.startswith("/"):
         pattern = "/" + pattern
     expression = ""
@@ -472,7 +472,7 @@ def matches(pattern: str, full_name: str) -> bool:
 
 
 def parse_value(text: str):
-    """Return a value of a parameter from its text, read as in a file; what is no YAML stays a text."""
+    """Return a parameter value from its text, read as in a file; text that is not YAML is returned as it is."""
     try:
         return read_yaml(text, _Loader)
     except (BoundsError, _RepeatedKeyError):
@@ -488,11 +488,11 @@ def parse_configuration(text: str, source: str) -> Configuration:
     except _RepeatedKeyError as error:
         key, first, second = error.args
         raise ConfigurationError(
-            f"{source}: line {second}: '{key}' stands in line {first} already; keep one of them"
+            f"{source}: line {second}: '{key}' is already in line {first}; keep one of them"
         ) from None
     if not isinstance(document, dict):
         raise ConfigurationError(
-            f"{source}: empty, or no ROS 2 parameter file (node names at the top level are missing)"
+            f"{source}: empty, or not a ROS 2 parameter file (node names at the top level are missing)"
         )
     entries: list[tuple[str, dict]] = []
     for name, content in document.items():
@@ -507,7 +507,7 @@ def parse_configuration(text: str, source: str) -> Configuration:
 
 
 def _refuse_misspelled(name: str, source: str) -> None:
-    """A section of a node that nobody has is passed over, as in ROS; one that is nearly a node's name is a mistake."""
+    """Ignore the section of an unknown node, as ROS does, but refuse a name that is almost that of a node."""
     known = NODE_NAMES + OPTIONAL_NODE_NAMES
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     if close and name not in known:
@@ -535,14 +535,14 @@ def _flatten(mapping: dict, source: str, prefix: str = "") -> dict:
         twice = sorted(flat.keys() & found.keys())
         if twice:
             raise ConfigurationError(
-                f"{source}: '{twice[0]}' stands twice in one section, nested and with dots; keep one of them"
+                f"{source}: '{twice[0]}' is twice in one section, nested and with dots; keep one of them"
             )
         flat.update(found)
     return flat
 
 
 def shipped_configurations() -> dict[str, pathlib.Path]:
-    """Return the parameter files that come with the package by their names, such as ``kim2009``."""
+    """Return the parameter files of the package by name, such as ``kim2009``."""
     package = pathlib.Path(__file__).resolve().parent
     folders = [package.parent / "config"]
     prefixes = [*package.parents, *map(pathlib.Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
@@ -553,7 +553,7 @@ def shipped_configurations() -> dict[str, pathlib.Path]:
 
 
 def config_path(name: str) -> pathlib.Path:
-    """Return the parameter file of that name, such as ``kim2009``, which comes with the package."""
+    """Return the parameter file of the package with this name, such as ``kim2009``."""
     found = shipped_configurations()
     if name not in found:
         near = did_you_mean(name, found)
@@ -566,7 +566,7 @@ def config_path(name: str) -> pathlib.Path:
 def load_configuration(path) -> Configuration:
     """Read a ROS 2 parameter file: a path, or the bare name of a file that comes with the package (``kim2009``).
 
-    A ``driver`` that is a relative path may lead from the folder of the file; nodes get it as a whole path.
+    A ``driver`` may be a path relative to the folder of the file; nodes get the absolute path.
     """
     path = pathlib.Path(path)
     if not path.exists() and path.name == path.stem == str(path):
@@ -582,17 +582,17 @@ def load_configuration(path) -> Configuration:
 
 
 def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple[str, dict]:
-    """Return an entry whose driver, where it is a relative path that leads from the file to one, has a whole path."""
+    """Return an entry with the absolute path of its driver, where that is a path relative to the file."""
     name = values.get("driver")
     beside = path.absolute().parent / name if isinstance(name, str) and "/" in name else None
     return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML that both parsers read as the same numbers: every double keeps its point, and nothing is aliased."""
+    """YAML that both parsers read as the same numbers: every double has a decimal point, and aliases are not used."""
 
     def ignore_aliases(self, data) -> bool:
-        """Write every value out, also one that stands in several places: ROS reads no aliases."""
+        """Write every value out, because ROS does not read aliases."""
         return True
 
 

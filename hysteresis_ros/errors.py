@@ -15,14 +15,14 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-#: Most characters of a value in a message, and of a message.
+#: Maximum length of a value in a message, and of a message [characters].
 LONGEST, LONGEST_MESSAGE = 300, 4000
 
 
 class HysteresisError(ValueError):
     """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2.
 
-    What stands in a file may stand in a message, so that is made one line which a terminal shows as it is.
+    A message may quote the content of a file; it is reduced to one printable line.
     """
 
     def __str__(self) -> str:
@@ -39,7 +39,7 @@ class Problem:
     """One thing wrong with one parameter."""
 
     name: str  #: Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
-    value: object  #: What was given.
+    value: object  #: Given value.
     allowed: str  #: What is allowed, and what to do.
 
     def __str__(self) -> str:
@@ -47,10 +47,10 @@ class Problem:
 
 
 def shortened(value: object) -> str:
-    """Return how a value is written, in its middle left out what no message has room for."""
+    """Return the repr of a value, with its middle left out when it is longer than :data:`LONGEST` characters."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes no whole number of more than some thousand digits
+    except ValueError:  # Python does not convert an integer of several thousand digits
         text = f"a {type(value).__name__} too large to be written"
     half = LONGEST // 2
     return text if len(text) <= LONGEST else f"{text[:half]} … ({len(text)} characters) … {text[-half:]}"
@@ -69,7 +69,7 @@ class ConfigurationError(HysteresisError):
 
 
 class RecordingError(HysteresisError):
-    """A recording is missing, unreadable or lacks the signals that were asked for."""
+    """A recording is missing, unreadable or lacks the requested signals."""
 
 
 class IdentificationError(HysteresisError):
@@ -85,10 +85,10 @@ class MissingExtraError(HysteresisError):
 
 
 class LoopError(HysteresisError):
-    """The thread that makes the samples has failed, or its device does not return: nothing can be changed."""
+    """The thread that runs the loop has failed, or its device does not return: nothing can be changed."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message, ``; did you mean …?`` with the nearest of the known names; empty when none is near."""
+    """Return the end of a message, ``; did you mean …?`` with the nearest known name; empty when none is similar."""
     close = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {close[0]}?" if close else ""

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Jobs shared by the processes of this machine, or by the workers of a Dask cluster.
+"""Run jobs in parallel: in processes of this machine, or on the workers of a Dask cluster.
 
-Results come as they end, each with the number of its job, so that nothing depends on who did what when. Processes
-end with the one that started them. A worker of a cluster that is lost has its jobs done by another one; where none
-is left, or the scheduler is gone, an error says so.
+Each result arrives when its job ends, with the number of the job, so that no result depends on the order of execution.
+A process exits when the process that started it exits. Jobs of a lost worker are repeated by another worker; an error
+is raised when no worker is left or the scheduler is gone.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from typing import Any, NamedTuple
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Jobs that wait at each process, so that none is idle while a result is looked at.
+#: Jobs queued for each process, so that no process is idle while a result is handled.
 AHEAD = 2
-#: How often the executor is looked at while nothing comes [s].
+#: Interval at which the executor is checked while no result arrives [s].
 LOOK = 1.0
 
 
 class Job(NamedTuple):
-    """A function of a module, and what it is called with; all of it can be pickled."""
+    """A function of a module and its arguments; all of it can be pickled."""
 
     function: Callable
     arguments: tuple
 
     def outcome(self) -> tuple[Any, str]:
-        """Return its result, and what was wrong with its input in words, which every process can hand on."""
+        """Return the result, and the error message of wrong input as a text, which can be pickled."""
         try:
             return self.function(*self.arguments), ""
         except HysteresisError as error:
@@ -56,21 +56,21 @@ class Job(NamedTuple):
 
 
 class Executor(ABC):
-    """Who does jobs."""
+    """Base of the executors of jobs."""
 
     def __init__(self, workers: int):
         self.workers = workers
 
     @abstractmethod
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it: its outcome."""
+        """Start a job and return the future of its outcome."""
 
     @abstractmethod
     def result(self, future: Future) -> tuple[Any, str]:
         """Return the outcome of a job that has ended."""
 
     def require_alive(self) -> None:  # noqa: B027
-        """Refuse to wait for nobody; who is no process of others is always there."""
+        """Raise an error when no worker is left; overridden by executors that can lose workers."""
 
     def results(self, jobs: Iterable[Job]) -> Iterator[tuple[int, Any]]:
         """Yield number and result of each job as it ends."""
@@ -90,13 +90,13 @@ class Executor(ABC):
 
 
 class InProcess(Executor):
-    """Nobody but this process."""
+    """Run all jobs in this process."""
 
     def __init__(self):
         super().__init__(1)
 
     def submit(self, job: Job) -> Future:
-        """Do a job at once."""
+        """Run a job at once."""
         future: Future = Future()
         future.set_result(job.outcome())
         return future
@@ -111,7 +111,7 @@ class InProcess(Executor):
             yield number, job.function(*job.arguments)
 
 
-#: How many threads multiply matrices: processes with several each would be in each other's way.
+#: Environment variables for the threads of linear algebra: one per process, because the processes share the cores.
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -124,7 +124,7 @@ class Processes(Executor):
         self.pool = ProcessPoolExecutor(workers, context, initializer=_begin)
 
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it."""
+        """Start a job and return its future."""
         try:
             return self.pool.submit(job.outcome)
         except BrokenProcessPool:
@@ -140,7 +140,7 @@ class Processes(Executor):
 
 @contextlib.contextmanager
 def processes(workers: int) -> Iterator[Processes]:
-    """Have processes as long as the block runs; what they still do at its end is broken off."""
+    """Provide processes while the block runs; jobs that still run at its end are cancelled."""
     before = set(multiprocessing.active_children())
     found = Processes(workers)
     try:
@@ -152,7 +152,7 @@ def processes(workers: int) -> Iterator[Processes]:
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
             process.join()
-        # what waits for them has nothing to wait for now; it holds semaphores, which somebody would miss
+        # the thread that waits for the processes has nothing left to wait for, and holds semaphores
         found.pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -162,13 +162,13 @@ def _ended() -> HysteresisError:
 
 @contextlib.contextmanager
 def _alone() -> Iterator[None]:
-    """Let processes that are started meanwhile not hear an interrupt, and compute with one thread each.
+    """Start processes in the block that ignore interrupts and compute with one thread each.
 
-    They do not run the script of somebody who uses this package either, which need not be written for that.
+    They do not run the user's main script, which need not be protected by ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
-    mine = threading.current_thread() is threading.main_thread()  # only that one may
-    # an interrupt is for the one that started them
+    mine = threading.current_thread() is threading.main_thread()  # only the main thread may set signal handlers
+    # the process that started this one handles interrupts
     before = signal.signal(signal.SIGINT, signal.SIG_IGN) if mine else None
     given = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
@@ -186,7 +186,7 @@ def _alone() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Let a process end with the one that started it, however that ends, and leave interrupts to it."""
+    """Make this process exit when the process that started it exits, and leave interrupts to that process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     starter = multiprocessing.parent_process()
     if starter is not None:
@@ -198,9 +198,9 @@ def _follow(sentinel: int) -> None:
     os._exit(1)
 
 
-#: How long a scheduler may take to answer [s], and to have a worker again.
+#: Time-out for an answer of the scheduler, and for a new worker after the last one is lost [s].
 CONNECT, PATIENCE = 10.0, 60.0
-#: Workers that may be lost under one job before it is taken for what ends them.
+#: Workers that one job may lose before the job is treated as the cause.
 LOSSES = 10
 EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'
 
@@ -218,7 +218,7 @@ class Cluster(Executor):
         self.pool = client.get_executor(pure=False, retries=LOSSES)
 
     def _threads(self) -> int:
-        """Return how many jobs the cluster does at the same time."""
+        """Return how many jobs the cluster runs at the same time."""
         try:
             return sum(self.client.nthreads().values())
         except (OSError, TimeoutError):
@@ -228,7 +228,7 @@ class Cluster(Executor):
         return HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again, and repeat")
 
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it."""
+        """Start a job and return its future."""
         return self.pool.submit(job.outcome)
 
     def result(self, future: Future) -> tuple[object, str]:
@@ -237,14 +237,14 @@ class Cluster(Executor):
             return future.result()
         except CancelledError:
             raise self._gone() from None
-        except Exception as error:  # whatever the other machine lacks
+        except Exception as error:  # the other machine may lack any package or file
             raise HysteresisError(
                 f"--scheduler {self.address}: a worker could not do its work: {type(error).__name__}: {error}; all of "
                 "them need this version of the package"
             ) from None
 
     def require_alive(self) -> None:
-        """Refuse to wait for nobody."""
+        """Raise an error when no worker has been there for ``PATIENCE``."""
         if self.client.status not in ("running", "connecting"):
             raise self._gone()
         if self.client.status == "running" and self._threads():
@@ -258,20 +258,20 @@ class Cluster(Executor):
 
 @contextlib.contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Have the workers of a scheduler, as long as the block runs."""
+    """Provide the workers of a scheduler while the block runs."""
     try:
         from distributed import Client
     except ImportError:
         raise HysteresisError(f"--scheduler {EXTRA}") from None
 
     class Connected(Client):
-        """A client that, where nobody has answered, goes without waiting for nobody once more."""
+        """A client that closes at once when the scheduler has not answered."""
 
         def __del__(self):
             pass
 
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is said in words of our own
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # this module reports the error itself
     try:
         client = Connected(address, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -285,7 +285,7 @@ def cluster(address: str) -> Iterator[Cluster]:
         client.close(timeout=CONNECT)
 
 
-#: Work that takes less than this in one process is not shared: others take a second or two to start [s].
+#: Work shorter than this is not shared, because further processes take one or two seconds to start [s].
 WORTH = 10.0
 
 
@@ -302,7 +302,7 @@ def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> l
 def executor(
     workers: int | None = None, scheduler: str | None = None, *, jobs: int | None = None
 ) -> Iterator[Executor]:
-    """Have somebody who does jobs, as long as the block runs."""
+    """Provide an executor of jobs while the block runs."""
     if scheduler is not None:
         with cluster(scheduler) as found:
             yield found

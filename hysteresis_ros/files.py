@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files: written whole or not at all, read within bounds, archives of plain numbers and texts only.
+"""Read and write files safely: writes are atomic, reads are bounded, archives hold numbers and texts only.
 
-The head of an array is believed only as far as there is content behind it, and an archive only as far as one that holds
-measurements can be packed: files that lie about their size cost no memory.
+The header of an array is checked against the size of its content, and the unpacked size of an archive against the
+compression ratio of measured data: a file with a wrong size does not exhaust the memory.
 
-YAML is read by safe loaders only, which make plain values and nothing else. Aliases are refused, since a file of a
-kilobyte can stand for gigabytes by them, and the parser of ROS 2 reads none either.
+YAML is read by safe loaders only, which create plain values and nothing else. Aliases are refused: with them a file of
+one kilobyte can expand to gigabytes, and the parser of ROS 2 does not support them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ REMEDY = "choose another place"
 
 @contextlib.contextmanager
 def replacing(path, error: type[HysteresisError], remedy: str = REMEDY) -> Iterator[pathlib.Path]:
-    """Yield the name of a file beside another one, whose place it takes when the block has ended without an error."""
+    """Yield the path of a temporary file that replaces ``path`` when the block ends without an error."""
     path = pathlib.Path(path)
     beside = path.with_name(f".{path.name}.partial")
     try:
@@ -53,23 +53,23 @@ def replacing(path, error: type[HysteresisError], remedy: str = REMEDY) -> Itera
 
 
 def write_text(path, text: str, error: type[HysteresisError]) -> None:
-    """Write a text in UTF-8, whole or not at all."""
+    """Write a text in UTF-8, atomically."""
     with replacing(path, error) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
-#: What an archive may unpack to in any case [bytes], and else in parts of its own size.
+#: An archive may unpack to this size in any case [bytes], and otherwise to this multiple of its own size.
 SMALL, RATIO = 1 << 26, 100
-#: Kinds of numbers and texts.
+#: NumPy kinds of numbers and texts.
 KINDS = "biufcUS"
 
 
 class ArchiveError(ValueError):
-    """A file is no archive of arrays; the message does not name the file."""
+    """A file is not an archive of arrays; the message does not name the file."""
 
 
 class Head:
-    """What an array says of itself: its shape and type."""
+    """Header of a stored array: its shape and type."""
 
     def __init__(self, stream: IO[bytes]):
         version = np.lib.format.read_magic(stream)
@@ -78,11 +78,11 @@ class Head:
 
     @property
     def length(self) -> int | None:
-        """Length of a vector of real numbers, None of anything else."""
+        """Length of a vector of real numbers; None for anything else."""
         return self.shape[0] if len(self.shape) == 1 and self.dtype.kind in "fiu" else None
 
     def require(self, size: int) -> None:
-        """Refuse what is not within a content of ``size`` bytes, or no plain numbers or texts."""
+        """Refuse an array larger than its content of ``size`` bytes, or of other types than numbers and texts."""
         if self.dtype.kind not in KINDS:
             raise ArchiveError(f"holds an array of {self.dtype}, which is not read: neither numbers nor texts")
         count = math.prod(self.shape)
@@ -104,7 +104,7 @@ def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict
 
 
 def read_heads(path) -> dict[str, Head]:
-    """Return the heads of the arrays of an NPZ file by their names; nothing else of them is read."""
+    """Return the headers of the arrays of an NPZ file by name, without reading their content."""
     with _opened(path) as (file, members):
         found = {}
         for name, member in members.items():
@@ -123,7 +123,7 @@ def read_array(path) -> np.ndarray:
 
 @contextlib.contextmanager
 def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
-    """Open an archive; give it, and its members by the names of their arrays."""
+    """Open an archive; yield it and its members by array name."""
     with _named(), zipfile.ZipFile(path) as file:
         members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
         kinds = {member.compress_type for member in members.values()}
@@ -137,36 +137,36 @@ def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]
 
 @contextlib.contextmanager
 def _named() -> Iterator[None]:
-    """Let whatever damaged bytes lead to be an ArchiveError."""
+    """Convert any error that damaged bytes cause to an ArchiveError."""
     try:
         yield
     except (OSError, ArchiveError):
         raise
-    except Exception as error:  # zipfile, zlib, NumPy and Python's parser answer with whatever they stumble over
+    except Exception as error:  # zipfile, zlib, NumPy and Python's parser raise many types
         raise ArchiveError(f"is damaged, or no file of arrays ({error or type(error).__name__})") from None
 
 
 def _sound(array: np.ndarray) -> np.ndarray:
-    """Return an array of texts only when they are ones; what is none ends the process later, at a place of no use."""
+    """Return an array; refuse texts with invalid code points, which would end the process at a later use."""
     if array.dtype.kind == "U":
         points = np.ascontiguousarray(array).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
         if np.any((points > 0x10FFFF) | (points >> 11 == 0xD800 >> 11)):
-            raise ArchiveError("holds texts that are none")
+            raise ArchiveError("holds texts with invalid code points")
     return array
 
 
-#: Largest text [bytes], most values in one, and how deep they may lie in each other.
+#: Limits of a text: size [bytes], number of values, and nesting depth.
 LARGEST, MOST_VALUES, DEEPEST = 16 * 2**20, 50_000, 50
 
 #: libyaml where PyYAML was built with it: six times as fast.
 FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
-#: What constructors of YAML raise beside its own errors: for 2001-99-99, !!int x, a whole number of 5000 digits.
+#: Errors of YAML and of its constructors, e.g. for 2001-99-99, !!int x, an integer of 5000 digits.
 _UNFIT = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError)
 
 
 class BoundsError(HysteresisError):
-    """A text is too large, or no YAML or JSON, or holds more than is read; the message does not name the file."""
+    """A text is too large, holds too many values, or is not YAML or JSON; the message does not name the file."""
 
 
 def read_text(path) -> str:
@@ -179,7 +179,7 @@ def read_text(path) -> str:
 
 
 def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
-    """Return what a YAML text holds, as plain values."""
+    """Return the content of a YAML text as plain values."""
     if len(text) > LARGEST:
         raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
     try:
@@ -192,7 +192,7 @@ def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
 
 
 def read_json(text: str):
-    """Return what a JSON text holds, as plain values."""
+    """Return the content of a JSON text as plain values."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -200,7 +200,7 @@ def read_json(text: str):
 
 
 def _look_through(text: str, most: int) -> None:
-    """Refuse what would be more than it looks, before anything is made of it."""
+    """Refuse a text with aliases, too many values or too deep nesting, before any value is created."""
     values = depth = 0
     for event in yaml.parse(text, Loader=FAST_LOADER):
         if isinstance(event, yaml.AliasEvent):

@@ -7,16 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registries of what folders and other packages declare, and the classes for notebooks that are made from them.
+"""Registries of the declarations in folders and other packages, and the notebook classes generated from them.
 
-Every module (or folder) in such a folder declares one thing under one name, for instance ``MODEL``. A file put there is
-found; nothing else has to be told. Packages of others add theirs by an entry point of the registry's group.
+Every module (or folder) in such a folder declares one object under one name, for instance ``MODEL``. A file in the
+folder is found without further registration. Other packages add declarations by an entry point of the registry's group.
 
-``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks. Each is the
-block itself, with a constructor of its own; whatever a registry holds has one, without further code.
+``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks. Each class is
+the block itself with its own constructor; every entry of a registry has one without further code.
 
-A keyword is the last part of a parameter's dotted name where that is clear (``Kp`` of ``pid.Kp``), else as much of it
-as is needed, dots written as two underscores (``dynamics__sample_time``). The whole name is always accepted.
+A keyword is the last part of a parameter's dotted name where that is unique (``Kp`` of ``pid.Kp``), otherwise the
+shortest unique end of it, with dots written as two underscores (``dynamics__sample_time``). The full name is always
+accepted.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ from hysteresis_ros.errors import HysteresisError, ParameterError, did_you_mean
 
 
 class Named(Protocol):
-    """What every declaration has."""
+    """Attributes of every declaration."""
 
     @property
     def name(self) -> str:
-        """Name by which it is found."""
+        """Name of the declaration in the registry."""
         ...
 
 
@@ -51,7 +52,7 @@ Declaration = TypeVar("Declaration", bound=Named)
 
 
 def discover(package: str, attribute: str, kind: type[Declaration], group: str) -> dict[str, Declaration]:
-    """Return what the modules of a package and the entry points of a group declare, by name, in alphabetical order."""
+    """Return the declarations of a package's modules and of a group's entry points, by name, in alphabetical order."""
     found: dict[str, Declaration] = {}
     for item in pkgutil.iter_modules(sys.modules[package].__path__):
         if not item.name.startswith("_"):
@@ -61,7 +62,7 @@ def discover(package: str, attribute: str, kind: type[Declaration], group: str) 
 
 
 def added(found: dict[str, Declaration], kind: type[Declaration], group: str) -> dict[str, Declaration]:
-    """Return what is found and what the entry points of a group declare, by name, in alphabetical order."""
+    """Return the found declarations and those of a group's entry points, by name, in alphabetical order."""
     found = dict(found)
     for entry in _entry_points(tuple(sys.path)).select(group=group):
         try:
@@ -74,7 +75,7 @@ def added(found: dict[str, Declaration], kind: type[Declaration], group: str) ->
 
 @functools.lru_cache(maxsize=1)
 def _entry_points(path: tuple[str, ...]) -> Any:
-    """Return the entry points of all that is installed along ``path``, which is read once for all registries."""
+    """Return all entry points installed along ``path``, read once for all registries."""
     return importlib.metadata.entry_points()
 
 
@@ -87,16 +88,16 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 
 
 def resolved(path: str) -> Any:
-    """Return what a dotted path ``package.module:name`` names, importing its module.
+    """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    So a declaration names something of a folder that it may not import.
+    A declaration refers in this way to an object of a folder that it must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def later(path: str) -> Callable[..., Any]:
-    """Return a function that calls the one of a dotted path ``package.module:function``, imported only then."""
+    """Return a function that imports and calls ``package.module:function`` when it is called."""
 
     def call(*given: Any) -> Any:
         return resolved(path)(*given)
@@ -104,14 +105,14 @@ def later(path: str) -> Callable[..., Any]:
     return call
 
 
-#: Sample time of blocks that are made without one [s].
+#: Default sample time of a block [s].
 SAMPLE_TIME = 1e-3
-#: Keywords of the constructors that are no parameters.
+#: Keywords of the constructors that are not parameters.
 RESERVED = ("self", "parameters", "sample_time", "model", "type")
 
 
 class KeywordError(HysteresisError):
-    """A keyword names no parameter, or more than one."""
+    """A keyword matches no parameter, or more than one."""
 
 
 def class_name(name: str) -> str:
@@ -120,7 +121,7 @@ def class_name(name: str) -> str:
 
 
 def keywords_of(rows: Iterable[ParameterRow], own: tuple[str, ...] = ()) -> dict[str, ParameterRow]:
-    """Return the keyword of each parameter: the shortest end of its dotted name that no other one has."""
+    """Return the keyword of each parameter: the shortest unique end of its dotted name."""
     rows = list(rows)
     found = {}
     for row in rows:
@@ -138,7 +139,7 @@ def keywords_of(rows: Iterable[ParameterRow], own: tuple[str, ...] = ()) -> dict
 
 
 def plain(value: Any) -> Any:
-    """Return a value as parameters hold it: arrays row by row as tuples, numbers of NumPy as those of Python."""
+    """Return a value as parameters store it: arrays as flat tuples, NumPy numbers as Python numbers."""
     if isinstance(value, (str, bytes)):
         return value
     if isinstance(value, np.generic):
@@ -179,7 +180,7 @@ def samples(name: str, values: Any) -> np.ndarray:
 
 
 def missing(parameters: type[Parameters], fixed: Mapping[str, Any]) -> frozenset[str]:
-    """Return the dotted names of the parameters that must be given; those of a choice not made need not."""
+    """Return the dotted names of the required parameters, without those of variants that are not chosen."""
     try:
         parameters.from_mapping(fixed)
     except ParameterError as error:
@@ -199,7 +200,7 @@ def described(rows: Mapping[str, ParameterRow], required: frozenset[str]) -> str
     return "\n".join(entries)
 
 
-#: Types of parameters as Python calls them.
+#: Python names of the parameter types.
 _PYTHON_NAMES = {
     "double": "float",
     "integer": "int",
@@ -230,7 +231,7 @@ def signature_of(
 
 
 def law_of(block: type) -> str:
-    """Return the law of a block, for the docstring of a class: what the module says in which it is defined."""
+    """Return the law of a block for a class docstring: the docstring of the module that defines the block."""
     _, _, text = inspect.cleandoc(sys.modules[block.__module__].__doc__ or "").partition("\n\n")
     return f"\nNotes\n-----\n{text.strip()}\n" if text.strip() else ""
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The signals of an axis: one table of names, units and writers, from which everything else about them follows.
+"""The signals of an axis: one table of names, units and writers, from which all other lists are derived.
 
 A sample of an axis is a *row* of numbers, one for each signal, in the order of this table; the parts of the loop read
 and write it by the constants below. Columns of recordings, ``~/state`` messages, Float64 topics, reports and the
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 SOURCE, MOTOR_SOURCE = "reference_generator", "inchworm_sequencer"
 CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
-#: Who writes what people ask for.
+#: Writer of signals that the user requests.
 USER = "user"
 
 
@@ -29,14 +29,14 @@ class Signal:
     """One signal of an axis."""
 
     name: str  #: Column of recordings.
-    unit: str  #: SI unit; ``1`` for counts, codes and what is in a model's own units.
-    #: Node whose part of the loop writes it, or ``user``. What ``reference_generator`` writes, the
-    #: ``inchworm_sequencer`` of a motor writes instead.
+    unit: str  #: SI unit; ``1`` for counts, codes and values in a model's own units.
+    #: Node whose part of the loop writes it, or ``user``. On a motor's axis the ``inchworm_sequencer`` writes the
+    #: signals of ``reference_generator``.
     writer: str
-    description: str  #: What it is.
-    state: tuple[tuple[str, str], ...] = ()  #: Nodes in whose ``~/state`` it stands, and its name there.
+    description: str  #: Meaning, as a phrase.
+    state: tuple[tuple[str, str], ...] = ()  #: Nodes whose ``~/state`` contains it, and its name there.
     topic: str = ""  #: Float64 topic that carries it, if any.
-    motor: bool = False  #: Only an inchworm motor has it.
+    motor: bool = False  #: Whether only an inchworm motor has it.
 
 
 def _at(*nodes: str, name: str):
@@ -51,7 +51,7 @@ def _motor(name: str, unit: str, description: str, state: str = "") -> Signal:
     return Signal(name, unit, PLANT, description, _at(PLANT, name=state or name), motor=True)
 
 
-#: All signals, in the order of a row: what every axis has, then what only an inchworm motor has.
+#: All signals, in the order of a row: those of every axis, then those of an inchworm motor only.
 SIGNALS = (
     Signal("setpoint", "m", USER, "setpoint in force", _at(SOURCE, MOTOR_SOURCE, name="setpoint"), "setpoint"),
     Signal(
@@ -139,7 +139,7 @@ SIGNALS = (
     _sequencer("correction", "m", "learned correction of the extension, in continuous walking"),
 )
 
-# Places in a row, written out so that compiled code has them as constants; a test holds them against the table.
+# Indices in a row, written out so that compiled code has them as constants; a test compares them with the table.
 (
     SETPOINT,
     REFERENCE,
@@ -195,48 +195,48 @@ SIGNALS = (
     CORRECTION,
 ) = range(52)
 
-#: Places of what people ask for: of any axis the first, of a motor all of them.
+#: Indices of the user's requests: the first for any axis, all of them for a motor.
 ASKED = (SETPOINT, REQUEST, SPEED)
 
-#: Places of what a run is given: of any axis the first two, of a motor all of them.
+#: Indices of the inputs of a run: the first two for any axis, all of them for a motor.
 GIVEN = (SETPOINT, SKIPPED, REQUEST, SPEED)
 ACTUATOR_GIVEN = 2
 
-#: Length of a row of an actuator's axis, and of a motor's.
+#: Length of a row for the axis of an actuator, and for that of a motor.
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
 MOTOR_ROW = len(SIGNALS)
 
 #: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is not 0).
 TRIPPED_FRAME = "tripped"
 
-#: What the log of changes says beside what people do: a node's parameters at the beginning, and that a run is over.
+#: Entries of the change log that are not user actions: initial parameters of a node, and the end of a run.
 CONFIGURED, ENDED = "configure", "end"
 
 #: SI units by name, with the time of the samples.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 
-#: What was asked for, in a run of which something else has left as ``voltage``.
+#: Requested voltage of a run whose recorded ``voltage`` differs from it.
 ASKED_VOLTAGE = "asked_voltage"
 UNITS[ASKED_VOLTAGE] = "V"
 
-#: Columns that every recording of a run has, and those that one of a motor has besides.
+#: Columns of every recording of a run, and the additional columns for a motor.
 COLUMNS = tuple(signal.name for signal in SIGNALS[: ESTIMATED + 1])
 MOTOR_COLUMNS = tuple(signal.name for signal in SIGNALS[ORIGIN : STEP_ACHIEVED + 1])
 
-#: Signals that stand in for another where a recording lacks it.
+#: Signal → the signal used in its place when a recording lacks it.
 SUBSTITUTES = {"voltage": "plant_voltage", "measured": "seen"}
 
 #: The nodes of an axis that write signals, in the order in which a sample passes through them.
 WRITERS = (PLANT, SOURCE, MOTOR_SOURCE, CONTROLLER, COMPENSATOR)
 
-#: What stands first in ``~/state`` of some nodes; the rest follows in the order of the table.
+#: First signals in ``~/state`` of some nodes; the others follow in the order of the table.
 STATE_FIRST = {
     MOTOR_SOURCE: ("setpoint", "request", "speed"),
     CONTROLLER: ("reference", "measured", "estimated", "command"),
     PLANT: ("displacement", "measured", "voltage"),
 }
 
-#: What is asked of an axis from outside beside setpoints: inputs of its replay.
+#: External requests to an axis besides setpoints: inputs of its replay.
 REQUESTS = ("request", "speed")
 
 
@@ -246,23 +246,23 @@ def row_signals(motor: bool) -> tuple[Signal, ...]:
 
 
 def place(name: str) -> int:
-    """Return the place of a signal in a row."""
+    """Return the index of a signal in a row."""
     return _PLACES[name]
 
 
-#: Values of the signals that say what a part does, ``mode``: as it should be; no usable input in this sample, the last
-#: output stays; none for too long, the output goes to its safe value; stopped, likewise; the plant has stopped the
-#: axis, likewise; no node reports achieved commands, they follow the displacement.
+#: Values of the ``mode`` signals: normal operation; no usable input in this sample, the last output is held; no usable
+#: input for the time-out, the output goes to its safe value; stopped, likewise; the plant has stopped the axis,
+#: likewise; no node reports achieved commands, the command follows the displacement.
 MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING = range(6)
 
-#: Beyond the converters' grids voltages that differ by less are the same [V].
+#: Voltages that differ by less than this and are not on a converter's grid count as equal [V].
 LEAST_DIFFERENCE = 1e-9
 
 _PLACES = {signal.name: index for index, signal in enumerate(SIGNALS)}
 
 
 def state_signals(node: str, motor: bool = True) -> dict[str, str]:
-    """Return what stands in ``~/state`` of a node: name in the message → signal, in the order of the message."""
+    """Return the content of a node's ``~/state``: name in the message → signal, in the order of the message."""
     found = {name: signal.name for signal in row_signals(motor) for where, name in signal.state if where == node}
     first = {name: found.pop(name) for name in STATE_FIRST.get(node, ()) if name in found}
     return first | found
@@ -271,7 +271,7 @@ def state_signals(node: str, motor: bool = True) -> dict[str, str]:
 def float_topics() -> dict[str, str]:
     """Return the Float64 topics that carry one number a sample: topic → signal, in the order of a sample.
 
-    Whoever hears a reference has heard its origin.
+    The origin is published before the reference that it belongs to.
     """
     found = [signal for signal in SIGNALS if signal.topic and signal.writer != USER]
     found.sort(key=lambda signal: (max(WRITERS.index(signal.writer), 2), signal.topic != "origin"))
@@ -279,7 +279,7 @@ def float_topics() -> dict[str, str]:
 
 
 def sources(name: str) -> tuple[tuple[str, str], ...]:
-    """Return where a recording may have a signal: (node, name in its ``~/state``), best first."""
+    """Return where a recording may contain a signal: (node, name in its ``~/state``), best first."""
     signal = SIGNALS[place(name)]
     substitute = SUBSTITUTES.get(name)
     return signal.state + (SIGNALS[place(substitute)].state if substitute else ())

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Units as people write them, ``70um``, ``5 Hz``, ``10um/V``, brought to SI, and numbers in SI for people."""
+"""Convert quantities with units (``70um``, ``5 Hz``, ``10um/V``) to SI, and SI values to readable text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import re
 
 from hysteresis_ros.errors import did_you_mean
 
-#: Units read beside the SI ones: name → (SI unit, number of them in one SI unit).
+#: Accepted units besides the SI ones: name → (SI unit, number of them in one SI unit).
 SUBUNITS = {
     "mm": ("m", 1e3),
     "um": ("m", 1e6),
@@ -30,7 +30,7 @@ SUBUNITS = {
     "mV": ("V", 1e3),
 }
 
-#: Units a column may have: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
+#: Units of a column: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
@@ -58,7 +58,7 @@ UNITS = {
     "kHz": ("Hz", 1e-3),
 }
 
-#: Words for units, in small letters.
+#: Names of units, in lower case.
 WORDS = {
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("millivolt", "millivolts"), "mV"),
@@ -76,7 +76,7 @@ WORDS = {
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
 }
 
-#: Numbers below this are shown in the next finer part of their unit: 12.3 nm and not 0.0123 µm.
+#: Values below this are shown in the next smaller unit: 12.3 nm instead of 0.0123 µm.
 FINE = 0.1
 
 _SENSITIVITY = re.compile(
@@ -86,9 +86,9 @@ _QUANTITY = re.compile(r"^\s*(?P<number>[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?
 
 
 def conversion(unit: str) -> tuple[str, float] | None:
-    """Return SI unit of a unit and the number of them in one SI unit; None where the unit is unknown.
+    """Return the SI unit of a unit and the number of them in one SI unit; None when the unit is unknown.
 
-    ``10um/V`` is a sensitivity: what stands in the column is in V, and 1 V is 10 µm.
+    ``10um/V`` is a sensitivity: the column is in V, and 1 V is 10 µm.
     """
     unit = unit.strip()
     unit = WORDS.get(unit.lower(), unit)
@@ -105,11 +105,11 @@ def conversion(unit: str) -> tuple[str, float] | None:
 
 
 def quantity(text: str) -> tuple[float, str]:
-    """Return a number with its unit, as people write it, in SI, and the SI unit; the unit is empty where none stands."""
+    """Return the SI value and the SI unit of a quantity such as ``5 um``; the unit is empty when none is given."""
     parts = _QUANTITY.match(text)
     value = float(parts["number"]) if parts else math.nan
     if parts is None or not math.isfinite(value):
-        raise ValueError("must be a finite number, with its unit behind it")
+        raise ValueError("must be a finite number, followed by its unit")
     if not parts["unit"]:
         return value, ""
     found = conversion(parts["unit"])
@@ -119,15 +119,15 @@ def quantity(text: str) -> tuple[float, str]:
 
 
 def quantity_in(text: str, unit: str) -> float:
-    """Return a number with its unit, as people write it, in SI.
+    """Return the SI value of a quantity such as ``5 um``.
 
-    A length needs its unit, because 60 may be 60 µm or 60 nm to the person who writes it and would be 60 m here. Other
-    numbers without a unit are in SI.
+    A length needs its unit, because a user may mean 60 µm or 60 nm by 60, which would be 60 m here. Other numbers
+    without a unit are in SI.
     """
     value, given = quantity(text)
     if not given and unit == "m" and value != 0.0:
         bare = text.strip()
-        # the two that come nearest to what these actuators do, 10 µm
+        # the two that are closest to a typical displacement, 10 µm
         likely = sorted(("m", "mm", "um", "nm"), key=lambda name: abs(math.log10(abs(value) / UNITS[name][1] / 1e-5)))
         raise ValueError(f"of which unit? Write {bare}{likely[0]} or {bare}{likely[1]}")
     if given not in ("", unit or "1"):
@@ -136,7 +136,7 @@ def quantity_in(text: str, unit: str) -> float:
 
 
 def readable(value: float, unit: str) -> str:
-    """Return a number for people: four digits and the part of the unit that leaves few zeros, as ``0.2148 µm``."""
+    """Return a readable quantity: four digits and a prefix that leaves few zeros, as in ``0.2148 µm``."""
     if unit == "m":
         size = abs(value)
         if 0.0 < size < FINE * 1e-6:

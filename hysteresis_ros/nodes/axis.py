@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Executable ``hysteresis_axis``: the four nodes of an axis composed in one process with one executor.
+"""Executable ``hysteresis_axis``: the four nodes of an axis in one process with one executor.
 
-With ``time_mode: fused`` one compiled thread makes their samples. ``--recorder`` adds the node ``recorder``: only in
-this process it gets all samples of a fused axis.
-With ``--external-plant`` there is no plant: a node of somebody else stands in its place.
+With ``time_mode: fused`` one compiled thread runs their loop. ``--recorder`` adds the node ``recorder``, which gets all
+samples of a fused axis only in this process. With ``--external-plant`` there is no plant node: an external node
+replaces it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def main(arguments=None) -> int:
         del factories[0]
     if WITH_RECORDER in arguments:
         arguments.remove(WITH_RECORDER)
-        factories.insert(0, joined(RecorderNode))  # the first is the last to leave
+        factories.insert(0, joined(RecorderNode))  # the first node is the last to exit
     return run(factories, arguments)
 
 

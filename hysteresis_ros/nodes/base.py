@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What every node of an axis has in common: lifecycle, topics, log of changes, diagnostics; the node itself is last.
+"""Base of the nodes of an axis: lifecycle, topics, change log, diagnostics; the class of the node is last.
 
-``changes`` logs what a node is set to and what is changed while it runs. Its entries are numbered, so that a recorder
-knows which are missing, and the last one says that the run is over. A recorder in the process of a fused loop takes
-entries where they are made, as it takes the samples: by message they would come after the samples, or not at all.
+The topic ``changes`` logs the initial parameters of a node and every change at run time. Entries are numbered, so that
+a recorder detects missing ones; the last entry marks the end of the run. A recorder in the process of a fused loop
+reads entries and samples directly: as messages, entries would arrive after the samples, or not at all.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ _CHANGE_STATE = "_LifecycleNodeMixin__on_change_state"
 
 
 class GuardedLifecycleNode(GuardedServices, LifecycleNode):
-    """A lifecycle node that refuses a transition its state does not have.
+    """A lifecycle node that refuses a transition that its state does not allow.
 
-    rclpy up to 7.1.6 answers ``change_state`` with such an ``id`` by an exception in the executor, which ends the
-    process with its outputs where they are (ros2/rclpy, issue 1209).
+    Up to rclpy 7.1.6 a ``change_state`` request with such an ``id`` raises an exception in the executor, which ends the
+    process without moving its outputs to safe values (ros2/rclpy, issue 1209).
     """
 
     def __init__(self, name: str, **options):
         super().__init__(name, **options)
         self.guard_services()
 
-    # The service calls the method by this name, Python's for a private one of the class that rclpy declares it in.
+    # The service calls the method by this name: Python mangles the private name of the class that declares it in rclpy.
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         wanted = request.transition
         allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
@@ -76,7 +76,7 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
 
     @property
     def autostart(self) -> bool:
-        """Whether the node configures and activates by itself."""
+        """Whether the node configures and activates itself."""
         return self.get_parameter("autostart").value is not False
 
     def configure_now(self) -> bool:
@@ -109,11 +109,11 @@ class Endpoints(Node):
         return loop_qos(self.runner.keeps, self.parameters.queue_depth)
 
     def changes_qos(self):
-        """Quality of service of what people have changed: kept for a recorder that comes later."""
+        """Quality of service of the change log: entries are kept for a recorder that starts later."""
         return loop_qos(True, self.parameters.queue_depth)
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
-        """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
+        """Create a publisher until cleanup; ``loop``: in lockstep it must be matched before the first answer."""
         made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
         self._topic_handles.append((self.destroy_publisher, made))
         if loop:
@@ -121,7 +121,7 @@ class Endpoints(Node):
         return made
 
     def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
-        """Make a subscription that goes with cleanup; ``partner``: who publishes it in lockstep, and is watched."""
+        """Create a subscription until cleanup; ``partner``: its publisher, which lockstep monitors."""
         events = self.compatibility.of_subscription(topic)
         made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
         self._topic_handles.append((self.destroy_subscription, made))
@@ -130,7 +130,7 @@ class Endpoints(Node):
         return made
 
     def loop_input(self, message_type, topic: str, callback, qos, partner: str):
-        """Make a subscription of the loop: one publisher feeds it, in lockstep from the beginning to the end."""
+        """Create a subscription of the loop: it accepts one publisher, in lockstep the same one for the whole run."""
         if self.runner.exact:
             return self.subscriber(message_type, topic, callback, qos, partner=partner)
         return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
@@ -146,17 +146,17 @@ class Endpoints(Node):
         self.destroy_subscription(subscription)
 
     def timer(self, period: float, callback):
-        """Make a timer on the steady clock that goes with deactivation."""
+        """Create a timer on the steady clock until deactivation."""
         made = self.create_timer(period, callback, clock=self.steady)
         self._work_timers.append(made)
         return made
 
     def all_matched(self) -> bool:
-        """Tell whether every publisher of the loop has a subscription."""
+        """Return whether every publisher of the loop has a subscription."""
         return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
 
     def publish_state(self, stamp, *values: float) -> None:
-        """Publish ``~/state`` with the stamp of the measurement it belongs to; the message is reused."""
+        """Publish ``~/state`` with the stamp of its measurement; the message is reused."""
         message = self._state
         message.header.stamp = stamp
         position = message.position
@@ -169,21 +169,21 @@ class Endpoints(Node):
         now = self.steady.now().nanoseconds
         if now - self._warned.get(key, -(10**18)) >= every * 1e9:
             self._warned[key] = now
-            # two lines, because rclpy ties a place in the source to one severity
+            # two calls, because rclpy binds each call site to one severity
             if error:
                 self.get_logger().error(text)
             else:
                 self.get_logger().warning(text)
 
     def wait_acknowledged(self, deadline: float) -> None:
-        """Wait until all that was published has been received, at most until ``time.monotonic()`` is ``deadline``."""
+        """Wait until all published messages are acknowledged, or ``time.monotonic()`` reaches ``deadline``."""
         for _, handle in self._topic_handles:
             if hasattr(handle, "wait_for_all_acked"):
                 handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
 
 class ChangeLog:
-    """What one node says on ``changes``; nothing before :meth:`open`."""
+    """Change log of one node on ``changes``; silent before :meth:`open`."""
 
     def __init__(self, node: str):
         self._node = node
@@ -192,13 +192,13 @@ class ChangeLog:
         self.close()
 
     def open(self, publisher, parameters: dict) -> None:
-        """Begin with the parameters that the node is configured with."""
+        """Start the log with the parameters of the configured node."""
         self._publisher, self._number, self._is_over = publisher, 0, False
         self._entries = deque(maxlen=publisher.qos_profile.depth)
         self.publish({"sample": 0, "node": self._node, "action": CONFIGURED, "parameters": parameters})
 
     def close(self) -> None:
-        """Say nothing any more."""
+        """Stop publishing entries."""
         self._publisher, self._number, self._is_over = None, 0, False
 
     def publish(self, entry: dict) -> None:
@@ -211,48 +211,48 @@ class ChangeLog:
             self._publisher.publish(String(data=text))
 
     def since(self, made: int) -> tuple[list[str], int]:
-        """Return the entries after the first so many, as JSON, and how many there are by now."""
+        """Return the entries after the first ``made`` ones, as JSON, and the present number of entries."""
         new = min(self._made - made, len(self._entries))
         return list(self._entries)[len(self._entries) - new :], self._made
 
     def end(self, sample: int, stopped: bool = False) -> None:
-        """Say, once, that the run is over at a sample: no entry follows that belongs to it."""
+        """Publish once that the run has ended at a sample; no further entry belongs to the run."""
         if not self._is_over:
             self._is_over = True
-            told = {"stopped": True} if stopped else {}
-            self.publish({"sample": sample, "node": self._node, "action": ENDED, "parameters": {}, **told})
+            extra = {"stopped": True} if stopped else {}
+            self.publish({"sample": sample, "node": self._node, "action": ENDED, "parameters": {}, **extra})
 
 
-#: Topics whose reliability a parameter chooses, and that parameter.
+#: Topics with configurable reliability, and the parameter that sets it.
 CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_reliability"}
 
 
 def unheard(offered, asked, chosen_by: str) -> str:
-    """Say why a subscription hears nothing of a publisher, and what to do; empty when it does."""
+    """Return why a subscription does not match a publisher, and what to do; empty when it matches."""
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
     if offered.reliability == best_effort and asked.reliability == reliable:
         choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
-        return f"offers best effort, reliable is asked for: {choice}let the publisher be reliable"
+        return f"offers best effort, but reliable is requested: {choice}make the publisher reliable"
     latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
     if offered.durability == volatile and asked.durability == latched:
-        return "offers volatile, transient local is asked for: let the publisher be transient local"
+        return "offers volatile, but transient local is requested: make the publisher transient local"
     return ""
 
 
 class Compatibility:
-    """Watches the topics of a node for partners with which it is not connected."""
+    """Monitors the topics of a node for endpoints with incompatible quality of service."""
 
     def __init__(self, node):
         self._node = node
         self._suspected: dict[str, str] = {}
 
     def of_subscription(self, topic: str) -> SubscriptionEventCallbacks:
-        """Return what hears of publishers that do not fit a subscription."""
+        """Return the event callbacks for publishers that are incompatible with a subscription."""
         chosen_by = CHOSEN.get(topic, "")
         return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, chosen_by))
 
     def of_publisher(self, topic: str) -> PublisherEventCallbacks:
-        """Return what hears of subscriptions that do not fit a publisher."""
+        """Return the event callbacks for subscriptions that are incompatible with a publisher."""
         return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, ""))
 
     def _suspect(self, topic: str, chosen_by: str) -> None:
@@ -260,14 +260,14 @@ class Compatibility:
         self.complaint()
 
     def complaint(self) -> str:
-        """Say who is not connected now, log it now and then, and return it; empty when all are."""
+        """Return the incompatible endpoints, logged at intervals; empty when all are connected."""
         found = [text for topic in tuple(self._suspected) for text in self._look(topic)]
         for text in found:
             self._node.warn(f"qos {text}", text, every=10.0)
         return "; ".join(found)
 
     def _look(self, topic: str) -> list[str]:
-        """Return what does not fit on a topic; one on which everybody has found each other is forgotten."""
+        """Return the incompatible endpoints of a topic; a topic without any is no longer monitored."""
         node, chosen_by = self._node, self._suspected[topic]
         full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
         found = set()
@@ -277,26 +277,26 @@ class Compatibility:
                 reason = unheard(publisher.qos_profile, subscription.qos_profile, chosen_by)
                 talks, hears = named(publisher), named(subscription)
                 if reason and hears == own:
-                    found.add(f"{full}: nothing is heard from {talks}, which {reason}")
+                    found.add(f"{full}: nothing is received from {talks}, which {reason}")
                 elif reason and talks == own:
-                    found.add(f"{full}: {hears} hears nothing of this node, which {reason}")
+                    found.add(f"{full}: {hears} receives nothing from this node, which {reason}")
         if not found:
             del self._suspected[topic]
         return sorted(found)
 
 
-#: Levels: as it should be; somebody ought to look at it; the axis does not do what is asked; nobody says anything.
+#: Levels: normal; a user should look at it; the axis does not follow its commands; no report.
 OK, WARN, ERROR, STALE = range(4)
 
-#: What of a node a status is about; stands behind its name, as tools that gather diagnostics expect.
+#: Component that a status describes; it follows the node name, as diagnostic aggregators expect.
 ITEM = "axis"
 
-#: Seconds after which it is an error that a node still has nothing to work on.
+#: Time after activation from which missing inputs are an error [s].
 START_UP = 10.0
 
 
 def diagnostics(node) -> DiagnosticArray:
-    """Return what a node says of itself: level, words and numbers."""
+    """Return the diagnostics of a node: level, message and values."""
     level, text, table = _at_work(node) if node.active else _at_rest(node)
     status = DiagnosticStatus()
     status.name = f"{node.get_fully_qualified_name()}: {ITEM}"
@@ -311,7 +311,7 @@ def diagnostics(node) -> DiagnosticArray:
 
 
 def _at_rest(node) -> tuple[int, str, dict]:
-    """Return level, words and numbers of a node that is not active."""
+    """Return level, message and values of a node that is not active."""
     name = node.get_fully_qualified_name()
     if node.failure:
         return ERROR, node.failure, {}
@@ -323,10 +323,10 @@ def _at_rest(node) -> tuple[int, str, dict]:
 
 
 def _at_work(node) -> tuple[int, str, dict]:
-    """Return level, words and numbers of a node that is active."""
+    """Return level, message and values of an active node."""
     rate, jitter = node.pace.read()
     level, text, values = node.health()
-    # late samples are counted once, by the plant; other nodes say what of their input came late
+    # the plant alone counts late samples; other nodes report their late inputs
     counted = node.kind == "plant_simulator" or node.is_fused
     late = 0 if counted else node.since_report("late_inputs", node.pace.overruns)
     if node.failure:
@@ -334,10 +334,10 @@ def _at_work(node) -> tuple[int, str, dict]:
     elif not node.running:
         level, text = max(level, WARN), text or "stopped"
     elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
-        level = WARN  # the others are only coming
+        level = WARN  # the other nodes are still starting
     elif late and not level:
         level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the one before"
-    contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep that ends the run
+    contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep a second publisher ends the run
     if contested:
         node.warn("others", contested, every=10.0, error=True)
         level, text = ERROR, f"{text}; {contested}" if text else contested
@@ -349,7 +349,7 @@ def _at_work(node) -> tuple[int, str, dict]:
 
 
 def introduction(node) -> str:
-    """Return what a node says when it begins to work: what it is, at what rate, and in which time mode."""
+    """Return the log message of an activated node: its identity, sample rate and time mode."""
     values = node.parameters.to_mapping()
     words = [f"{name} {values[name]}" for name in node.identity if values.get(name)]
     return ", ".join(["active", *words, f"{node.parameters.sample_rate:g} Hz", node.parameters.time_mode])
@@ -359,27 +359,27 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
-    :meth:`reset_blocks`, :meth:`retune`, and what happens on a sample. When that happens is decided by :attr:`runner`,
-    lockstep or real time. A mistake of the user or a broken run ends in :attr:`failure`, a sentence; the process that
-    runs the node then leaves with :attr:`exit_code`.
+    :meth:`reset_blocks`, :meth:`retune`, and the processing of a sample, whose time :attr:`runner` decides (lockstep or
+    real time). Wrong input or a broken run sets :attr:`failure`, a sentence; the process of the node then exits with
+    :attr:`exit_code`.
     """
 
     #: Whether the node has ``~/state``.
     has_state = True
-    #: Seconds without an input after which it is missed, and after which somebody else may feed it.
+    #: Time without an input after which it counts as missing, and another publisher may replace its publisher [s].
     patience: float = math.inf
-    #: Whether something is missing of what this node is there for, however it leaves.
+    #: Whether the result of this node is incomplete, however it exits.
     has_lost: bool = False
-    #: Whether the part may begin again amid an axis that runs, without a step of its output.
+    #: Whether the part can be reset on a running axis without a step of its output.
     rests: bool = True
-    #: Part of partner_timeout after which this node complains in lockstep. Who waits directly for the culprit complains
-    #: first, so that the error names the culprit and not a node that waits itself.
+    #: Fraction of partner_timeout after which this node reports a silent partner in lockstep. A node that waits
+    #: directly for the cause reports first, so that the error names the cause and not another waiting node.
     share = 1.0
-    #: Parameters that say what the node is at work as.
+    #: Parameters that the log message of activation names.
     identity: tuple[str, ...] = ()
-    #: Seconds at most for which a node that listens at exit does.
+    #: Maximum time that a node listens at exit [s].
     listens_for = 0.3
-    #: Services std_srvs/Trigger, each answered by the method of its name with ``_on_`` before it.
+    #: Services std_srvs/Trigger; the method ``_on_NAME`` answers NAME.
     triggers: tuple[str, ...] = ("start", "stop", "reset")
 
     def __init__(self, name: str, **options):
@@ -420,34 +420,34 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     # -- what subclasses provide -------------------------------------------------------------------------------
 
     def build(self, parameters) -> None:
-        """Make the blocks. Raises HysteresisError when the parameters do not fit together."""
+        """Create the blocks; raise HysteresisError when the parameters are inconsistent."""
 
     def unbuild(self) -> None:
-        """Let go of what :meth:`build` has taken from outside; called at cleanup, and when configuring has failed."""
+        """Release the resources of :meth:`build`; called at cleanup, and when configuring has failed."""
 
     def connect(self) -> None:
-        """Make publishers and subscriptions."""
+        """Create publishers and subscriptions."""
 
     def begin(self) -> None:
-        """Go to work after activation."""
+        """Start work after activation."""
 
     def make_runner(self):
-        """Return what decides when a sample is dealt with."""
+        """Return the runner, which decides when a sample is processed."""
         if self.parameters.time_mode == "fused":
             return Fused(self)
         return self.lockstep_runner(self) if self.parameters.time_mode == "lockstep" else self.real_time_runner(self)
 
-    #: Runners of the time modes in which every node makes its part of a sample.
+    #: Runners of the time modes in which each node computes its part of a sample.
     lockstep_runner: Any = Lockstep
     real_time_runner: Any = RealTime
 
     @property
     def is_motor(self) -> bool:
-        """Whether the axis is an inchworm motor's."""
+        """Whether the axis is that of an inchworm motor."""
         return False
 
     def state_signals(self) -> dict[str, str]:
-        """Return what stands in ``~/state``: name in the message → signal."""
+        """Return the content of ``~/state``: name in the message → signal."""
         return signals.state_signals(self.kind, self.is_motor)
 
     @property
@@ -456,31 +456,31 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return False
 
     def go_safe(self) -> None:
-        """Bring the outputs to their safe values at once; called on deactivation and at exit."""
+        """Move the outputs to their safe values at once; called on deactivation and at exit."""
 
     def release(self) -> None:
-        """Let go of threads and files; called on deactivation and at exit, also after the regular end of a run."""
+        """Release threads and files; called on deactivation and at exit, also after the regular end of a run."""
 
     @property
     def listens_at_exit(self) -> bool:
-        """Whether this node still takes what is under way to it before it leaves."""
+        """Whether this node processes pending messages before it exits."""
         return False
 
     def drained(self) -> bool:
-        """Tell whether nothing is under way any more to a node that listens at exit."""
+        """Return whether a node that listens at exit has no pending message left."""
         return True
 
     def reset_blocks(self) -> None:
-        """Return blocks and counters to the beginning."""
+        """Reset blocks and counters."""
 
     def retune(self, parameters) -> None:
-        """Take changed parameters without a jump."""
+        """Apply changed parameters without a step of the output."""
 
     def on_running(self, running: bool) -> None:
         """``~/start`` (True) or ``~/stop`` (False) was called."""
 
     def hindrance(self) -> str:
-        """Say why this node does not work though nobody has stopped it; empty when it does."""
+        """Return why this node does not work although it was not stopped; empty when it works."""
         return "" if self.active else "inactive: activate it first"
 
     def stopped(self) -> str:
@@ -488,16 +488,16 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return "stopped"
 
     def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
+        """Return the partner whose input for the present sample is missing; empty when none is missing."""
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:
-        """Publish what was changed and from which sample on, so that a recorded run can be repeated."""
+        """Publish a change and its first sample, so that a recorded run can be repeated."""
         entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
         self.changes.publish({**entry, "parameters": parameters or {}})
 
     def change_details(self) -> dict:
-        """Return what else a change's log says: what of the sample has been done before."""
+        """Return further fields of a change entry: which part of the sample is already processed."""
         return {}
 
     def health(self) -> tuple[int, str, dict]:
@@ -516,7 +516,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         except HysteresisError as error:
             problems = error.problems if isinstance(error, ParameterError) else (error,)
             return self._not_configured(problems, 2)
-        except Exception as error:  # rclpy would swallow it without a word
+        except Exception as error:  # rclpy would swallow it silently
             return self._not_configured((f"{type(error).__name__}: {error}",), 1)
         self.failure, self.exit_code = "", 0
         return super().on_configure(state)
@@ -552,7 +552,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.changes.close()
 
     def on_activate(self, state):
-        """Start working."""
+        """Start work."""
         try:
             require_alone(self)
             self.active, self.active_since = True, time.monotonic()
@@ -565,7 +565,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.exit_code = 2
             self._stop_working()
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # rclpy would swallow it without a word
+        except Exception as error:  # rclpy would swallow it silently
             self.fail(f"not activated: {type(error).__name__}: {error}")
             self._stop_working()
             return TransitionCallbackReturn.FAILURE
@@ -573,8 +573,8 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state):
-        """Stop working; outputs go to their safe values. A lockstep run is over: the next one starts at sample 0."""
-        self.runner.part()
+        """Stop work and move the outputs to their safe values; the next lockstep run starts at sample 0."""
+        self.runner.leave()
         self.runner.go_safe()
         self._stop_working()
         self.runner.end()
@@ -589,7 +589,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self._work_timers.clear()
 
     def on_cleanup(self, state):
-        """Let go of topics and blocks; a loop that has this node's part ends with them."""
+        """Release topics and blocks; the fused loop of this node ends."""
         if self.is_fused:
             self.fused.lose_a_part()
         self._disconnect()
@@ -597,9 +597,9 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state):
-        """Leave from any state: outputs go to their safe values first."""
+        """Shut down from any state, after the outputs have moved to their safe values."""
         if self.active:
-            self.runner.part()
+            self.runner.leave()
             self.runner.go_safe()
         self._stop_working()
         self.finished = True
@@ -609,7 +609,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     def destroy_node(self) -> None:
         """Leave the graph, and the axis in this process."""
         if self.fused is not None:
-            self.fused.part(self)
+            self.fused.leave(self)
         super().destroy_node()
 
     # -- services and parameters -------------------------------------------------------------------------------
@@ -673,15 +673,15 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.log_change("retune", changed)
 
     def retuned(self, parameters) -> None:
-        """The part has taken changed parameters; those of before are still in :attr:`parameters`."""
+        """Handle changed parameters after the part; :attr:`parameters` still holds the previous ones."""
 
     @property
     def is_fused(self) -> bool:
-        """Whether a loop makes the samples of this node now."""
+        """Whether a fused loop computes the samples of this node now."""
         return self.fused is not None and self.fused.loop is not None
 
     def take_part(self, part) -> None:
-        """Show this part of a loop from now on, in the place of the node's own."""
+        """Show this part of a fused loop instead of the node's own part."""
         self.part = part
 
     # -- the run -------------------------------------------------------------------------------------------------
@@ -702,17 +702,17 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return round((stamp.sec + stamp.nanosec * 1e-9) * self.parameters.sample_rate)
 
     def is_done(self) -> bool:
-        """Tell whether the last sample of the run has been answered."""
+        """Return whether the last sample of the run has been answered."""
         return self.sample >= self.end_of_run
 
     def leave_when_done(self) -> None:
-        """End the log of changes if the run is over, and leave if the parameter exit_at_end says so."""
+        """End the change log if the run is over, and exit if the parameter exit_at_end is set."""
         if self.is_done() or not self.runner.exact:
             self.changes.end(self.end_of_run)
             self.finished |= self.parameters.exit_at_end
 
     def fail(self, text: str, exit_code: int = 1, announce: bool = True) -> None:
-        """End the run with an error; the node answers no more samples, and in lockstep the others are told the same."""
+        """End the run with an error; the node answers no more samples, and lockstep informs the other nodes."""
         if self.failure:
             return
         self.failure, self.exit_code = text, exit_code
@@ -721,10 +721,10 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.runner.announce(text)
 
     def since_report(self, key: str, count: int) -> int:
-        """Return by how much a counter has grown since it was last reported."""
+        """Return the increase of a counter since its last report."""
         before, self._reported[key] = self._reported.get(key, 0), count
         return max(count - before, 0)
 
     def tell_health(self) -> None:
-        """Publish how this node is, whatever the state of its life."""
+        """Publish the diagnostics of this node in every lifecycle state."""
         self._diagnostics.publish(diagnostics(self))

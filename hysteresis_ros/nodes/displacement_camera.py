@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``displacement_camera``: ``image`` → ``joint_states``; it sees where the tip is.
+"""Node ``displacement_camera``: ``image`` → ``joint_states``; it measures the position of the tip.
 
-Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame that shows no place
-gives a sample without a measurement, and the reason in the log and on ``/diagnostics``: what the axis then does is what
-it does when measurements are missing.
+Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame without a detected
+position gives a sample without a measurement, and the reason in the log and on ``/diagnostics``; the axis then reacts
+as to any missing measurement.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.samples import FRAMES, camera_qos
 from hysteresis_ros.nodes.spin import run
 
-#: What stands in ``~/state``, and its unit in docs/topics.md.
+#: Content of ``~/state``, and the units for docs/topics.md.
 STATE = ("displacement", "pixels", "uncertainty", "contrast", "blur")
 
 
 class DisplacementCameraNode(AxisNode):
-    """Makes ``joint_states`` of images, one of each."""
+    """Publishes one ``joint_states`` for each image."""
 
     parameters: DisplacementCameraNodeParameters
 
@@ -43,7 +43,7 @@ class DisplacementCameraNode(AxisNode):
         super().__init__("displacement_camera", **options)
 
     def build(self, parameters) -> None:
-        """Make the tracker from the parameters."""
+        """Create the tracker from the parameters."""
         self.part = CameraPart(parameters)
         self.part.tracker.rehearse()
         self._clear()
@@ -55,11 +55,11 @@ class DisplacementCameraNode(AxisNode):
         self._stamp, self._lost = -1, 0
 
     def state_signals(self) -> dict[str, str]:
-        """Return what stands in ``~/state``: nothing of it is a signal of the loop."""
+        """Return the content of ``~/state``, which has no signal of the loop."""
         return dict.fromkeys(STATE, "")
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         self._message = JointState(name=[self.parameters.joint], position=[math.nan])
         self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
         self.subscribe_end()
@@ -67,11 +67,11 @@ class DisplacementCameraNode(AxisNode):
         self.subscriber(Image, FRAMES, self._on_image, qos, partner="plant_simulator")
 
     def reset_blocks(self) -> None:
-        """Begin again with the next frame."""
+        """Restart with the next frame."""
         self._clear()
 
     def retune(self, parameters) -> None:
-        """Take other limits of what is refused."""
+        """Apply other limits for refused frames."""
         self.part.retune(parameters)
 
     def _on_image(self, message) -> None:
@@ -92,12 +92,12 @@ class DisplacementCameraNode(AxisNode):
         self.sample += 1
 
     def _count_lost(self, stamp) -> None:
-        """Count the frames between the last one and this one that never came: samples without a measurement."""
+        """Count the lost frames between the last one and this one: samples without a measurement."""
         nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
         lost = round((nanoseconds - self._stamp) * 1e-9 * self.parameters.sample_rate) - 1
         if self._stamp >= 0 and lost > 0:
             self._lost += lost
-            self.warn("lost", f"{lost} frames lost, {self._lost} so far: look at the camera, its link and sample_rate")
+            self.warn("lost", f"{lost} frames lost, {self._lost} so far: check the camera, its link and sample_rate")
         self._stamp = nanoseconds
 
     def _see(self, message) -> None:
@@ -115,20 +115,20 @@ class DisplacementCameraNode(AxisNode):
     def _answer(self, header, displacement: float, place) -> None:
         told = self._message
         told.header.stamp = header.stamp
-        # the frame of a camera's image is the camera's; only that the plant has stopped the axis is handed on
+        # the frame_id of an image is that of the camera; only TRIPPED_FRAME is passed on
         told.header.frame_id = TRIPPED_FRAME if header.frame_id == TRIPPED_FRAME else ""
         told.position[0] = displacement
         self._joint_states.publish(told)
         self.publish_state(header.stamp, displacement, place.pixels, place.uncertainty, place.contrast, place.blur)
 
     def health(self):
-        """Report why frames are refused, and that none comes."""
+        """Report refused frames and missing images."""
         tracker = self.part.tracker
         values = {"refused_frames": tracker.refused, "lost_frames": self._lost, "homing": tracker.calibration.homing}
         lost = self.since_report("lost", self._lost)
         silent = time.monotonic() - self._heard
         if not self.runner.exact and silent > self.parameters.image_timeout:
-            text = f"no image on {self.resolve_topic_name(FRAMES)} for {silent:.1f} s: is the camera's driver there?"
+            text = f"no image on {self.resolve_topic_name(FRAMES)} for {silent:.1f} s: is the camera driver running?"
             return 2, text, values
         if self._reason:
             return 2, f"frame refused: {self._reason}", values

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Which nodes find each other: discovery on this machine, and ROS domains for graphs of their own; imports no ROS.
+"""Discovery range of the nodes of this machine, and isolated ROS domains for graphs; imports no ROS.
 
-A graph that a command or a test starts must never meet an axis of the user: two graphs of one domain and namespace
-hear each other's commands. It gets a domain above those that people choose (0 to 101), on this machine only, and
-nodes that were not started for it are refused there as long as it runs.
+A graph started by a command or a test must never meet an axis of the user: two graphs of one domain and namespace
+receive each other's commands. It gets a domain above those that users choose (0 to 101), on this machine only, and
+nodes that were not started for it are refused there while it runs.
 """
 
 from __future__ import annotations
@@ -24,69 +24,69 @@ from collections.abc import Iterator
 
 from hysteresis_ros.errors import HysteresisError
 
-#: What says how far discovery reaches; the second one is the older, deprecated form.
+#: Environment variables of the discovery range; the second one is the older, deprecated form.
 RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
 
-#: Machines that are found besides.
+#: Environment variable with further machines to discover.
 STATIC_PEERS = "ROS_STATIC_PEERS"
 
 
 def stay_on_this_machine() -> None:
-    """Let nobody of another machine find the nodes that are made from now on, if nothing was said about it.
+    """Limit the discovery of new nodes to this machine, unless the environment configures it.
 
-    ROS 2 itself lets everybody of the network do so. Whoever finds an axis can move it.
+    By default ROS 2 allows discovery from the whole network, and every node that finds an axis can move it.
     """
     if not (os.environ.get(RANGE) or os.environ.get(LOCALHOST_ONLY)):
         os.environ[RANGE] = "LOCALHOST"
 
 
 def reaches_others() -> bool:
-    """Tell whether nodes of other machines can be found."""
+    """Return whether nodes of other machines can be discovered."""
     if os.environ.get(LOCALHOST_ONLY) == "1":
         return False
     return os.environ.get(RANGE) not in ("LOCALHOST", "OFF") or bool(os.environ.get(STATIC_PEERS))
 
 
 def named(endpoint) -> str:
-    """Return the full name of the node of a publisher or subscription that was found."""
-    if "UNKNOWN" in endpoint.node_name:  # the word of rmw: _NODE_NAME_UNKNOWN_
+    """Return the full name of the node of a discovered publisher or subscription."""
+    if "UNKNOWN" in endpoint.node_name:  # placeholder of rmw: _NODE_NAME_UNKNOWN_
         return "somebody who has not told a name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 def is_name(words: str) -> bool:
-    """Tell whether what :func:`named` returned is the name of a node."""
+    """Return whether a result of :func:`named` is the name of a node."""
     return words.startswith("/")
 
 
-#: Domains whose ports lie above those that Linux hands out by itself, as far as that of a claim is one.
+#: Domains whose ports are above the ephemeral ports of Linux, as far as the port of a claim exists.
 DOMAINS = range(231, 214, -1)
 
-#: Environment variable that tells processes for which domain they were started.
+#: Environment variable with the domain that a process was started for.
 OWN = "HYSTERESIS_DOMAIN"
 
-#: Participants of a domain whose ports are looked at: all that it can have, for the first ones may have left.
+#: Number of participants whose ports are checked: all possible ones, because the first ones may have left.
 _PARTICIPANTS = 120
 
-#: Offset of the port that a claim binds: that of the last of 120 participants.
+#: Port offset of a claim: that of the last of 120 participants.
 _CLAIM = 249
 
 
-#: Where the next claim of this process begins to look.
+#: First domain that the next claim of this process tries.
 _turns = itertools.count()
 
 
 class Domain:
-    """A ROS domain that nobody on this machine uses, promised to whoever made this until :meth:`close`.
+    """A ROS domain that no other process on this machine uses, reserved until :meth:`close`.
 
-    The promise is a bound port of the domain itself: the operating system gives it to one process of all users, and
-    takes it back however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never taken, even while it
-    is empty. Use it in a ``with`` statement, or close it.
+    The claim is a bound port of the domain: the operating system gives it to one process of all users, and releases it
+    however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never claimed, even while it is empty. Use
+    it in a ``with`` statement, or close it.
     """
 
     def __init__(self):
         own = os.environ.get("ROS_DOMAIN_ID", "0")
-        # in turn: what is left of a graph that has just ended is not met by the next one
+        # in turn, so that a graph does not meet the remains of one that has just ended
         first = (os.getpid() + next(_turns)) % len(DOMAINS)
         for number in (*DOMAINS[first:], *DOMAINS[:first]):
             claim = _bound(number, _CLAIM, "127.0.0.1") if str(number) != own.strip() else None
@@ -104,7 +104,7 @@ class Domain:
         return {"ROS_DOMAIN_ID": number, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", OWN: number}
 
     def close(self) -> None:
-        """Give the domain back."""
+        """Release the domain."""
         self._claim.close()
 
     def __enter__(self) -> Domain:
@@ -116,7 +116,7 @@ class Domain:
 
 @contextlib.contextmanager
 def entered() -> Iterator[Domain]:
-    """Claim a domain and make it that of this process and the processes it starts, as long as the block runs."""
+    """Claim a domain for this process and the processes that it starts, while the block runs."""
     with Domain() as domain:
         before = {name: os.environ.get(name) for name in domain.environment}
         os.environ.update(domain.environment)
@@ -131,7 +131,7 @@ def entered() -> Iterator[Domain]:
 
 
 def require_admission(number: int) -> None:
-    """Refuse that this process joins a graph that was made for itself by another one."""
+    """Refuse to join an isolated graph of another process."""
     if number not in DOMAINS or os.environ.get(OWN) == str(number):
         return
     probe = _bound(number, _CLAIM, "127.0.0.1")
@@ -144,7 +144,7 @@ def require_admission(number: int) -> None:
 
 
 def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
-    """Return a socket bound to a port of a domain, None when somebody has it."""
+    """Return a socket bound to a port of a domain; None when the port is in use."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         made.bind((address, 7400 + 250 * domain + offset))
@@ -155,7 +155,7 @@ def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
 
 
 def _unused(domain: int) -> bool:
-    """Tell whether the ports of discovery are free: of the multicast, and of the first participants (RTPS 9.6.1)."""
+    """Return whether the discovery ports are free: multicast, and the first participants (RTPS 9.6.1)."""
     for offset in (0, *(10 + 2 * participant for participant in range(_PARTICIPANTS))):
         probe = _bound(domain, offset)
         if probe is None:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fused: one compiled thread runs the loop of an axis, and the nodes in the same process show and steer it.
+"""Fused mode: one compiled thread runs the loop of an axis; the nodes in the same process publish and control it.
 
 The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
 (:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at
@@ -32,7 +32,7 @@ from hysteresis_ros.references import inchworm_layout as gait
 
 
 class LoopPace:
-    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`."""
+    """Rate, jitter and missed deadlines of the loop, in the form of :class:`hysteresis_ros.nodes.timing.Pace`."""
 
     def __init__(self, fused):
         self._fused = fused
@@ -53,15 +53,15 @@ class LoopPace:
 
     @property
     def age(self) -> float:
-        """Seconds since samples were last seen; infinite before the first."""
+        """Time since the last new sample [s]; infinite before the first."""
         return time.monotonic() - self._last if self._last else float("inf")
 
     def tick(self) -> None:
-        """Note that there are new samples."""
+        """Record that there are new samples."""
         self._last = time.monotonic()
 
     def restart(self) -> None:
-        """Forget the last samples, so that a pause is not taken for a rate."""
+        """Discard the last samples, so that a pause does not affect the rate."""
         self._rate.restart()
         self._rate.begin(time.monotonic(), self.total)
 
@@ -72,17 +72,17 @@ class LoopPace:
         return rate, loop.lateness().p99 if loop is not None else 0.0
 
 
-#: Seconds in which the voltage goes to its safe value before the loop of a node that leaves is ended.
+#: Time for the voltage to reach its safe value before the loop of an exiting node ends [s].
 RETURN = 2.0
-#: Longest time for which Python keeps the processor from the loop when that wants to apply a change [s].
+#: Maximum time that Python blocks the loop when it applies a change [s].
 SWITCH_INTERVAL = 5e-4
 
-#: Parts that are stopped while their nodes are not active, in the order in which they start again.
+#: Parts that are stopped while their nodes are inactive, in the order of their restart.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
 class FusedAxis:
-    """The nodes of one axis in this process, and the loop that makes its samples once all of them are active."""
+    """The nodes of one axis in this process, and the loop that runs once all of them are active."""
 
     def __init__(self) -> None:
         self.nodes: dict = {}
@@ -92,31 +92,31 @@ class FusedAxis:
         self._over = self._leaving = False
 
     def join(self, node):
-        """Let a node belong to the axis, and return it."""
+        """Add a node to the axis, and return it."""
         node.fused = self
         self.nodes[node.kind] = node
         return node
 
-    def part(self, node) -> None:
-        """Let go of a node; the loop ends with the first one."""
+    def leave(self, node) -> None:
+        """Remove a node; the loop ends with the first one."""
         self.end()
         self.nodes.pop(node.kind, None)
         node.fused = None
 
     @property
     def plant(self):
-        """The node that shows the plant."""
+        """The node of the plant."""
         return self.nodes["plant_simulator"]
 
     @property
     def source(self):
-        """The node that shows the source of the reference."""
+        """The node of the reference source."""
         return self.nodes.get("inchworm_sequencer") or self.nodes["reference_generator"]
 
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def activated(self, node) -> None:
-        """Take note of a node that goes to work: the last one starts the loop."""
+        """Record an activated node; the last one starts the loop."""
         if self.loop is not None:
             if node.kind in STOPPABLE and node.running:
                 self.apply(node.kind, "start")
@@ -128,7 +128,7 @@ class FusedAxis:
             self._begin()
 
     def deactivated(self, node) -> None:
-        """Bring the outputs of a node that stops working to their safe values; of the plant all of them."""
+        """Move the outputs of a deactivated node to their safe values; for the plant, those of all nodes."""
         if self.loop is None or self.loop.is_blocked:
             return
         if node.kind in STOPPABLE:
@@ -176,9 +176,9 @@ class FusedAxis:
         self.plant.get_logger().warning(f"real time: {text}")
 
     def end(self) -> None:
-        """End the loop, if there is one; what it has made is still shown and recorded.
+        """End the loop, if there is one; its samples are still published and recorded.
 
-        A device that does not return keeps its loop: nobody else may call it then, and it goes with the process.
+        When a device does not return, its loop remains until the process ends, and no other thread may call the device.
         """
         if self.loop is None:
             return
@@ -192,12 +192,12 @@ class FusedAxis:
         self.loop = None
 
     def lose_a_part(self) -> None:
-        """Bring everything to safe and end the loop; a new one begins when all nodes are active again."""
+        """Move all outputs to safe values and end the loop; a new one starts when all nodes are active again."""
         self._make_safe()
         self.end()
 
     def _make_safe(self) -> None:
-        """Stop everything and wait until the voltage is at its safe value."""
+        """Stop all parts and wait until the voltage has its safe value."""
         loop = self.loop
         assert loop is not None
         self._leaving = True
@@ -211,7 +211,7 @@ class FusedAxis:
             time.sleep(1e-3)
 
     def await_samples(self, count: int) -> None:
-        """Wait until the loop has made so many more samples, while it makes any."""
+        """Wait for a number of further samples, as long as the loop advances."""
         loop = self.loop
         if loop is None:
             return
@@ -225,7 +225,7 @@ class FusedAxis:
             return
         whole = node.kind == "plant_simulator"
         if whole:
-            self._make_safe()  # what begins at rest has no voltage: from any other place that is a step
+            self._make_safe()  # a part at rest has no voltage: from any other state that would be a step
         for name in reversed(node_names(self.plant.is_motor)) if whole else (node.kind,):
             if name in self.axis.by_node:
                 self.apply(name, "reset")
@@ -242,17 +242,17 @@ class FusedAxis:
     # -- steering ------------------------------------------------------------------------------------------------
 
     def apply(self, name: str, action: str, parameters: dict | None = None) -> None:
-        """Change something from a sample on, and wait until it is."""
+        """Apply a change from a sample on, and wait until it is in effect."""
         assert self.loop is not None
         self.loop.apply(Change(self.loop.sample, name, action, parameters or {}))
 
     def halt(self) -> None:
-        """Stop everything within one sample, until :meth:`go_on`."""
+        """Stop all parts within one sample, until :meth:`go_on`."""
         if self.loop is not None:
             self.loop.halt()
 
     def go_on(self) -> None:
-        """Start all that an emergency stop, or a trip, has stopped, without a jump."""
+        """Restart all parts after an emergency stop or a trip, without a step."""
         if self.loop is None:
             return
         self.apply("plant_simulator", "start")
@@ -267,7 +267,7 @@ class FusedAxis:
     # -- showing -------------------------------------------------------------------------------------------------
 
     def show(self) -> None:
-        """Publish the last sample, what has changed, and the end of the run."""
+        """Publish the last sample, the changes, and the end of the run."""
         loop = self.loop
         if loop is None or self._over:
             return
@@ -313,7 +313,7 @@ class FusedAxis:
                 self.nodes[name].show(stamp, self._leaving)
 
     def tell_changes(self) -> None:
-        """Publish what was changed since the last time, with the samples from which on it held."""
+        """Publish the changes since the last call, each with its first sample."""
         for change in self.loop.changes if self.loop is not None else ():
             if id(change) not in self._told:
                 self._told.add(id(change))
@@ -328,7 +328,7 @@ class FusedAxis:
 
 
 class Fused(RealTime):
-    """What a node does about time while a loop makes its samples."""
+    """Runner of a node whose samples a fused loop computes."""
 
     by_message = False
     silent = False
@@ -340,11 +340,11 @@ class Fused(RealTime):
             allowed = "needs the whole axis in one process: run hysteresis_axis, or hysteresis up CONFIG --fused"
             raise ParameterError([Problem("time_mode", node.parameters.time_mode, allowed)])
         super().__init__(node)
-        #: Of the plant's node: what shows all samples.
+        #: Publisher of all samples; for the node of the plant only.
         self.samples: SampleStream | None = None
 
     def connect(self) -> None:
-        """Make the topics of the node, and of the plant the one with all samples."""
+        """Create the topics of the node, and for the plant the topic with all samples."""
         super().connect()
         if self.node.kind == "plant_simulator":
             self.samples = SampleStream(self.node)
@@ -360,35 +360,35 @@ class Fused(RealTime):
         return self.fused.loop is not None and self.fused.loop.running
 
     def make_pace(self) -> LoopPace:
-        """Return what tells how regularly samples come."""
+        """Return the statistics of the sample times."""
         return LoopPace(self.fused)
 
     def begin(self) -> None:
-        """Say that this node is at work; the last one of an axis starts the loop."""
+        """Report that this node is active; the last one of an axis starts the loop."""
         super().begin()
         self.fused.activated(self.node)
 
     def begin_again(self) -> None:
-        """Let the part begin anew."""
+        """Reset the part."""
         self.fused.reset(self.node)
 
     def clear(self) -> None:
-        """What has been made so far is over."""
+        """Clear the end of the last run."""
         self.node.end_of_run = -1
         self.node.finished = False
 
     def go_safe(self) -> None:
-        """Bring the outputs to their safe values."""
+        """Move the outputs to their safe values."""
         self.fused.deactivated(self.node)
 
     # -- of the plant --------------------------------------------------------------------------------------------
 
     def start_time(self) -> None:
-        """Show what the loop makes."""
+        """Publish the samples of the loop."""
         self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
 
     def stop_time(self) -> None:
-        """End the loop when the process does; else it goes on, safe."""
+        """End the loop with the process; otherwise it continues in the safe state."""
         if self.node.leaving:
             self.fused.end()
 
@@ -399,7 +399,7 @@ class Fused(RealTime):
         return loop.missed if loop is not None else 0
 
     def timeliness(self) -> dict:
-        """Return how late samples began so far, and what they cost."""
+        """Return how late samples began so far, and their computing time."""
         loop = self.fused.loop
         if loop is None:
             return {}
@@ -409,24 +409,24 @@ class Fused(RealTime):
         return {**values, "cost_us": f"{1e6 * found.cost:.3g}"}
 
     def restart(self) -> None:
-        """The loop begins anew with all nodes."""
+        """Restart the loop with all nodes."""
 
     def align(self) -> None:
-        """Every voltage is that of its sample."""
+        """Do nothing: every voltage belongs to its own sample."""
 
     def hold(self, held: bool) -> None:
-        """Stop everything within a sample, or let it go on."""
+        """Stop all parts within a sample, or resume."""
         if held:
             self.fused.halt()
         else:
             self.fused.go_on()
 
     def missing_voltage(self) -> str:
-        """Nobody is awaited."""
+        """Return '': no partner is awaited."""
         return ""
 
     def explain_trip(self) -> str:
-        """Say why the plant has stopped the axis."""
+        """Return why the plant has stopped the axis."""
         loop = self.fused.loop
         if loop is None:
             return "stopped; ~/start lets it go on"

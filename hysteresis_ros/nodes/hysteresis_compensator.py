@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
+#: Time to reach the safe voltage when the node exits [s]; the remainder is one step.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)
@@ -36,9 +36,9 @@ _COMPENSATE = interpreted(compensate)
 class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
 
-    What it does about commands that are missing is its part of the loop (:mod:`hysteresis_ros.loop.compensator`). In
-    real time it answers commands, whoever sends them, and counts samples by the clock while none come. At exit the
-    voltage returns to ``safe_voltage``.
+    Missing commands are handled in its part of the loop (:mod:`hysteresis_ros.loop.compensator`). In real time it
+    answers commands of any node, and counts samples by the clock while none arrive. At exit the voltage returns to
+    ``safe_voltage``.
     """
 
     parameters: CompensatorNodeParameters
@@ -54,7 +54,7 @@ class HysteresisCompensatorNode(Responder):
         super().__init__("hysteresis_compensator", **options)
 
     def build(self, parameters) -> None:
-        """Make the compensator from the parameters."""
+        """Create the compensator from the parameters."""
         self.part = CompensatorPart(parameters)
         compensator = self.part.compensator
         model = compensator.hysteresis_kernel
@@ -76,7 +76,7 @@ class HysteresisCompensatorNode(Responder):
             self.part.start()
 
     def reset_blocks(self) -> None:
-        """Begin again with everything at rest."""
+        """Reset the compensator to rest."""
         super().reset_blocks()
         self.refused = 0
         self._mode = RUNNING
@@ -88,46 +88,46 @@ class HysteresisCompensatorNode(Responder):
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that was put out last."""
+        """Last output voltage [V]."""
         return self.part.voltage
 
     @property
     def is_stale(self) -> bool:
-        """Whether commands have not come for their time-out."""
+        """Whether commands have been missing for their time-out."""
         return self.silent
 
     @property
     def silent(self) -> bool:
-        """Whether commands have not come for their time-out."""
+        """Whether commands have been missing for their time-out."""
         return self._mode == STALE
 
     @property
     def patience(self) -> float:
-        """Seconds without a command after which samples are counted without it."""
+        """Time without a command after which samples are counted by the clock [s]."""
         return self.parameters.command_timeout
 
     def read(self, message, row) -> bool:
-        """Of the measurement only whether the axis is stopped matters, unless the inverse adapts to it."""
+        """Put into a row whether the axis is stopped, and the measurement if the inverse adapts to it."""
         if self.part.adaptation is not None:
             return super().read(message, row)
         self.read_trip(message, row)
         return True
 
     def refuse_value(self, input_: Input, data: float) -> None:
-        """Say that a command cannot be used."""
+        """Log that a command is invalid."""
         self.refused += 1
         self.warn("command", f"command {data} m refused, {self.compensator.command:.6g} m kept")
         if not self.runner.exact and self.sample:
-            self.publish_outputs()  # one answer to every command: the plant counts them
+            self.publish_outputs()  # one answer to every command, because the plant counts them
 
     def after_step(self) -> None:
-        """Tell what has changed."""
+        """Log changes of mode."""
         if self.runner.by_message:
-            self.row[signals.MEASURED] = math.nan  # no measurement serves twice
+            self.row[signals.MEASURED] = math.nan  # no measurement is used twice
         self.after_missing()
 
     def after_missing(self) -> None:
-        """Tell what has changed."""
+        """Log changes of mode."""
         mode = int(self.row[signals.COMPENSATOR_MODE])
         if mode == self._mode:
             return
@@ -166,7 +166,7 @@ class HysteresisCompensatorNode(Responder):
 
         text, given = adapted_text(self.get_fully_qualified_name(), self.part), self.parameters.adaptation.save_file
         if not given:
-            allowed = "names no file; give one at configuration: nobody writes anywhere else"
+            allowed = "names no file; give one at configuration, because only that file is written"
             raise ParameterError([Problem("adaptation.save_file", given, allowed)])
         path = pathlib.Path(given).absolute()
         write_file(path, text)
@@ -178,7 +178,7 @@ class HysteresisCompensatorNode(Responder):
         return not self.running and self.voltage == self.parameters.safe_voltage
 
     def go_safe(self) -> None:
-        """Publish the way to the safe voltage and the safe voltage; in lockstep, which has no time, the latter only."""
+        """Publish the ramp to the safe voltage; in lockstep, which has no time, the safe voltage only."""
         if self.sample == 0:
             return
         self.part.stop()
@@ -195,7 +195,7 @@ class HysteresisCompensatorNode(Responder):
                 self.step()
             self.publish_outputs()
             time.sleep(samples / self.parameters.sample_rate)
-        # the voltage only: in lockstep anything else would be taken for a sample's
+        # the voltage only: in lockstep any other message would be assigned to a sample
         self._message.data = self.part.make_safe()
         self._outputs[0][1].publish(self._message)
         if self.running:
@@ -231,7 +231,7 @@ class HysteresisCompensatorNode(Responder):
         adaptation, adapted = self.part.adaptation, ""
         if adaptation is not None:
             names = adapting.STATE_NAMES
-            # as the last sample left it; the part itself may be another thread's
+            # the state after the last sample; another thread may use the part itself
             state, gain = int(self.row[signals.ADAPTATION]), self.row[signals.ADAPTED_GAIN]
             adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
             values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}

@@ -9,7 +9,7 @@
 
 """Node ``inchworm_sequencer``: setpoints in millimetres → clamp voltages, ``reference`` and ``origin``.
 
-It takes the reference generator's place on the axis of an inchworm motor.
+It replaces the reference generator on the axis of an inchworm motor.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.references import inchworm_layout as at
 
-#: Seconds that closing both clamps may take when the node leaves or no measurement comes.
+#: Time to close both clamps when the node exits or measurements stop [s].
 CLOSING_TIME = 0.3
 
-#: What each error means.
+#: Message of each error.
 ERRORS = {
     at.SENSOR_ERROR: "slider or extender has no finite measurement: both clamps hold until there is one",
     at.NO_MOTION_ERROR: "the slider did not move in {still} steps: both clamps hold; look after clamps and load, then "
@@ -51,12 +51,12 @@ _SEQUENCED = interpreted(sequenced)
 class InchwormSequencerNode(ReferenceSource):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
-    Setpoints [m] and speeds [m/s] are taken at any time; requests (start, stop, home, release) take effect one a
-    sample, in the order of the calls. All of them stand in ``~/state`` at the sample at which they did, so that a run
-    can be simulated again bit for bit.
+    Setpoints [m] and speeds [m/s] are accepted at any time; requests (start, stop, home, release) take effect one per
+    sample, in the order of the calls. ``~/state`` contains each of them at its sample, so that a run can be repeated
+    offline bit for bit.
 
-    Safe is both clamps closed, which takes voltage: without any they open. On the way out, and when measurements stop,
-    the node closes whatever is open and leaves its voltage on.
+    In the safe state both clamps are closed, which needs voltage: without it they open. At exit, and when measurements
+    stop, the node closes the open clamps and leaves their voltage on.
     """
 
     parameters: InchwormSequencerNodeParameters
@@ -74,7 +74,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     @property
     def is_motor(self) -> bool:
-        """A sequencer's axis is an inchworm motor's."""
+        """The axis of a sequencer is that of an inchworm motor."""
         return True
 
     @property
@@ -83,7 +83,7 @@ class InchwormSequencerNode(ReferenceSource):
         return self.part.sequencer
 
     def build(self, parameters) -> None:
-        """Make the sequencer from the parameters."""
+        """Create the sequencer from the parameters."""
         self.part = SequencerSource(parameters)
         self.step()  # compile now, not at the first sample
         self._clear()
@@ -101,12 +101,12 @@ class InchwormSequencerNode(ReferenceSource):
         self._error = 0.0
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         super().connect()
         self.subscriber(Float64, "speed", self._on_speed, setpoint_qos())
 
     def begin(self) -> None:
-        """In real time begin when the loop is complete."""
+        """In real time start when the loop is complete."""
         super().begin()
         self._complete = not self.runner.by_message
         if not self.runner.exact and self.runner.by_message:
@@ -114,14 +114,14 @@ class InchwormSequencerNode(ReferenceSource):
 
     def _look_for_the_others(self) -> None:
         if self.active and not self._complete:
-            # steps of an extender that nobody drives yet would be taken for missed ones
+            # steps of an extender without a driver would count as missed
             topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
             self._complete = self.all_matched() and all(self.count_publishers(topic) for topic in topics)
 
     def reset_blocks(self) -> None:
-        """Begin again: both clamps close, steps and learned lengths are forgotten.
+        """Reset: both clamps close, steps and learned lengths are cleared.
 
-        In real time the clamps' voltages go on from where they are: a slider must not be dropped by a reset.
+        In real time the clamp voltages continue from their present values, so that a reset does not drop the slider.
         """
         x = self.sequencer.x
         front, rear = x[at.FRONT_VOLTAGE], x[at.REAR_VOLTAGE]
@@ -139,7 +139,8 @@ class InchwormSequencerNode(ReferenceSource):
             return reason
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
-            # the sequencer takes setpoints that differ from the last one: by as little as there is
+            # the sequencer accepts only a setpoint that differs from the last one: change it by the least possible
+            # amount
             low, high = self.sequencer.parameters.minimum, self.sequencer.parameters.maximum
             value = math.nextafter(value, high if value < 0.5 * (low + high) else low)
         self.setpoint = value
@@ -239,12 +240,12 @@ class InchwormSequencerNode(ReferenceSource):
         _SEQUENCED(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
-        """Answer the sample in the row; in real time once the others are there."""
+        """Answer the sample in the row; in real time once the other nodes are present."""
         if self.runner.exact or self._complete:
             super().answer(stamp)
 
     def after_step(self) -> None:
-        """Say what went wrong, and whether the slider has arrived."""
+        """Log errors, and publish whether the slider has arrived."""
         if self.runner.by_message:
             self.look_at((self.row,))
         error = self.row[signals.ERROR]
@@ -254,7 +255,7 @@ class InchwormSequencerNode(ReferenceSource):
                 self.warn("error", self._explanation, error=True, every=0.0)
 
     def look_at(self, rows) -> None:
-        """Look at samples whether the slider has arrived and rests."""
+        """Update with samples whether the slider has arrived and rests."""
         last = rows[-1]
         self.tell_settled(bool(last[signals.ARRIVED]) and not last[signals.TRIPPED])
 
@@ -265,15 +266,15 @@ class InchwormSequencerNode(ReferenceSource):
         """Whether measurements have stopped."""
         return not self.runner.exact and self.runner.silent
 
-    #: Both clamps close as soon as measurements have stopped: no samples are made up for.
+    #: Both clamps close as soon as measurements have stopped: missed samples are not made up for.
     is_stale = True
 
     def say_silent(self) -> None:
-        """Say that measurements have stopped."""
+        """Log that measurements have stopped."""
         self.warn("stale", f"no joint_states for {self.parameters.measurement_timeout:g} s: both clamps close")
 
     def miss(self, samples: int) -> None:
-        """Let samples go by without a measurement: what is open closes. Only the voltages are published."""
+        """Process samples without a measurement: open clamps close. Only the voltages are published."""
         self.row[signals.REQUEST], self.row[signals.SPEED] = 0.0, math.nan
         for _ in range(samples):
             self.row[signals.MEASURED] = self.row[signals.EXTENDER] = math.nan
@@ -287,7 +288,7 @@ class InchwormSequencerNode(ReferenceSource):
                 publisher.publish(self._message)
 
     def go_safe(self) -> None:
-        """Close what is open and leave the voltages on; in lockstep, where time stands still, nothing."""
+        """Close the open clamps and leave their voltages on; do nothing in lockstep, where time does not advance."""
         if self.runner.exact or not self.sample:
             return
         x = self.sequencer.x
@@ -298,7 +299,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # too slow a gait to wait for
+        # the gait is too slow to wait for
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()
@@ -312,7 +313,7 @@ class InchwormSequencerNode(ReferenceSource):
         return text.format(still=guard.still_steps, runaway=guard.runaway, slip=guard.slip)
 
     def health(self):
-        """Report errors with what to do, missed steps, refused setpoints, and what the motor does."""
+        """Report errors with a remedy, missed steps, refused setpoints, and the state of the motor."""
         sequencer, x = self.sequencer, self.sequencer.x
         # in real time a sequencer without measurements has nothing to answer
         stale = self.stale or (not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate))
@@ -351,7 +352,7 @@ class InchwormSequencerNode(ReferenceSource):
         return (1, f"{refused} setpoints or speeds refused", values) if refused else (0, "", values)
 
     def _walk_values(self) -> dict[str, str]:
-        """Return what the diagnostics say of continuous walking over the phase."""
+        """Return the diagnostics of continuous walking over the phase."""
         x = self.sequencer.x
         if not self.parameters.walk.continuous:
             return {}

@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 _PR_SET_PDEATHSIG = 1
 
-#: What starts nodes for somebody: at SIGTERM and SIGKILL it leaves them behind.
+#: Commands that start nodes, and leave them running when they end by SIGTERM or SIGKILL.
 STARTERS = ("launch", "run")
 
 
 def die_with_parent(parent: int) -> None:
-    """Linux: a child does not outlive the process that started it; in the child, or for its ``preexec_fn``."""
+    """On Linux, end this child process with its parent; call it in the child, or as its ``preexec_fn``."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:
@@ -50,16 +50,16 @@ def die_with_parent(parent: int) -> None:
 
 
 def starts_nodes(command: list[str]) -> bool:
-    """Tell whether a command line is that of ``ros2 launch`` or ``ros2 run``."""
+    """Return whether a command line is that of ``ros2 launch`` or ``ros2 run``."""
     words = [pathlib.PurePath(word).name for word in command[:3]]
     return "ros2" in words[:2] and any(word in STARTERS for word in words[1:])
 
 
 def leave_with_ros2() -> None:
-    """Let this process be told to leave when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
+    """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
 
-    Both pass on Ctrl-C only: ended by SIGTERM, as by a service manager, they leave their nodes behind, and an axis at
-    work. Another parent may end as it likes, as a shell that has put a node into the background.
+    Both pass on Ctrl-C only: when SIGTERM ends them, for instance from a service manager, their nodes continue to run
+    the axis. The exit of another parent has no effect, such as a shell that has started a node in the background.
     """
     parent = os.getppid()
     with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ def leave_with_ros2() -> None:
             die_with_parent(parent)
 
 
-#: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
+#: Order in which nodes are stopped: the voltage returns to safe while the plant still runs; the recorder is last.
 STOP_ORDER = (
     "reference_generator",
     "inchworm_sequencer",
@@ -80,10 +80,10 @@ STOP_ORDER = (
     "recorder",
 )
 
-#: Argument of the composed process that has no plant.
+#: Argument of a composed process without a plant.
 EXTERNAL_PLANT = "--external-plant"
 
-#: Seconds a node gets to leave before it is killed.
+#: Time for a node to exit before it is killed [s].
 PATIENCE = 10.0
 
 
@@ -94,9 +94,9 @@ def require_ros() -> None:
 
 
 def node_environment() -> dict[str, str]:
-    """Return the environment of processes that are started with ``python -m``: no modules of the current folder.
+    """Return the environment of ``python -m`` processes, which must not import modules from the current folder.
 
-    Else a file ``yaml.py`` beside a user's recordings would stand in for the library. The folder of this package stays
+    Otherwise a file ``yaml.py`` beside a user's recordings would replace the library. The folder of this package stays
     in the path when it is itself the current one, as in a clone that is not installed.
     """
     environment = dict(os.environ, PYTHONSAFEPATH="1")
@@ -153,12 +153,12 @@ class Graph:
         self.log_level = log_level
         self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
         self.processes: list[NodeProcess] = []
-        #: Who died, or could not record any more, while the axis went on.
+        #: Recorders that died or stopped recording while the axis continued.
         self.lost: list[NodeProcess] = []
         self._warn = warn
         self._stack = contextlib.ExitStack()
         self._first_left = 0.0
-        #: What does the commands of this user beside an axis that a person steers.
+        #: Session that executes the user's commands to an axis started by ``up``.
         self._session: subprocess.Popen | None = None
 
     def _with_recorder(self, axis: AxisParameters, several: bool) -> AxisParameters:
@@ -183,7 +183,7 @@ class Graph:
         self.stop()
 
     def start(self) -> None:
-        """Start all processes; returns at once. They find each other by themselves."""
+        """Start all processes and return at once; DDS connects them."""
         folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_")))
         for number, axis in enumerate(self.axes):
             path = folder / f"axis{number}.yaml"
@@ -207,7 +207,7 @@ class Graph:
                 own = more if name == "hysteresis_axis" else []
                 self.processes.append(self._spawn(name, axis.namespace, path, own))
         steered = any(axis.plant_simulator.time_mode != "lockstep" for axis in self.axes)
-        # in a secured domain every command is admitted as itself
+        # in a secured domain every command has its own enclave
         if steered and os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
             words = [sys.executable, "-m", "hysteresis_ros.nodes.remote.session"]
             self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
@@ -217,7 +217,7 @@ class Graph:
         return NodeProcess(name, namespace, started(command, self.environment))
 
     def poll(self) -> bool:
-        """Return True while the graph runs, False when every node left by itself with exit code 0."""
+        """Return True while the graph runs, False when every node has exited with code 0."""
         for node in [node for node in self.processes if self._is_lost_recorder(node)]:
             self.processes.remove(node)
             self.lost.append(node)
@@ -226,7 +226,7 @@ class Graph:
         ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
         dead = [node for node in ended if node.process.returncode != 0]
         if dead:
-            # who breaks a run takes others along within moments: what was killed or refused its parameters comes first
+            # one failed node ends others within moments: killed nodes and refused parameters are reported first
             first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
             code = first.process.returncode
             self.stop()
@@ -240,9 +240,9 @@ class Graph:
         return None in codes
 
     def _is_lost_recorder(self, node: NodeProcess) -> bool:
-        """Tell whether a node is a recorder that died while an axis in real time, which does not need it, goes on.
+        """Return whether a node is a recorder that died on an axis in real time, which continues without it.
 
-        One that refuses to begin ends the run, and in lockstep every partner is needed.
+        A recorder that fails to start ends the run, and lockstep needs every partner.
         """
         if node.name != "recorder" or node.process.poll() in (None, 0, 2):
             return False
@@ -250,7 +250,7 @@ class Graph:
         return axis.plant_simulator.time_mode != "lockstep"
 
     def wait(self, stop_requested=lambda: False) -> bool:
-        """Wait until the run ends by itself (True) or ``stop_requested()`` becomes true (False)."""
+        """Wait until the run ends regularly (True) or ``stop_requested()`` becomes true (False)."""
         while self.poll():
             if stop_requested():
                 return False
@@ -258,12 +258,12 @@ class Graph:
         return True
 
     def stop(self) -> None:
-        """Bring down what still runs; kills what does not leave within its time.
+        """Stop all running processes; kill those that do not exit in time.
 
-        In order in real time. All at once in lockstep: without one node the others would call the run broken.
+        In real time they stop in order. In lockstep all stop at once, because the loss of one node would break the run.
         """
         if self._session is not None:
-            self._session.kill()  # it holds nothing
+            self._session.kill()  # it has no state to save
             self._session.wait()
             self._session = None
         lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in self.axes)
@@ -282,7 +282,7 @@ class Graph:
 
 
 def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn") -> list[str]:
-    """Return the command line of a node, or of all of an axis in one process."""
+    """Return the command line of a node, or of all nodes of an axis in one process."""
     module = "axis" if name == "hysteresis_axis" else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
     command += ["--params-file", str(path), "--log-level", log_level, "--enclave", enclave_of(namespace, name)]
@@ -290,8 +290,8 @@ def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_
 
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
-    """Start a process that does not outlive this one."""
-    # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
+    """Start a process that ends with this one."""
+    # A separate session: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
     guard = partial(die_with_parent, os.getpid())
     return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
 
@@ -302,7 +302,7 @@ def _how_it_ended(node: NodeProcess) -> str:
 
 
 def _require_creatable(folder: pathlib.Path) -> None:
-    """Raise ConfigurationError when a folder cannot be created; its parents are left where they are."""
+    """Raise ConfigurationError when a folder cannot be created; created parents are kept."""
     try:
         folder.mkdir(parents=True)
         folder.rmdir()
@@ -313,7 +313,7 @@ def _require_creatable(folder: pathlib.Path) -> None:
 
 
 def run_apart(module: str, request: dict) -> int:
-    """Run a module where nobody hears its nodes, and return its exit code."""
+    """Run a module in an isolated ROS domain, and return its exit code."""
     require_ros()
     with Domain() as domain:
         # the pip wheels of ROS restart the interpreter on import

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Lockstep: every sample is answered exactly once, in order; no clock decides anything."""
+"""Lockstep mode: every sample is answered exactly once, in order, independent of any clock."""
 
 from __future__ import annotations
 
@@ -19,27 +19,28 @@ from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Runner
 
-#: Seconds a first sample may take: discovery, and compilation of the kernels on a machine that has no cache yet. Who
-#: has done its part of sample 0 waits so long too: with a recorder it counts as matched before its partner is there.
+#: Time-out of the first sample: discovery, and compilation of the kernels on a machine without a cache [s]. A node that
+#: has done its part of sample 0 also waits this long: with a recorder it counts as matched before its partner is
+#: present.
 STARTUP_TIMEOUT = 120.0
 
-#: Seconds between two looks at the partners, and between two looks at who publishes the inputs.
+#: Interval of the check of the partners, and of the check of the publishers of the inputs [s].
 WATCH_PERIOD = 0.02
 PARTNER_PERIOD = 0.25
 
 _FAILED = "failed: "
-#: Most characters of what is handed on of somebody else's failure.
+#: Maximum length of another node's failure message that is passed on [characters].
 LONGEST_REASON = 1000
 
-#: Everybody waits for it, and it for everybody: who only waits for the plant complains last.
+#: All nodes wait for the plant, and it waits for all: a node that waits only for the plant reports last.
 PLANT = "plant_simulator"
 
-#: What helps when the nodes of a run do not agree about it.
+#: Remedy when the nodes of a run are inconsistent.
 TOGETHER = "start or reset all nodes together"
 
 
 class Partners:
-    """Who publishes the inputs of a node; a run has one publisher of each, the same from its beginning to its end."""
+    """Publishers of the inputs of a node; a run has one publisher of each input, the same from beginning to end."""
 
     def __init__(self, node):
         self._node = node
@@ -47,21 +48,21 @@ class Partners:
         self.forget()
 
     def add(self, topic: str, partner: str) -> None:
-        """Watch the publisher of ``topic`` (full name), which messages call ``partner``."""
+        """Monitor the publisher of ``topic`` (full name), called ``partner`` in messages."""
         self._inputs.append((topic, partner))
 
     def clear(self) -> None:
-        """Watch nothing any more."""
+        """Stop monitoring."""
         self._inputs.clear()
         self.forget()
 
     def forget(self) -> None:
-        """Let everybody begin anew: after a reset of all nodes."""
+        """Forget the publishers, after a reset of all nodes."""
         self._known: dict[str, frozenset] = {}
         self._absent: set[str] = set()
 
     def complaint(self, sample: int) -> str:
-        """Say what is wrong with the publishers of the inputs; empty when nothing is."""
+        """Return what is wrong with the publishers of the inputs; empty when nothing is."""
         for topic, partner in self._inputs:
             found = self._node.get_publishers_info_by_topic(topic)
             present = frozenset(bytes(info.endpoint_gid) for info in found)
@@ -81,17 +82,17 @@ class Partners:
             elif topic in self._absent:
                 return f"{partner} vanished at sample {sample} (topic {topic})"
             else:
-                # the mark of a regular end may still wait in the queue: believe it at the second look
+                # the end mark may still be in the queue: accept the loss at the second check only
                 self._absent.add(topic)
         return ""
 
 
 class Lockstep(Runner):
-    """What a node of a lockstep run keeps to: samples in order, partners present, one end for all."""
+    """Base of the lockstep runners: samples in order, partners present, one common end."""
 
-    #: Whether every sample is answered exactly once, whatever happens.
+    #: Whether every sample is answered exactly once.
     exact = True
-    #: Whether messages are kept for whoever is matched a little later.
+    #: Whether messages are kept for subscriptions that are matched later.
     keeps = True
 
     def __init__(self, node):
@@ -101,29 +102,29 @@ class Lockstep(Runner):
         self.reset_pending = False
 
     def connect(self) -> None:
-        """Make the topics of the protocol; called while configuring."""
+        """Create the topics of the protocol; called while configuring."""
         node = self.node
         self.run_state = node.publisher(String, "run_state", latched_qos())
         node.subscriber(String, "run_state", self._on_run_state, latched_qos())
 
     def begin(self) -> None:
-        """Watch the partners from activation on."""
+        """Monitor the partners from activation on."""
         self._heard_at = self.node.steady.now().nanoseconds
         self.node.timer(WATCH_PERIOD, self.watch_partners)
 
     def begin_again(self) -> None:
-        """After a reset the others are not told: all are reset together."""
+        """Do nothing after a reset: all nodes are reset together."""
 
-    def part(self) -> None:
-        """A partner that stops is noticed by its silence."""
+    def leave(self) -> None:
+        """Do nothing: the other nodes detect a stopped partner by its silence."""
 
     def end(self) -> None:
-        """A run is over when its node is deactivated: the next one starts at sample 0."""
+        """End the run at deactivation: the next one starts at sample 0."""
         self.clear()
         self.node.reset_blocks()
 
     def clear(self) -> None:
-        """Forget the run: the next sample is number 0."""
+        """Reset the run: the next sample is number 0."""
         self.node.sample = 0
         self.node.end_of_run = -1
         self.node.finished = False
@@ -137,13 +138,13 @@ class Lockstep(Runner):
     # -- samples -----------------------------------------------------------------------------------------------
 
     def expected(self, index: int) -> bool:
-        """Tell whether sample ``index`` is the next one; a restart or gap ends the run."""
+        """Return whether sample ``index`` is the next one; a restart or gap ends the run."""
         node = self.node
         if index == node.sample:
             self.reset_pending = False
             return True
         if self.reset_pending:
-            return False  # was under way at the reset; sample 0 is still to come
+            return False  # was pending at the reset; sample 0 is still to come
         if index == 0:
             who = f"{node.get_name()} is at {node.sample}"
             node.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")
@@ -155,7 +156,7 @@ class Lockstep(Runner):
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
-        """Tell whether more messages came than samples ask for, which ends the run: they would be taken for others."""
+        """Return whether more messages arrived than samples need, which ends the run: they could not be assigned."""
         if count <= allowed:
             return False
         what = f"{topic} has {count} messages at sample {self.node.sample}"
@@ -163,27 +164,27 @@ class Lockstep(Runner):
         return True
 
     def matched(self) -> bool:
-        """Tell whether every publisher of the loop has found its partner."""
+        """Return whether every publisher of the loop is matched with its partner."""
         if not self._matched:
             self._matched = self.node.all_matched()
             self._heard_new |= self._matched
         return self._matched
 
     def heard(self) -> None:
-        """Note that something awaited has come; the patience with partners starts anew."""
+        """Record the arrival of an awaited message, which restarts the time-out of the partners."""
         self._heard_new = True
 
     def advance(self) -> None:
-        """Do what can be done now: overridden by who answers samples."""
+        """Process what is complete; overridden by runners that answer samples."""
 
     def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
+        """Return the partner whose input for the present sample is missing; empty when none is missing."""
         return self.node.missing_partner()
 
     # -- partners ----------------------------------------------------------------------------------------------
 
     def watch_partners(self) -> None:
-        """Timer on the steady clock: answer late, notice partners that are silent or gone, leave at the end."""
+        """Answer pending samples, detect silent or lost partners, and exit at the end (timer callback)."""
         node = self.node
         if not node.active or node.failure or node.finished:
             return
@@ -211,12 +212,12 @@ class Lockstep(Runner):
             node.fail(f"{partner} has been silent for {waited:.1f} s {where}")
 
     def say(self, state: str) -> None:
-        """Tell all nodes of the axis about the run: paused, running."""
+        """Publish the state of the run to all nodes of the axis: paused, running."""
         if self.run_state is not None:
             self.run_state.publish(String(data=state))
 
     def announce(self, failure: str) -> None:
-        """Tell all nodes of the axis that the run is broken."""
+        """Publish to all nodes of the axis that the run is broken."""
         self.say(_FAILED + failure)
 
     def _on_run_state(self, message) -> None:
@@ -226,19 +227,19 @@ class Lockstep(Runner):
             self.paused = message.data == "paused"
 
     def is_old_end(self, count: int) -> bool:
-        """Tell whether an end mark is that of the run before a reset."""
+        """Return whether an end mark belongs to the run before a reset."""
         return self.reset_pending and count > 0
 
 
 class LockstepResponder(Lockstep):
-    """Answers sample k when its measurement and all other inputs of it are there."""
+    """Answers sample k when its measurement and all its other inputs have arrived."""
 
     def clear(self) -> None:
-        """Forget the run: the next sample is number 0."""
+        """Reset the run: the next sample is number 0."""
         super().clear()
         inputs = self.node.inputs
         self._counts = [0] * len(inputs)
-        # how many messages of each input the sample of number 0 needs; each sample one more
+        # number of messages of each input that sample 0 needs; each further sample needs one more
         self._ahead = [0 if input_.previous else 1 for input_ in inputs]
         self._stamp = None
 
@@ -253,7 +254,7 @@ class LockstepResponder(Lockstep):
             self.advance()
 
     def value(self, place: int, data: float) -> None:
-        """Take what came on the input in this place; it belongs to the sample by its count."""
+        """Take a message of the input with this index; its count assigns it to a sample."""
         node = self.node
         input_ = node.inputs[place]
         count = self._counts[place] = self._counts[place] + 1
@@ -267,7 +268,7 @@ class LockstepResponder(Lockstep):
         self.advance()
 
     def _lacks(self):
-        """Return the first input that has not delivered what the present sample needs, None when all have."""
+        """Return the first input that the present sample lacks; None when all have arrived."""
         sample, ahead = self.node.sample, self._ahead
         for place, count in enumerate(self._counts):
             if count < sample + ahead[place]:
@@ -276,12 +277,12 @@ class LockstepResponder(Lockstep):
 
     @property
     def confirmed(self) -> bool:
-        """Whether all has come that belongs to the last sample that was answered."""
+        """Whether all messages of the last answered sample have arrived."""
         pairs = zip(self._counts, self.node.inputs, strict=True)
         return all(count >= self.node.sample for count, input_ in pairs if input_.previous)
 
     def advance(self) -> None:
-        """Answer the present sample if everything it needs has come."""
+        """Answer the present sample if all its inputs have arrived."""
         node = self.node
         if self._stamp is None or self._lacks() is not None:
             return
@@ -292,7 +293,7 @@ class LockstepResponder(Lockstep):
         node.answer(stamp)
 
     def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs."""
+        """Return the partner whose input for the present sample is missing."""
         if self._stamp is None:
             return PLANT
         lacking = self._lacks()

@@ -41,9 +41,9 @@ from sensor_msgs.msg import JointState
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.domain import is_name, named, reaches_others
 
-#: Seconds that who is about to leave gets for it.
+#: Time to wait until a process that is about to exit releases its claim [s].
 CLAIM_PATIENCE = 5.0
-#: How often is looked whether it has left [s].
+#: Interval between two attempts to claim a node [s].
 CLAIM_LOOK = 0.1
 
 
@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Say which process has claimed a node, by its number and command line; '' when nobody has."""
+    """Return the process that has claimed a node, by its number and command line; '' when there is none."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -71,9 +71,9 @@ def holder(domain: int, name: str) -> str:
 
 
 def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.socket | None:
-    """Claim a node of a domain on this machine, until what is returned is closed or the process ends.
+    """Claim a node of a domain on this machine, until the returned socket is closed or the process ends.
 
-    Units: ``patience`` [s].
+    ``patience`` is the time to wait for a process that is about to exit [s].
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -91,12 +91,12 @@ def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.so
         time.sleep(CLAIM_LOOK)
     who = holder(domain, name) or "a process of this machine"
     raise HysteresisError(
-        f"{name} runs already in ROS domain {domain}: {who}; one axis has one master: stop that one, or give this axis "
-        "another namespace or ROS_DOMAIN_ID"
+        f"{name} already runs in ROS domain {domain}: {who}; an axis runs each node once: stop that one, or give "
+        "this axis another namespace or ROS_DOMAIN_ID"
     )
 
 
-#: Bytes of an identity (RMW_GID_STORAGE_SIZE of Jazzy).
+#: Length of an identity [bytes] (RMW_GID_STORAGE_SIZE of Jazzy).
 IDENTITY_BYTES = 16
 
 
@@ -120,7 +120,7 @@ class _Information(ctypes.Structure):
 
 
 def _function(capsule, result, *arguments):
-    """Return what a type support offers as a pointer in a capsule."""
+    """Return a C function that a type support offers as a pointer in a capsule."""
     api = ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
@@ -129,9 +129,9 @@ def _function(capsule, result, *arguments):
 
 
 class IdentifiedSubscription(Waitable):
-    """A subscription that tells with each message who sent it, and lives as long as its node.
+    """A subscription that passes the publisher's identity with each message, and exists as long as its node.
 
-    rclpy's EventsExecutor ends the process when such a waitable is taken away while messages come.
+    rclpy's EventsExecutor ends the process when such a waitable is removed while messages arrive.
     """
 
     def __init__(self, node, message_type, topic: str, callback, qos, events):
@@ -155,15 +155,15 @@ class IdentifiedSubscription(Waitable):
             node.add_waitable(waitable)
 
     def hand_over_to(self, callback) -> None:
-        """Let something else take the messages from now on."""
+        """Pass all further messages to another callback; None: to none."""
         self._callback = callback
 
     def __enter__(self):
-        """Keep it while it is waited for."""
+        """Keep the handle while an executor waits for it."""
         self._handle.__enter__()
 
     def __exit__(self, *error):
-        """It may go again."""
+        """Release the handle."""
         self._handle.__exit__(*error)
 
     def get_num_entities(self) -> NumberOfEntities:
@@ -171,11 +171,11 @@ class IdentifiedSubscription(Waitable):
         return NumberOfEntities(num_subs=1)
 
     def add_to_wait_set(self, wait_set) -> None:
-        """Let an executor wait for messages."""
+        """Add the subscription to the wait set of an executor."""
         self._index = wait_set.add_subscription(self._handle)
 
     def is_ready(self, wait_set) -> bool:
-        """Tell whether there may be a message."""
+        """Return whether there may be a message."""
         return wait_set.is_ready("subscription", self._index)
 
     def take_data(self):
@@ -188,46 +188,46 @@ class IdentifiedSubscription(Waitable):
         return self._to_python(self._message), bytes(publisher.data) if known else b""
 
     async def execute(self, taken) -> None:
-        """Hand a message over."""
+        """Pass a message to the callback."""
         if taken is not None and self._callback is not None:
             self._callback(*taken)
 
 
-#: Longest wait for an input whose silence has no time-out of its own [s].
+#: Time-out of an input that has none of its own [s].
 PATIENCE = 1.0
 
-#: Seconds between two looks whether this process stands still itself, and looks that may fail to happen.
+#: Interval of the check whether this process itself was halted [s], and the number of checks that may be late.
 LOOK, LATE = 0.01, 3.0
 
-#: Seconds in which nodes of other machines are found, and of a look whether they are.
+#: Time to discover nodes of other machines, and interval of the check for them [s].
 DISCOVERY, TURN = 2.0, 0.05
 
-#: Seconds between two complaints about refused messages.
+#: Interval between two reports of refused messages [s].
 TELL = 10.0
 
-#: Seconds between two looks whether a master has left the graph while somebody else sends: a look takes as long as ten
-#: messages.
+#: Interval of the check whether an active publisher has left the graph while a competing one sends [s]; a check takes
+#: as long as ten messages.
 GRAPH_LOOK = 0.02
 
-#: Competing publishers whose last looks are kept.
+#: Number of competing publishers whose last check is stored.
 MOST_RIVALS = 64
 
-#: Seconds between two looks for the name of an active publisher that is not known yet.
+#: Interval of the search for the name of an active publisher that is not known yet [s].
 FIND = 0.2
 
-#: What to do about two masters.
+#: What to do about two active publishers.
 REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
 
 class Master:
-    """Who feeds an input."""
+    """The active publisher of an input."""
 
     def __init__(self, masters: Masters, topic: str, callback):
         self._masters, self.topic, self._callback = masters, topic, callback
         self.identity: bytes | None = None
-        #: Full name of the node of the active publisher, once the graph has said it.
+        #: Full name of the node of the active publisher, once the graph knows it.
         self.name = ""
-        #: Whether a person has allowed that another node feeds the input once this one is silent or has left.
+        #: Whether the user has allowed another node to replace the active publisher once that is silent or has left.
         self.released = False
         self._rival = b""
         self._was_there = False
@@ -236,7 +236,7 @@ class Master:
         self.refused = 0
 
     def take(self, message, identity: bytes) -> None:
-        """Take a message, unless it is somebody else's."""
+        """Pass on a message, unless it is from a competing publisher."""
         if identity != self.identity or not identity:
             if not self._masters.is_of_axis(message):
                 if self.identity is None:
@@ -260,13 +260,13 @@ class Master:
             return True
         self.refused += 1
         self._rival = identity
-        if now - self._told > TELL:  # the graph is asked for names then: not for every message of a flood
+        if now - self._told > TELL:  # looking up names is too slow for every message of a flood
             self._told = now
             masters.warn(self)
         return False
 
     def find(self) -> None:
-        """Note that the active publisher is in the graph, and its name: only then can it leave, or be followed."""
+        """Store that the active publisher is in the graph, and its name: both are needed to detect its replacement."""
         if not self.identity or (self._was_there and self.name):
             return
         masters = self._masters
@@ -274,9 +274,9 @@ class Master:
         self.name = self.name or masters.full_name(self.topic, self.identity)
 
     def _follows(self, identity: bytes, now: float) -> bool:
-        """Tell whether another publisher takes the place of the active one, which is silent or has left the graph.
+        """Return whether another publisher replaces the active one, which is silent or has left the graph.
 
-        Only the same node, by its full name, does so by itself, and any other one after a person has allowed it.
+        Only a node with the same full name replaces it automatically; any other one needs the user's permission.
         """
         masters = self._masters
         if now - self._looked.get(identity, -math.inf) < GRAPH_LOOK:
@@ -293,13 +293,13 @@ class Master:
 
     @property
     def refusal(self) -> str:
-        """What is refused, and what to do."""
+        """Description of the refused publisher, and what to do."""
         name, rival = (self._masters.name_of(self.topic, who) for who in (self.identity or b"", self._rival))
-        return f"{self.topic} is taken from {name}, and nothing of {rival}: {REMEDY}"
+        return f"{self.topic} is accepted from {name} and refused from {rival}: {REMEDY}"
 
 
 class Masters:
-    """Who feeds the inputs of a node, and who else feeds the topics of its loop."""
+    """Active publishers of the inputs of a node, and competing publishers of the topics of its loop."""
 
     def __init__(self, node):
         self._node = node
@@ -310,14 +310,14 @@ class Masters:
 
     @property
     def patience(self) -> float:
-        """Seconds of silence after which another publisher may be taken, if it may be taken at all."""
+        """Time of silence after which another publisher may replace the active one [s]."""
         found = self._node.patience
         return found if math.isfinite(found) else PATIENCE
 
     # -- inputs ----------------------------------------------------------------------------------------------------
 
     def add(self, message_type, topic: str, callback, qos, events):
-        """Subscribe an input; the subscription stays when the node is cleaned up, and is used again."""
+        """Subscribe an input; the subscription outlives cleanup and is used again."""
         master = Master(self, self._node.resolve_topic_name(topic), callback)
         self._inputs.append(master)
         key = (topic, message_type, qos.depth, qos.reliability, qos.durability)
@@ -326,35 +326,35 @@ class Masters:
             return self._subscriptions[key]
         try:
             made = IdentifiedSubscription(self._node, message_type, topic, master.take, qos, events)
-        except (AttributeError, OSError):  # another ROS than Jazzy: it cannot be told who sends
+        except (AttributeError, OSError):  # a ROS distribution other than Jazzy: no identity of the publisher
             return self._node.subscriber(message_type, topic, partial(master.take, identity=b""), qos)
         self._subscriptions[key] = made
         return made
 
     def release(self) -> None:
-        """Let any publisher take an input whose active one is silent or has left: a person has said so."""
+        """Allow any publisher to replace an active one that is silent or has left, at the user's request."""
         for master in self._inputs:
             master.released = True
 
     def publisher_of(self, topic: str) -> str:
-        """Return the full name of the node that feeds an input; empty while it is not known."""
+        """Return the full name of the node that publishes an input; empty while it is not known."""
         full = self._node.resolve_topic_name(topic)
         return next((master.name for master in self._inputs if master.topic == full), "")
 
     def clear(self) -> None:
-        """Take nothing any more."""
+        """Stop accepting messages."""
         for subscription in self._subscriptions.values():
             subscription.hand_over_to(None)
         self._inputs.clear()
 
     def begin(self) -> None:
-        """Watch whether this process itself stands still, in which it hears nobody."""
+        """Start the check whether this process itself is halted, during which it receives nothing."""
         self._since = self._looked = time.monotonic()
         if self._inputs:
             self._node.timer(LOOK, self.look)
 
     def look(self) -> None:
-        """Timer, and before somebody is taken for silent: note whether this process stood still."""
+        """Check whether this process was halted; called by a timer, and before a publisher counts as silent."""
         now = time.monotonic()
         if now - self._looked > max(LATE * LOOK, 0.5 * self.patience):
             self._since = now
@@ -365,48 +365,48 @@ class Masters:
                 master.find()
 
     def is_over(self, heard: float, now: float) -> bool:
-        """Tell whether who was last heard then has been silent for too long.
+        """Return whether a publisher has been silent for too long.
 
-        Units: ``heard`` [s], ``now`` [s].
+        ``heard`` is the time of its last message, ``now`` the present time [s].
         """
         self.look()
         return now - max(heard, self._since) > self.patience
 
     def is_of_axis(self, message) -> bool:
-        """Tell whether a message concerns this axis: others publish joint_states of theirs on the same topic."""
+        """Return whether a message concerns this axis: other devices may publish on the same joint_states topic."""
         return not isinstance(message, JointState) or self._node.parameters.joint in message.name
 
     # -- names -----------------------------------------------------------------------------------------------------
 
     def count(self, topic: str) -> int:
-        """Return how many publish a topic."""
+        """Return the number of publishers of a topic."""
         return self._node.count_publishers(topic)
 
     def is_there(self, topic: str, identity: bytes) -> bool:
-        """Tell whether the graph knows a publisher of a topic."""
+        """Return whether a publisher of a topic is in the graph."""
         found = self._node.get_publishers_info_by_topic(topic)
         return any(bytes(endpoint.endpoint_gid) == identity for endpoint in found)
 
     def full_name(self, topic: str, identity: bytes) -> str:
-        """Return the full name of the node of a publisher, empty while the graph does not say it."""
+        """Return the full name of the node of a publisher; empty while the graph does not know it."""
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if bytes(endpoint.endpoint_gid) == identity}
         return next((name for name in names if is_name(name)), "")
 
     def name_of(self, topic: str, identity: bytes) -> str:
-        """Return the full name of the node of a publisher; of one that cannot be told, who it may be."""
+        """Return the full name of the node of a publisher, or the candidates when the publisher is unknown."""
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if not identity or bytes(endpoint.endpoint_gid) == identity}
         text = " or ".join(sorted(names))
-        if is_name(text):  # told already: who has left keeps it
+        if is_name(text):  # known names are kept after the node has left
             self._names[identity] = text
         return self._names.get(identity) or text or "a node that has left"
 
     def tell_of_change(self, master: Master, identity: bytes) -> None:
-        """Say that somebody else feeds an input from now on."""
+        """Log that another publisher is the active one from now on."""
         self._node.get_logger().info(
-            f"{master.topic} is taken from {self.name_of(master.topic, identity)} now: the one before has left, or "
-            f"nothing has come from it for {self.patience:g} s, and it "
+            f"{master.topic} is now accepted from {self.name_of(master.topic, identity)}: the previous publisher has "
+            f"left, or has been silent for {self.patience:g} s, and the new one "
             + ("is the same node" if not master.released else "was allowed by ~/reset")
         )
 
@@ -416,11 +416,11 @@ class Masters:
             self._node.runner.replaced(master.topic, master.name)
 
     def warn(self, master: Master) -> None:
-        """Say that somebody else's message was refused."""
+        """Log that a competing publisher's message was refused."""
         self._node.warn(f"master {master.topic}", master.refusal, every=0.0, error=True)
 
     def complaint(self) -> str:
-        """Say who feeds the topics of the loop beside their masters; empty when nobody does."""
+        """Return the competing publishers of the topics of the loop; empty when there are none."""
         node = self._node
         for master in self._inputs:
             master.find()
@@ -435,10 +435,10 @@ class Masters:
 
 
 def publishers(node, topic: str) -> list[str]:
-    """Return the full names of the nodes that publish a topic of the loop; all may publish joint_states of theirs.
+    """Return the full names of the nodes that publish a topic of the loop, except joint_states, which may have many.
 
-    A node that was killed stands in the graph beside the one that was started in its place, for some seconds: of one
-    name there is one. Who has not told a name yet may be anybody.
+    A killed node stays in the graph for some seconds beside its replacement, so equal names count once. Publishers
+    without a known name are all counted.
     """
     if node.count_publishers(topic) < 2:
         return []
@@ -448,9 +448,9 @@ def publishers(node, topic: str) -> list[str]:
 
 
 def rivals(node) -> list[str]:
-    """Say who would lead the axis beside a node that is about to: who publishes what it does, who has its name.
+    """Return the nodes that compete with a node before its activation: same published topics, or same name.
 
-    Who has no name is no reason to stay away: a node that has just left looks like that, and moves nothing.
+    A publisher without a known name is ignored: a node that has just left looks like that, and moves nothing.
     """
     own = node.get_fully_qualified_name()
     found = [
@@ -459,21 +459,21 @@ def rivals(node) -> list[str]:
         for name in publishers(node, topic)
         if is_name(name) and name != own
     ]
-    if reaches_others():  # on this machine a name is claimed
+    if reaches_others():  # on this machine the claim ensures unique names
         names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
         found += [f"another {own} runs on another machine"] * (names.count(own) > 1)
     return found
 
 
 def require_alone(node) -> None:
-    """Refuse that a node goes to work on an axis that somebody leads already."""
+    """Refuse to activate a node on an axis that another node already commands."""
     found = rivals(node)
     if found:
-        raise HysteresisError(f"{'; '.join(found)}: one axis has one master; {REMEDY}")
+        raise HysteresisError(f"{'; '.join(found)}: an axis has one active publisher; {REMEDY}")
 
 
 def await_discovery(nodes: list) -> None:
-    """Wait until nodes of other machines are known, where there may be some, or one is in the way."""
+    """Wait for the discovery of nodes on other machines, if they are reachable, or until a competing node is found."""
     until = time.monotonic() + (DISCOVERY if reaches_others() else 0.0)
     while time.monotonic() < until and not any(map(rivals, nodes)):
         time.sleep(TURN)

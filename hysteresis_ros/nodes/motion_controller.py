@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``motion_controller``: ``reference`` and ``joint_states`` → ``command``, the displacement that is wanted.
+"""Node ``motion_controller``: ``reference`` and ``joint_states`` → ``command``, the desired displacement.
 
-It also monitors saturation, and publishes the messages of ros2_control where the package control_msgs is installed.
+It also monitors saturation, and publishes the messages of ros2_control when the package control_msgs is installed.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 
-#: A difference counts above this part of the largest command carried out so far: inverses are approximate.
+#: Relative threshold of saturation, as a fraction of the largest achieved command so far: inverses are approximate.
 FRACTION = 0.05
-#: And above this [m]: before anything moved, rounding is no shortfall.
+#: Absolute threshold of saturation [m]: rounding before the first motion is not saturation.
 SMALLEST = 1e-9
-#: Answers may be late by as many samples less one on a busy machine.
+#: Number of stored commands: on a busy machine an achieved command may be late by fewer samples than this.
 LATENESS = 20
 
 
 class Shortfall:
-    """Compares commands with what was carried out, and remembers the worst since the last report."""
+    """Compares commands with achieved commands, and stores the largest difference since the last report."""
 
     def __init__(self):
         self.count = 0
@@ -56,11 +56,11 @@ class Shortfall:
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare what was carried out [m] with the nearest of the last commands: an answer may be late."""
+        """Compare an achieved command [m] with the nearest of the last commands, because it may be late."""
         self._largest = max(self._largest, abs(applied))
         allowed = max(FRACTION * self._largest, SMALLEST)
         if abs(self._sent[-1] - applied) <= allowed:
-            return  # as it is in nearly every sample
+            return  # the case of almost every sample
         wanted = min(self._sent, key=lambda command: abs(command - applied))
         difference = abs(wanted - applied)
         if difference <= allowed:
@@ -70,22 +70,22 @@ class Shortfall:
             self._worst = (wanted, applied)
 
     def report(self) -> str:
-        """Return a sentence about the worst since the last call, empty when all was carried out."""
+        """Return a sentence about the worst saturation since the last call; empty when there was none."""
         if self._worst is None:
             return ""
         (wanted, applied), self._worst = self._worst, None
-        return f"command saturated: wanted {1e6 * wanted:.4g} µm, carried out {1e6 * applied:.4g} µm"
+        return f"command saturated: commanded {1e6 * wanted:.4g} µm, achieved {1e6 * applied:.4g} µm"
 
 
-#: What is said where the package is missing.
+#: Log message when the package control_msgs is missing.
 MISSING = (
     "~/controller_state and ~/pid_state are not published: the package control_msgs is not installed "
-    "(sudo apt install ros-jazzy-control-msgs; it is not among the wheels; controller_state_rate: 0 does without them)"
+    "(sudo apt install ros-jazzy-control-msgs; there is no wheel of it; controller_state_rate: 0 turns both off)"
 )
 
 
 def message_types() -> tuple[type, type] | None:
-    """Return the types SingleDOFStateStamped and PidState, None where the package control_msgs is not installed."""
+    """Return the types SingleDOFStateStamped and PidState; None when the package control_msgs is not installed."""
     try:
         found = importlib.import_module("control_msgs.msg")
     except ImportError:
@@ -94,7 +94,7 @@ def message_types() -> tuple[type, type] | None:
 
 
 class ControllerState:
-    """Publishes ``~/controller_state``, and ``~/pid_state`` while a PID controller works."""
+    """Publishes ``~/controller_state``, and ``~/pid_state`` while a PID controller is active."""
 
     def __init__(self, node, state_type: type, pid_type: type):
         self._node = node
@@ -124,7 +124,7 @@ class ControllerState:
             self._tell_pid(stamp, error, drift, command)
 
     def _tell_pid(self, stamp, error: float, drift: float, command: float) -> None:
-        """Publish what a PID controller is made of; the names of its gains have changed between versions."""
+        """Publish the terms of a PID controller; the field names of its gains depend on the version of control_msgs."""
         gains, message = self._node.parameters.pid, self._pid
         given = {"Kp": gains.Kp, "Ki": gains.Ki, "Kd": gains.Kd, "integral": float(self._node.controller.x[INTEGRAL])}
         renamed = hasattr(message, "p_gain")
@@ -146,15 +146,15 @@ _CONTROL = interpreted(control)
 class MotionControllerNode(Responder):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
 
-    What it does about measurements that are missing or wrong is its part of the loop
-    (:mod:`hysteresis_ros.loop.controller`). In real time a measurement whose stamp does not follow the last one is
-    missing, and while none come samples are counted by the clock.
+    Missing or wrong measurements are handled in its part of the loop (:mod:`hysteresis_ros.loop.controller`). In real
+    time a measurement whose stamp does not follow the last one counts as missing; while no measurements arrive, the
+    clock counts the samples.
 
-    When it stops working it sends nothing any more: the compensator then goes to its safe voltage by itself, after its
-    time-out and at its slew rate. A last command would be a step.
+    When it stops it publishes nothing: the compensator then moves to its safe voltage after its time-out, at its slew
+    rate. A final command would be a step.
 
-    With ``use_origin`` an inchworm_sequencer takes the reference generator's place: what is controlled is the measured
-    joint less the ``origin`` that comes with every reference.
+    With ``use_origin`` an inchworm_sequencer replaces the reference generator: the controlled variable is the measured
+    joint minus the ``origin`` of every reference.
     """
 
     parameters: ControllerNodeParameters
@@ -167,7 +167,7 @@ class MotionControllerNode(Responder):
         super().__init__("motion_controller", **options)
 
     def build(self, parameters) -> None:
-        """Make the controller from the parameters."""
+        """Create the controller from the parameters."""
         source = "inchworm_sequencer" if parameters.use_origin else "reference_generator"
         origin = (Input("origin", signals.ORIGIN, source, strict=True),) if parameters.use_origin else ()
         self.inputs = (
@@ -179,7 +179,7 @@ class MotionControllerNode(Responder):
         self._connect_part()
         self.compile()
         if parameters.time_mode == "realtime":
-            self.part.prepare()  # or the loop would stand still when another one takes over
+            self.part.prepare()  # otherwise a change of the controller would halt the loop
         self._clear()
 
     def _connect_part(self) -> None:
@@ -195,7 +195,7 @@ class MotionControllerNode(Responder):
         _CONTROL(self._laws, self._arrays, self.row)
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         super().connect()
         self._state_of_controller = None
         if self.parameters.controller_state_rate:
@@ -206,34 +206,34 @@ class MotionControllerNode(Responder):
                 self._state_of_controller = ControllerState(self, *types)
 
     def report(self, stamp) -> None:
-        """Publish ``~/state``, and what tools of ros2_control look at."""
+        """Publish ``~/state`` and the messages of ros2_control."""
         super().report(stamp)
         if self._state_of_controller is not None:
             self._state_of_controller.tell(stamp)
 
     def begin(self) -> None:
-        """In real time go on from where the axis is."""
+        """In real time continue from the present state of the axis."""
         if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
 
     def reset_blocks(self) -> None:
-        """Begin again with everything at rest."""
+        """Reset the controller to rest."""
         super().reset_blocks()
         self._clear()
 
     def retune(self, parameters) -> None:
-        """Take new gains, or another type of controller; the command goes on from where it is."""
+        """Apply new gains, or another type of controller, without a step of the command."""
         self.part.retune(parameters)
 
     def retuned(self, parameters) -> None:
-        """Show the controller that is there now."""
+        """Show the present controller and log a change of its type."""
         self._connect_part()
         before = self.parameters.type
         if parameters.type != before:
             self.get_logger().info(f"{parameters.type} takes over from {before}")
 
     def take_part(self, part) -> None:
-        """Show this part of a loop from now on."""
+        """Show this part of a fused loop from now on."""
         super().take_part(part)
         self._connect_part()
 
@@ -265,26 +265,26 @@ class MotionControllerNode(Responder):
 
     @property
     def rejected(self) -> int:
-        """Measurements so far that were not used."""
+        """Number of rejected measurements so far."""
         return int(self._arrays.watch_x.guard[REJECTED])
 
     @property
     def is_stale(self) -> bool:
-        """Whether there has been no good measurement for the time-out."""
+        """Whether no valid measurement has arrived within the time-out."""
         return self._mode == STALE
 
     @property
     def stale(self) -> bool:
-        """Whether measurements have not come for their time-out, or a partner is lost."""
+        """Whether no measurement has arrived within the time-out, or a partner is lost."""
         return self.is_stale or bool(self.runner.latched)
 
     @property
     def unpaired(self) -> bool:
-        """Whether reference and origin of a motor do not come."""
+        """Whether reference and origin of a motor are missing."""
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return whether the last sample still lacks what was carried out: a change comes before that then."""
+        """Return whether the achieved command of the last sample is still missing: a change then precedes it."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -313,7 +313,7 @@ class MotionControllerNode(Responder):
         path = self.parameters.learning.save_file if self.parameters is not None else ""
         if self.parameters is not None:
             if not path:
-                allowed = "names no file; give one at configuration: nobody writes anywhere else"
+                allowed = "names no file; give one at configuration, because only that file is written"
                 raise ParameterError([Problem("learning.save_file", path, allowed)])
             self.part.save(path, self.get_fully_qualified_name())
         return self._answer_service(response, f"written to {path}")
@@ -321,7 +321,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Put the measured force into the row as well, NaN when there is none; a damping may not do without it."""
+        """Also put the measured force into the row, NaN when there is none; some dampings require it."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name
@@ -329,7 +329,7 @@ class MotionControllerNode(Responder):
         row[signals.FORCE] = message.effort[index] if index < len(message.effort) else math.nan
         if self._lacks_force(row):
             lacks = "has no finite effort" if joint in names else f"is not in joint_states, which has {list(names)}"
-            text = f"missing force joint '{joint}': it {lacks}; {self.parameters.damping.type} cannot do without it"
+            text = f"missing force joint '{joint}': it {lacks}; {self.parameters.damping.type} requires it"
             if self.runner.exact and joint not in names:
                 self.fail(text)
                 return False
@@ -337,11 +337,11 @@ class MotionControllerNode(Responder):
         return True
 
     def _lacks_force(self, row) -> bool:
-        """Tell whether a row has no force for a damping that needs one."""
+        """Return whether a row lacks the force that the damping requires."""
         return self.parameters.damping.source == FORCE and not math.isfinite(row[signals.FORCE])
 
     def take(self, input_: Input, data: float) -> None:
-        """Take a reference, an origin, or what was carried out."""
+        """Store a reference, an origin, or an achieved command."""
         if input_.previous:
             carried_out(self._arrays, data)
             if math.isfinite(data):
@@ -350,22 +350,22 @@ class MotionControllerNode(Responder):
             self.row[input_.signal] = data
 
     def refuse_value(self, input_: Input, data: float) -> None:
-        """Say that a reference cannot be used: the last good one serves, of a motor the command stays."""
+        """Log that a reference is invalid: the last valid one is used; for a motor the command is held."""
         if not input_.previous:
             self.warn(input_.topic, f"{input_.topic} {data} m refused, the last one is kept")
 
     def show(self, stamp, quiet: bool) -> None:
-        """Publish what stands in the row, and compare what was wanted in it with what was carried out."""
+        """Publish the row of a sample, and compare its command with the achieved one."""
         super().show(stamp, quiet)
         self.shortfall.carried_out(self.row[signals.APPLIED])
 
     def after_step(self) -> None:
-        """Tell what has changed, and keep what was wanted for the comparison with what is carried out."""
+        """Log changes of mode, and store the command for the comparison with the achieved one."""
         self.shortfall.sent(self.row[signals.COMMAND])
         self.after_missing()
 
     def after_missing(self) -> None:
-        """Tell what has changed."""
+        """Log changes of mode."""
         mode = int(self.row[signals.CONTROLLER_MODE])
         if mode != self._mode:
             self._tell(self._mode, mode)
@@ -377,14 +377,15 @@ class MotionControllerNode(Responder):
             limit, safe = parameters.measurement_timeout, parameters.safe_command
             self.warn("stale", f"no good measurement of '{joint}' for {limit:g} s: going to safe_command {safe:g} m")
         elif mode == FOLLOWING:
-            self.warn("following", "nobody carries commands out: they follow the displacement until somebody does")
+            text = "no node reports achieved commands: the command follows the displacement until one does"
+            self.warn("following", text)
         elif mode == TRIPPED and not self.runner.latched:
             self.warn("tripped", "the plant has stopped the axis: going to safe_command", error=True)
         elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED):
-            self.get_logger().info(f"going on after {MODE_NAMES[before]}")
+            self.get_logger().info(f"resumed after {MODE_NAMES[before]}")
 
     def health(self):
-        """Report a stale measurement, rejected ones, and commands that the limits did not let through."""
+        """Report stale and rejected measurements, and saturated commands."""
         joint = self.parameters.joint
         values = {
             "rejected_measurements": self.rejected,
@@ -404,7 +405,7 @@ class MotionControllerNode(Responder):
         if self._lacks_force(self.row):
             return 2, f"missing force joint '{self.parameters.force_joint}'", values
         if not self.sample and not self.runner.exact:
-            return 2, f"no measurement of '{joint}' has come yet", values
+            return 2, f"no measurement of '{joint}' has arrived yet", values
         if self.runner.latched:
             what = f"measurement of '{joint}' is stale: " if self.runner.silent else ""
             return 2, f"{what}{self.loss}", values
@@ -413,13 +414,13 @@ class MotionControllerNode(Responder):
         if self._mode == TRIPPED:
             return 2, "the plant has stopped the axis", values
         if self._mode == FOLLOWING:
-            return 2, "nobody carries commands out", values
+            return 2, "no node reports achieved commands", values
         if self._mode == STOPPED:
             return 1, "stopped", values
         if self.unpaired:
             return 2, "reference and origin are stale", values
         if self.runner.absent:
-            text = f"nobody sends {' or '.join(self.runner.absent)} any more: the last value is kept"
+            text = f"{' and '.join(self.runner.absent)} no longer received: the last value is kept"
             self.warn("absent", text, every=10.0)
             return 1, text, values
         if rejected:

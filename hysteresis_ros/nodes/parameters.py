@@ -7,11 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What others may set and call on a node: parameters from the tables of the blocks, and services that give reasons.
+"""Interface of a node to its users: parameters from the tables of the blocks, and services that explain refusals.
 
-A value of the command line (``-p``) wins over parameter files, which rcl does not do for sections of wildcards. A file
-that is named over the graph must lie in a folder that the user of the node has allowed. A request of any content
-leaves the node running.
+A value of the command line (``-p``) overrides parameter files; rcl does not do this for sections with wildcards. A file
+named over the graph must be in a folder that the user of the node has allowed. No request stops the node.
 """
 
 from __future__ import annotations
@@ -39,13 +38,13 @@ from hysteresis_ros.configuration import ARRAY_TYPES, ParameterRow
 from hysteresis_ros.errors import LONGEST, HysteresisError, ParameterError, Problem, shortened
 from hysteresis_ros.files import BoundsError, read_yaml
 
-#: Where the arguments for ROS begin and end.
+#: Begin and end markers of the ROS arguments.
 BEGIN, END = "--ros-args", "--"
 FLAGS = ("-p", "--param")
 
 
 def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
-    """Return the values that ``-p [NODE:]NAME:=VALUE`` gives to parameters of a node; of several the last one counts."""
+    """Return the parameter values of ``-p [NODE:]NAME:=VALUE`` for a node; the last one of a name counts."""
     values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
     for word in words:
         if word in (BEGIN, END):
@@ -59,7 +58,7 @@ def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> d
 
 
 def _value(text: str):
-    """Return a value as a parameter file would have it; unlike in YAML 1.1, 1e-6 is a number."""
+    """Return a value as in a parameter file; unlike in YAML 1.1, 1e-6 is a number."""
     try:
         value = read_yaml(text)
     except BoundsError:
@@ -74,17 +73,17 @@ def _value(text: str):
     return value
 
 
-#: Environment variable: folders, as in PATH; not set: the folder the node was started in, without what is hidden there.
+#: Environment variable with allowed folders, as in PATH; default: the working folder of the node, except hidden files.
 FOLDERS = "HYSTERESIS_FILES"
 
 
 def misplaced(row: ParameterRow, value) -> Problem | None:
-    """Return what is wrong with a value that somebody gives over the graph, None when it names nothing forbidden.
+    """Return the problem of a value that was set over the graph; None when it names nothing forbidden.
 
-    Symbolic links and ``..`` are followed first.
+    Symbolic links and ``..`` are resolved first.
     """
     if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
-        allowed = "is code, or given to it: only the parameter file or the command line of the node may name it"
+        allowed = "names code, or options of it: only the parameter file or the command line of the node may set it"
         return Problem(row.name, value, allowed)
     if row.place != "files" or not isinstance(value, str) or not value:
         return None
@@ -97,19 +96,19 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         path = pathlib.Path(value).expanduser().resolve()
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a user who is not, a null byte
-        return Problem(row.name, value, f"is no path: {error}")
+        return Problem(row.name, value, f"is not a path: {error}")
     if any(stated is not None or not any(part.startswith(".") for part in found.parts) for found in below):
         return None
     there = ", ".join(map(str, folders)) or "nowhere"
     allowed = (
-        f"a file that is named over the graph must lie in {there} ({where}); name one there, give it in the parameter "
+        f"a file named over the graph must be in {there} ({where}); name one there, give it in the parameter "
         f"file of the node, or start the node with {FOLDERS}=FOLDER"
     )
     return Problem(row.name, value, allowed)
 
 
 def _working_folder() -> list[pathlib.Path]:
-    """Return the working folder; of services, which are started in the root, none: everything lies below that."""
+    """Return the working folder; none for a service started in the root folder, which contains every file."""
     folder = pathlib.Path.cwd()
     return [folder] if folder != pathlib.Path(folder.anchor) else []
 
@@ -118,12 +117,12 @@ def _resolved(folders: list[pathlib.Path]) -> list[pathlib.Path]:
     return [folder.expanduser().resolve() for folder in folders]
 
 
-#: Types of a value that a parameter can be set to, by their number.
+#: Types of parameter values, by number.
 _SETTABLE = {kind.value: kind.name.lower() for kind in Parameter.Type if kind != Parameter.Type.NOT_SET}
 
 
 def answered(serve):
-    """Return a service that says why nothing could be done."""
+    """Return a service that reports an error in its answer."""
 
     def answer(request, response):
         try:
@@ -136,18 +135,18 @@ def answered(serve):
 
 
 class GuardedServices(Node):
-    """A node whose services survive any request, rclpy's own too; stands before rclpy's class of the node.
+    """A node whose services, including those of rclpy, survive any request; precedes rclpy's class in the bases.
 
-    An exception in a service ends the process with the outputs where they are: rclpy up to 7.1.6 raises one for a value
-    of a type that it does not know, for instance.
+    An exception in a service ends the process without moving the outputs to safe values; rclpy up to 7.1.6 raises one,
+    for instance, for a value of an unknown type.
     """
 
     def create_service(self, srv_type, srv_name, callback, **options):
-        """Create a service that answers with a reason where its callback raises an exception."""
+        """Create a service that answers with the reason when its callback raises an exception."""
         return super().create_service(srv_type, srv_name, self._guarded(srv_type, srv_name, callback), **options)
 
     def guard_services(self) -> None:
-        """Guard the services that rclpy made without :meth:`create_service`: of the life cycle, of message types."""
+        """Guard the services that rclpy creates without :meth:`create_service`: lifecycle and type description."""
         for service in self._services:
             if not getattr(service.callback, "is_guarded", False):
                 service.callback = self._guarded(service.srv_type, service.srv_name, service.callback)
@@ -156,7 +155,7 @@ class GuardedServices(Node):
         def answer(request, response):
             try:
                 return answer_checked(request, response)
-            except Exception as error:  # whatever a request leads to: the node goes on
+            except Exception as error:  # no request may stop the node
                 reason = _of(error)
                 self.get_logger().warning(f"service {name} refused a request: {reason}", throttle_duration_sec=1.0)
                 return _refusal(srv_type, request, reason)
@@ -183,12 +182,12 @@ class GuardedServices(Node):
 
 
 def _of(error: Exception) -> str:
-    """Return what an exception says, in a line of bounded length."""
+    """Return the message of an exception as one line of bounded length."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:LONGEST]}"
 
 
 def _why_not(parameter) -> str:
-    """Return why a parameter of a request cannot be set, whatever the node; empty: it may be."""
+    """Return why a parameter of a request cannot be set on any node; empty when it can."""
     if not parameter.name:
         return "a parameter without a name cannot be set: give its name"
     if parameter.value.type not in _SETTABLE:
@@ -198,7 +197,7 @@ def _why_not(parameter) -> str:
 
 
 def _set_each(request, response, serve):
-    """Set parameters one by one: what one is refused for does not concern the others."""
+    """Set parameters one by one: the refusal of one does not affect the others."""
     for parameter in request.parameters:
         reason = _why_not(parameter)
         refused = [SetParametersResult(successful=False, reason=reason)] if reason else None
@@ -207,7 +206,7 @@ def _set_each(request, response, serve):
 
 
 def _refusal(srv_type, request, reason: str):
-    """Return the answer of a service that has not done what it was asked, with the reason where it has a place."""
+    """Return the negative answer of a service, with the reason if the type has a field for it."""
     response = srv_type.Response()
     if srv_type is SetParametersAtomically:
         response.result.reason = reason
@@ -217,10 +216,10 @@ def _refusal(srv_type, request, reason: str):
     return response
 
 
-#: Parameters that ROS itself puts on every node.
+#: Parameters that ROS itself declares on every node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 
-#: Types as ROS describes them.
+#: ROS types of the parameter types.
 _TYPES = {
     float: ParameterType.PARAMETER_DOUBLE,
     int: ParameterType.PARAMETER_INTEGER,
@@ -237,18 +236,18 @@ class TabledParameters(Node):
     interface: ParameterInterface
 
     def describe_parameter(self, name: str):
-        """Describe a parameter with its range and whether it can be changed."""
+        """Describe a parameter with its range, and whether it can be changed."""
         return self.interface.described(super().describe_parameter(name))
 
     def list_parameters(self, prefixes: list, depth: int):
-        """List the parameters that have a value, so that what is dumped can be given back."""
+        """List the parameters that have a value, so that a dump can be loaded again."""
         return self.interface.with_values(super().list_parameters(prefixes, depth))
 
 
 class ParameterInterface:
     """Declares a parameter table on a node and keeps the typed parameters in step with it.
 
-    A value of the command line (``-p``) wins over parameter files, whatever pattern those name the node by.
+    A value of the command line (``-p``) overrides every matching section of parameter files.
     """
 
     def __init__(self, node, cls, apply):
@@ -259,7 +258,7 @@ class ParameterInterface:
         given |= assigned(node.get_name(), node.get_fully_qualified_name())
         self._at_start: dict = {}
         for row in self._rows.values():
-            if node.has_parameter(row.name):  # use_sim_time: every node has it from the start
+            if node.has_parameter(row.name):  # use_sim_time: rclpy declares it
                 continue
             default = list(row.default) if isinstance(row.default, tuple) else row.default
             value = self._typed(row, given.get(row.name, None if row.required else default), row.name in given)
@@ -278,35 +277,35 @@ class ParameterInterface:
         return self.typed
 
     def described(self, descriptor: ParameterDescriptor) -> ParameterDescriptor:
-        """Return how a parameter is described to others: with its type, its range and whether it can be changed.
+        """Return the published description of a parameter, with its type, its range and whether it can be changed.
 
-        rclpy, which would refuse by these without saying what is allowed, does not get to know them.
+        rclpy itself does not get type and range, because it would refuse values without naming the allowed ones.
         """
         row = self._rows.get(descriptor.name)
         if row is None:
             return descriptor
-        told = copy.deepcopy(descriptor)
-        told.type, told.read_only = _TYPES[row.type], row.read_only
+        full = copy.deepcopy(descriptor)
+        full.type, full.read_only = _TYPES[row.type], row.read_only
         low, high = row.low, row.high
         if row.type is float and (low is not None or high is not None):
-            told.floating_point_range = [
+            full.floating_point_range = [
                 FloatingPointRange(
                     from_value=-sys.float_info.max if low is None else float(low),
                     to_value=sys.float_info.max if high is None else float(high),
                 )
             ]
         elif row.type is int and (low is not None or high is not None):
-            told.integer_range = [
+            full.integer_range = [
                 IntegerRange(
                     from_value=-(2**63) if low is None else int(low),
                     to_value=2**63 - 1 if high is None else int(high),
                     step=1,
                 )
             ]
-        return told
+        return full
 
     def with_values(self, listed: ListParametersResult) -> ListParametersResult:
-        """Return a list of parameters without those that have no value: a file can say nothing about them."""
+        """Return a list of parameters without those that have no value, which a file cannot express."""
         listed.names = [name for name in listed.names if self._is_set(name)]
         return listed
 
@@ -319,7 +318,7 @@ class ParameterInterface:
         }
 
     def _value(self, name: str, value):
-        """Return a value in plain Python types; ROS gives an empty array of unknown type as None or as bytes."""
+        """Return a value in plain Python types; ROS returns an empty array of unknown type as None or as bytes."""
         if isinstance(value, (str, bool, int, float)):
             return value
         if not value and self._rows[name].type in ARRAY_TYPES:
@@ -327,15 +326,15 @@ class ParameterInterface:
         return value if value is None else list(value)
 
     def _typed(self, row: ParameterRow, value, is_given: bool = True):
-        """Return a value as ROS is to store it: whole numbers, and words for numbers, as the type of the row.
+        """Return a value in the type of its row, converted from an integer or from the text of a number.
 
-        YAML 1.1, by which ``ros2 param`` reads its values, takes 5e-7 for a word and 1 for a number, [] for nothing.
+        ``ros2 param`` reads values by YAML 1.1, which takes 5e-7 for a text, 1 for an integer and [] for no value.
         """
         if row.type is float and not isinstance(value, bool):
             try:
                 return float(value)
             except OverflowError:
-                return shortened(value)  # as a text it is refused by name
+                return shortened(value)  # a text is refused with the name of the parameter
             except (TypeError, ValueError):
                 return value
         if row.type is str and isinstance(value, int) and not isinstance(value, bool):
@@ -348,7 +347,7 @@ class ParameterInterface:
         return value
 
     def _converted(self, changes):
-        """Give values that are about to be set the types of their rows; what does not fit is refused later, by name."""
+        """Convert values to the types of their rows before they are set; wrong types are refused later, by name."""
         return [
             Parameter(change.name, value=self._typed(self._rows[change.name], change.value))
             if change.name in self._rows
@@ -367,14 +366,15 @@ class ParameterInterface:
             self._refuse_misplaced(changed)
             self._refuse_beyond_start(changed)
             if own or len(changed) < len(changes):
-                # another callback may refuse these after ours was applied: then nothing would be atomic any more
+                # another callback may refuse these after this one has applied its values, so the change would not be
+                # atomic
                 raise ParameterError([Problem(", ".join(own), "", "set it by itself, not together with others")])
             if self.typed is None:
                 for name, value in changed.items():
                     self._rows[name].convert(value)
             else:
                 self._refuse_read_only(changed)
-                # the only callback for these names on this node: what it accepts is set at once, atomically
+                # this is the only callback for these names on this node: accepted values are set at once, atomically
                 typed = self._cls.from_mapping(self._values() | changed)
                 self._apply(typed)
                 self.typed = typed
@@ -383,7 +383,7 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse limits of the voltage beyond those that the node was started with: they protect what is connected."""
+        """Refuse voltage limits wider than those at the start of the node, which protect the connected device."""
         beyond = {
             name: self._at_start.get(name)
             for name, sign in (("limits.minimum", -1.0), ("limits.maximum", 1.0))
@@ -397,21 +397,21 @@ class ParameterInterface:
                 Problem(
                     name,
                     changed[name],
-                    f"beyond the {limit:g} V of the start; give the wider limit in the parameter file, or with "
-                    f"-p {name}:=…, and start the node again",
+                    f"beyond the {limit:g} V at the start of the node; give the wider limit in the parameter file, or "
+                    f"with -p {name}:=…, and start the node again",
                 )
                 for name, limit in beyond.items()
             )
 
     def _refuse_misplaced(self, changed: dict) -> None:
-        """Refuse paths that nobody may name from outside; those the node was started with are its user's."""
+        """Refuse paths that must not be set over the graph; the initial values of the node remain allowed."""
         new = {name: value for name, value in changed.items() if value != self._at_start.get(name)}
         problems = [misplaced(self._rows[name], value) for name, value in new.items()]
         if any(problems):
             raise ParameterError(filter(None, problems))
 
     def _refuse_read_only(self, changed: dict) -> None:
-        """Refuse another value of what cannot change while the node is configured; the same one changes nothing."""
+        """Refuse to change a read-only parameter while the node is configured; setting the same value is allowed."""
         now = self._values()
         fixed = [name for name in changed if self._rows[name].read_only]
         problems = [
@@ -429,7 +429,7 @@ class ParameterInterface:
 
 
 def _declared(row: ParameterRow) -> ParameterDescriptor:
-    """Return the descriptor of a parameter as rclpy is to know it."""
+    """Return the descriptor of a parameter for rclpy."""
     return ParameterDescriptor(
         name=row.name,
         description=f"{row.description} [{row.unit}]" if row.unit else row.description,

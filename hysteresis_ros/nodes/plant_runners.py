@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""When the plant makes a sample: when everybody has answered the last one, or when its time has come."""
+"""Runners of the plant: a sample begins when all nodes have answered the last one, or at its scheduled time."""
 
 from __future__ import annotations
 
@@ -36,66 +36,66 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
+#: Real time: longer waits are interruptible; the rest of a wait is slept, which is more accurate [s].
 EXACT_WAIT = 0.02
 
-#: How often a device hears of the node between samples [s].
+#: Interval at which a device is kept alive between samples [s].
 PAUSE = 0.01
 
 #: Nodes of an axis that read joint_states.
 READERS = 3
 
-#: Periods behind schedule after which the schedule moves instead of being caught up with.
+#: Delay in periods from which the schedule is shifted instead of caught up with.
 FAR_BEHIND = 10.0
 
-#: Without a voltage for so many seconds, and so many periods, none is under way any more; and how many times as long
-#: that is waited for.
+#: Time [s] and number of periods without a voltage after which none is pending; and the maximum wait as a multiple of
+#: that.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
-#: Whose absence opens the loop.
+#: Nodes whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
 
-#: Samples in a row that are answered before voltages are counted again after a node has joined the loop, and samples
-#: after which they are in any case.
+#: After a node has joined the loop, voltages are counted again when this number of samples in a row was answered, and
+#: at the latest after this number of samples.
 SETTLED, LONGEST_SETTLING = 10, 100
 
-#: Samples whose times of publication are kept.
+#: Number of samples whose publication time is stored.
 PUBLISHED = 1024
 
-#: Answers whose times are kept to say what this machine holds.
+#: Number of stored response times, from which the achievable rate is estimated.
 ANSWERS = 256
 
 
 class LockstepPlant(Lockstep):
-    """Publishes sample k and goes on to k+1 when all voltages of k have come."""
+    """Publishes sample k and continues with k+1 when all voltages of k have arrived."""
 
     def clear(self) -> None:
-        """Forget the run: the next sample is number 0."""
+        """Reset the run: the next sample is number 0."""
         super().clear()
         self.restart()
 
     def restart(self) -> None:
-        """Begin at sample 0."""
+        """Start at sample 0."""
         self.is_measured = False
         self._ended = False
         self._came: set[str] = set()
         self._acknowledged = 0
 
     def connect(self) -> None:
-        """Make the topics of the protocol."""
+        """Create the topics of the protocol."""
         super().connect()
         if self.node.parameters.wait_for_recorder:
             self._acknowledged = -1
 
     def start_time(self) -> None:
-        """Tell the others whether the time goes on."""
+        """Publish whether the time is running or paused."""
         self.say("running" if self.node.running else "paused")
 
     def stop_time(self) -> None:
-        """Nothing goes on by itself."""
+        """Do nothing: lockstep advances with messages only."""
 
     def hold(self, held: bool) -> None:
-        """Hold the time of the axis, or let it go on."""
+        """Pause the time of the axis, or resume it."""
         self.say("paused" if held else "running")
         self.advance()
 
@@ -105,7 +105,7 @@ class LockstepPlant(Lockstep):
     is_quiet = True
 
     def advance(self) -> None:
-        """Publish the present sample when the partners and the recorder allow it."""
+        """Publish the present sample when partners and recorder are ready."""
         node = self.node
         if self.is_measured or self._ended or node.failure or not node.running or not node.active:
             return
@@ -128,13 +128,13 @@ class LockstepPlant(Lockstep):
         return self._acknowledged < 0 or self.node.sample - self._acknowledged >= parameters.lead
 
     def voltage(self, input_, message) -> None:
-        """Take a voltage; it is that of the present sample, or the run is broken."""
+        """Take the voltage of the present sample; any other one breaks the run."""
         node = self.node
         if self._ended or not node.active or node.failure:
             return
         again = input_.topic in self._came
         if not self.is_measured or again:
-            # before sample 0, and from a compensator that leaves while the time is held, it is nothing
+            # ignored before sample 0, and from a compensator that exits while the time is paused
             if (self.is_measured and again) or (node.sample and node.running and not self._recorder_behind()):
                 text = f"a voltage came on {input_.topic} that sample {node.sample} did not ask for"
                 node.fail(f"{text}: {input_.partner} was restarted, or there are two; {TOGETHER}")
@@ -148,41 +148,41 @@ class LockstepPlant(Lockstep):
             self.advance()
 
     def acknowledged_by_recorder(self, message) -> None:
-        """Note how far the recorder is."""
+        """Store the last sample acknowledged by the recorder."""
         self._acknowledged = message.data
         self.heard()
         self.advance()
 
     def missing_voltage(self) -> str:
-        """Name who has not delivered what the present sample needs."""
+        """Return the partner whose input for the present sample is missing."""
         if not self.matched():
             return "every reader of joint_states"
         if self.is_measured:
             missing = [input_ for input_ in self.node.inputs if input_.topic not in self._came]
-            # the voltage waits for what others wait for: who owes another one is nearer to the culprit
+            # the voltage depends on the other inputs: the partner of another missing input is closer to the cause
             return f"{missing[-1].partner} (topic {missing[-1].topic})"
         return "recorder" if self._recorder_behind() else ""
 
     @property
     def late_samples(self) -> int:
-        """Samples so far whose voltage did not come in time."""
+        """Number of samples so far whose voltage was late."""
         return self.node.part.late
 
     def explain_trip(self) -> str:
-        """Say why the plant has stopped the axis."""
+        """Return why the plant has stopped the axis."""
         limit = self.node.parameters.allowed_late
         return f"more than {limit} voltages were missing in a row or within a second; ~/start lets it go on"
 
 
 class RealTimePlant(RealTime):
-    """Makes a sample whenever its time has come, in a thread with absolute deadlines.
+    """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
-    A voltage carries no number, so it belongs to a sample by count, and one that answers an earlier sample is late
-    however soon after its own sample it comes: in its place the last one that came in time stays, unless any number may
-    be late, or nobody closes the loop. When the first voltages come, after a reset and after ``~/start`` of a stopped
-    axis, it is not known how many samples will not be answered any more: the next one then waits for a moment,
-    until no voltage is under way, and the count begins there. A node that joins an axis that runs does not hold its
-    samples up: voltages are taken as they come until some samples in a row have been answered, and counted from there.
+    A voltage carries no number, so it is assigned to a sample by count. A voltage that answers an earlier sample is
+    late; the last voltage in time is held instead, unless any number may be late or the loop is open. At the first
+    voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered samples is unknown: the
+    next sample then waits until no voltage is pending, and the count starts there. A node that joins a running axis
+    does not delay the samples: voltages are accepted as they arrive until some samples in a row have been answered, and
+    are counted from there.
     """
 
     def __init__(self, node):
@@ -195,7 +195,7 @@ class RealTimePlant(RealTime):
         self._published = array("d", bytes(8 * PUBLISHED))
         self._answers = array("d", bytes(8 * ANSWERS))
         self._answered = 0
-        # one is written by the thread, the other by the executor
+        # the thread writes one, the executor the other
         self._asked = 0
         self._given: dict[str, int] = {}
         self._unaligned = False
@@ -203,7 +203,7 @@ class RealTimePlant(RealTime):
         super().__init__(node)
 
     def connect(self) -> None:
-        """Listen to who comes and goes."""
+        """Subscribe to the presence of the nodes."""
         super().connect()
         self._known: set[str] = set()
         self._gone: set[str] = set()
@@ -229,7 +229,7 @@ class RealTimePlant(RealTime):
                 self._lost[reporter] = name
             else:
                 self._lost.pop(reporter, None)
-            # said to a plant that was started again after it was lost: it may hear only the second
+            # repeated for a plant that was restarted after its loss and may miss the first message
             if state == LOST or (who == PLANT and not node.part.tripped):
                 with node.lock:
                     node.lose(name)
@@ -240,14 +240,14 @@ class RealTimePlant(RealTime):
         self._lost = {}
 
     def missing_partners(self) -> str:
-        """Name the nodes without which the axis cannot go on; empty: none is lost."""
+        """Return the lost nodes without which the axis cannot continue; empty when none is lost."""
         now = time.monotonic()
         stopped = self.node.inputs if self.node.part.silent else ()
         silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}
         return " and ".join(sorted({*self._lost.values(), *silent}))
 
     def _is_silent(self, input_, now: float) -> bool:
-        """Tell whether the voltages of a node that was at work have stopped for the time-out."""
+        """Return whether the voltages of an active node have been missing for the time-out."""
         limit = max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
         if input_.received - input_.first < STARTING:
             limit = max(limit, STARTING)
@@ -267,7 +267,7 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _look_for_losses(self) -> None:
-        """Stop the axis when voltages have stopped, unless somebody has said so; called with the lock held."""
+        """Stop the axis when voltages have stopped unannounced; called with the lock held."""
         node, part = self.node, self.node.part
         if part.silent and not self._gone and not node.leaving and not self._lost:
             now = time.monotonic()
@@ -275,10 +275,10 @@ class RealTimePlant(RealTime):
             if silent and not part.lost:
                 node.lose(silent[0])
         if part.lost:
-            part.lose(part.lost)  # late voltages since then are no other reason
+            part.lose(part.lost)  # late voltages since then are not a separate reason
 
     def align(self) -> None:
-        """Begin to count voltages anew before the next sample, which waits until none is under way."""
+        """Restart the count of voltages before the next sample, which waits until none is pending."""
         self._unaligned = True
 
     def go_on(self) -> None:
@@ -287,11 +287,11 @@ class RealTimePlant(RealTime):
         self._presence.publish(String(data=f"{STARTED} {PLANT}"))
 
     def settle(self) -> None:
-        """Begin to count voltages anew while samples go on."""
+        """Restart the count of voltages while samples continue."""
         self._settling, self._unsettled = SETTLED, LONGEST_SETTLING
 
     def _settle(self) -> bool:
-        """Tell whether voltages are not counted in this sample; called with the lock held."""
+        """Return whether voltages are not counted in this sample; called with the lock held."""
         if not self._settling:
             return False
         answered = all(math.isfinite(input_.value) for input_ in self.node.inputs)
@@ -305,11 +305,11 @@ class RealTimePlant(RealTime):
 
     @property
     def thread(self):
-        """The thread that keeps the time, while there is one."""
+        """The timing thread, or None."""
         return self._thread
 
     def start_time(self) -> None:
-        """Start the thread that keeps the time."""
+        """Start the timing thread."""
         self.node.stamps.go_on(self.node.sample)
         self._start()
 
@@ -320,35 +320,35 @@ class RealTimePlant(RealTime):
         self._thread.start()
 
     def stop_time(self) -> None:
-        """Stop the thread that keeps the time."""
+        """Stop the timing thread."""
         self._leaving.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
 
     def restart(self) -> None:
-        """Begin at sample 0; called with the lock held."""
+        """Start at sample 0; called with the lock held."""
         self._runs += 1
         self.align()
         self._ended = False
         self.is_measured = False
         self.node.stamps.go_on(self.node.sample)
         if self._thread is not None and not self._thread.is_alive():
-            self._start()  # it had left at the end of the run before
+            self._start()  # the thread had ended with the last run
 
     def hold(self, held: bool) -> None:
-        """Hold the time of the axis, or let it go on; the others hear of it, or they would take it for lost."""
+        """Pause or resume the time of the axis, and inform the other nodes, which would otherwise count it as lost."""
         self._excuse(held)
         if not held:
             with self.node.lock:
                 self.node.stamps.go_on(self.node.sample)
 
     def _excuse(self, held: bool) -> None:
-        """Say that no samples come for a while, or that they come again."""
+        """Publish that samples pause or resume."""
         self._presence.publish(String(data=f"{GONE if held else HERE} {self.node.kind}"))
 
     def voltage(self, input_, message) -> None:
-        """Take a voltage: the last one before the deadline counts."""
+        """Take a voltage; the last one before the deadline counts."""
         node = self.node
         if not input_.received:
             self.align()
@@ -362,25 +362,25 @@ class RealTimePlant(RealTime):
             self._answered += 1
 
     def acknowledged_by_recorder(self, message) -> None:
-        """Note that the recorder is there."""
+        """Store that the recorder is present."""
         self._acknowledged = message.data
 
     def missing_voltage(self) -> str:
-        """In real time nobody is awaited."""
+        """Return '': in real time no partner is awaited."""
         return ""
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no voltage is under way any more."""
+        """Whether no voltage is pending."""
         return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
 
     @property
     def late_samples(self) -> int:
-        """Samples so far whose voltage did not come in time."""
+        """Number of samples so far whose voltage was late."""
         return self.node.part.late
 
     def explain_trip(self) -> str:
-        """Say why the plant has stopped the axis, what this machine holds, and what to do."""
+        """Return why the plant has stopped the axis, the rate that this machine achieves, and a remedy."""
         parameters = self.node.parameters
         rate = parameters.sample_rate * parameters.real_time_factor
         text = f"more than {parameters.allowed_late} voltages came late within a second, at {rate:.6g} Hz"
@@ -396,7 +396,7 @@ class RealTimePlant(RealTime):
     def _keep_time(self) -> None:
         try:
             self._keep_time_until_left()
-        except Exception as error:  # a thread would die without a word
+        except Exception as error:  # the thread would end silently
             self.node.fail(f"the thread that keeps the time broke: {type(error).__name__}: {error}")
 
     def _keep_time_until_left(self) -> None:
@@ -424,10 +424,10 @@ class RealTimePlant(RealTime):
                 return
             behind = time.monotonic() - deadline > FAR_BEHIND * period
             if behind:
-                deadline = time.monotonic()  # the schedule moves; samples are never dropped
+                deadline = time.monotonic()  # the schedule is shifted; samples are never dropped
             with node.lock:
                 if self._runs != published:
-                    continue  # a reset came in between: there is no sample to take
+                    continue  # a reset has intervened: there is no sample
                 self.is_measured = False
                 if not self._settle():
                     self._drop_late()
@@ -440,13 +440,13 @@ class RealTimePlant(RealTime):
                     node.finish()
 
     def _pause(self, duration: float) -> None:
-        """Wait for a moment between samples; a device is told that somebody is there."""
+        """Wait a moment between samples and keep the device alive."""
         with self.node.lock:
             self.node.part.refresh()
         self._leaving.wait(duration)
 
     def _finish_sample(self) -> None:
-        """Finish a sample; voltages that are missing because somebody has left the loop are not called late."""
+        """Finish a sample; voltages that are missing because a node has left the loop do not count as late."""
         node = self.node
         before = node.part.tripped
         if node.leaving:
@@ -458,11 +458,11 @@ class RealTimePlant(RealTime):
 
     @property
     def _is_open(self) -> bool:
-        """Whether nobody controls: then voltages answer nothing."""
+        """Whether the loop is open: voltages are then not answers to samples."""
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:
-        """Drop voltages that came, but answer an earlier sample: with a delay unknown to it a loop runs away."""
+        """Drop voltages that answer an earlier sample: an unknown delay makes a loop unstable."""
         node = self.node
         behind = [input_ for input_ in node.inputs if self._is_behind(input_)]
         if not behind or self._is_open:
@@ -476,11 +476,11 @@ class RealTimePlant(RealTime):
             input_.value = math.nan
 
     def _is_behind(self, input_) -> bool:
-        """Tell whether a voltage came, but not yet that of the present sample: Float64 messages belong by count."""
+        """Return whether only voltages of earlier samples have arrived: Float64 messages are assigned by count."""
         return bool(input_.received) and self._given.get(input_.topic, 0) < self._asked
 
     def _align(self) -> None:
-        """Wait until no voltage is under way, and begin to count there."""
+        """Wait until no voltage is pending, and start the count there."""
         node = self.node
         self._unaligned = False
         self._settling = 0
@@ -502,7 +502,7 @@ class RealTimePlant(RealTime):
         self._excuse(False)
 
     def _await_partners(self) -> None:
-        """Let a run of given length begin when the loop is complete; one without end needs no beginning."""
+        """Start a run of given length when the loop is complete; a run without end starts at once."""
         node = self.node
         waits = node.parameters.wait_for_recorder
         patience = time.monotonic() + STARTUP_TIMEOUT
@@ -516,7 +516,7 @@ class RealTimePlant(RealTime):
                 node.stamps.go_on(node.sample)
 
     def _wait_until(self, deadline: float) -> bool:
-        """Wait; False when the node leaves."""
+        """Wait; return False when the node exits."""
         wait = deadline - time.monotonic()
         if wait > EXACT_WAIT:
             self._leaving.wait(wait - EXACT_WAIT)

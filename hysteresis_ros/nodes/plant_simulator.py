@@ -46,12 +46,12 @@ from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 from hysteresis_ros.recordings.dataset import output_tolerance
 
-#: How far the stamps of a sample may be from the wall clock [ns] before they go on from there.
+#: Deviation of the stamps from the wall clock [ns] above which they continue from the wall clock.
 OFF_CLOCK = 100_000_000
 
 
 def _wall_clock() -> int | None:
-    """Return the time since 1970 [ns]; None where the clock cannot be read."""
+    """Return the time since 1970 [ns]; None when the clock cannot be read."""
     try:
         return time.time_ns()
     except OSError:
@@ -59,14 +59,14 @@ def _wall_clock() -> int | None:
 
 
 class Stamps:
-    """Which sample has which stamp."""
+    """Conversion of sample numbers to stamps."""
 
     def __init__(self, parameters):
         self._rate = parameters.sample_rate
         self._is_source = parameters.publish_clock
         self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
         self._start = 0
-        #: Of the last sample that was published [ns].
+        #: Stamp of the last published sample [ns].
         self.last = 0
 
     def _since_start(self, sample: int) -> int:
@@ -81,25 +81,25 @@ class Stamps:
         return self._start + np.rint(samples * 1e9 / self._rate).astype(np.int64)
 
     def begin(self, origin: int = 0) -> None:
-        """Take the time of sample 0 [ns since 1970]."""
+        """Set the time of sample 0 [ns since 1970]."""
         self._start = 0 if self._is_source else origin
 
     def go_on(self, sample: int) -> None:
-        """Let the stamps go on with this sample from now, or from zero where they are the source of time themselves.
+        """Restart the stamps with this sample: at the present time, or at zero when they are the time source.
 
-        A clock that was set back, or cannot be read, does not take them back: no node accepts an earlier stamp.
+        They never go back, even if the clock was set back or cannot be read, because no node accepts an earlier stamp.
         """
         now = max(_wall_clock() or 0, self.last + self._since_start(1))
         self.begin(now - self._since_start(sample))
 
     @property
     def are_off_clock(self) -> bool:
-        """Whether stamps that stand for the wall clock are off it, because it was set; False if it cannot be read."""
+        """Return whether stamps of the wall clock deviate from it, because it was set; False if it cannot be read."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
 
 
-#: Voltages of an axis, and who publishes them; an actuator has the first only.
+#: Voltages of an axis, and the nodes that publish them; an actuator has the first only.
 VOLTAGES = (
     ("voltage", signals.VOLTAGE, "hysteresis_compensator"),
     ("front_clamp/voltage", signals.FRONT_VOLTAGE, "inchworm_sequencer"),
@@ -108,7 +108,7 @@ VOLTAGES = (
 
 
 class VoltageInput:
-    """One voltage of the plant, as it comes over its topic."""
+    """One voltage of the plant, received on its topic."""
 
     def __init__(self, topic: str, signal: int, partner: str):
         self.topic, self.signal, self.partner = topic, signal, partner
@@ -118,13 +118,13 @@ class VoltageInput:
         """Begin anew."""
         self.value = math.nan
         self.received = 0.0
-        #: Voltages so far, and when the first of them came [s].
+        #: Number of voltages so far, and the time of the first one [s].
         self.count, self.first = 0, 0.0
         self.full_name = self.topic
 
 
 def explain_trip(part, runner) -> str:
-    """Say why a plant has stopped the axis, and what lets it go on."""
+    """Return why a plant has stopped the axis, and how to resume."""
     if part.failure:
         return f"{part.failure}; ~/start tries the device again, cleanup and configure open it anew"
     if part.lost:
@@ -149,7 +149,7 @@ def explain_trip(part, runner) -> str:
 
 
 def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, str]:
-    """Return level and words of a plant's diagnostics."""
+    """Return level and message of a plant's diagnostics."""
     topics = " or ".join(input_.topic for input_ in inputs)
     if part.tripped:
         return WARN if part.finding_home else ERROR, f"axis stopped: {explain_trip(part, runner)}"
@@ -168,19 +168,19 @@ def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, st
     return OK, ""
 
 
-#: Samples of a fused loop after which it is known whether an axis that was stopped goes on.
+#: Samples of a fused loop until it is known whether a stopped axis resumes.
 OUTCOME = 3
 
-#: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
+#: Time for the voltage of a device to reach its safe value before the node releases the device [s].
 RETURN = 1.0
 
 _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 
 
 class PlantSimulatorNode(AxisNode):
-    """Simulates an actuator or an inchworm motor in the place of real hardware.
+    """Simulates an actuator or an inchworm motor in place of real hardware.
 
-    ``lockstep``: publishes sample k and steps to k+1 only when voltage k has come, an inchworm when all three have.
+    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived, for an inchworm all three.
     ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
@@ -192,12 +192,12 @@ class PlantSimulatorNode(AxisNode):
     def __init__(self, **options):
         self.part = None
         super().__init__("plant_simulator", **options)
-        # real time: the thread and the executor both work on the plant
+        # in real time the thread and the executor both access the plant
         self.lock = threading.Lock()
 
     @property
     def patience(self) -> float:
-        """Seconds without a voltage after which the watchdog acts."""
+        """Time without a voltage after which the watchdog acts [s]."""
         return self.parameters.voltage_timeout
 
     lockstep_runner = LockstepPlant
@@ -210,16 +210,16 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def is_seen(self) -> bool:
-        """Whether a camera sees the plant: it publishes images in the place of joint_states."""
+        """Whether a camera measures the plant, which then publishes images in place of joint_states."""
         return self.parameters.type == "camera"
 
     @property
     def holds_time(self) -> bool:
-        """``~/stop`` holds the time of the axis."""
+        """Whether ``~/stop`` has paused the time of the axis."""
         return not self.running
 
     def build(self, parameters) -> None:
-        """Make the plant from the parameters."""
+        """Create the plant from the parameters."""
         if parameters.external_plant:
             raise ConfigurationError(
                 "external_plant = True: a node of your own stands in this one's place; leave this one out (`hysteresis "
@@ -233,7 +233,7 @@ class PlantSimulatorNode(AxisNode):
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
         if parameters.driver:
             self._tell_device()
-        # the paths through a simulated part: compiled now, not at the first sample; a fused loop has its own code
+        # compile all paths through a simulated part now, not at the first sample; a fused loop has its own code
         for voltage in () if parameters.driver or parameters.time_mode == "fused" else (0.0, math.nan):
             self.sense()
             for input_ in self.inputs:
@@ -245,14 +245,14 @@ class PlantSimulatorNode(AxisNode):
         self._clear()
 
     def _tell_device(self) -> None:
-        # two lines, because rclpy ties a place in the source to one severity
+        # two calls, because rclpy binds each call site to one severity
         if self.part.capabilities.watchdog is None:
             self.get_logger().warning(self.part.description)
         else:
             self.get_logger().info(self.part.description)
 
     def unbuild(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         if self.is_fused:
             self.fused.end()
         if self.part is not None and not self.is_fused:  # still fused: the device has not returned from a call
@@ -272,7 +272,7 @@ class PlantSimulatorNode(AxisNode):
         self._tripped = False
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         self._message = self._joint_states_message()
         self._state_places = [signals.place(name) for name in self.state_signals().values()]
         self._output = output_of(self)
@@ -290,7 +290,7 @@ class PlantSimulatorNode(AxisNode):
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
     def state_signals(self) -> dict[str, str]:
-        """Return what stands in ``~/state``; nobody knows the true displacement of a device, nor here what is seen."""
+        """Return the content of ``~/state``, without the true displacement of a device or a camera measurement."""
         unknown = "displacement" if self.parameters.driver else "measured" if self.is_seen else ""
         return {name: signal for name, signal in super().state_signals().items() if name != unknown}
 
@@ -322,23 +322,23 @@ class PlantSimulatorNode(AxisNode):
         _ACTUATE(self._laws, self.part.arrays, self.row)
 
     def reset_blocks(self) -> None:
-        """Begin again at sample 0; in lockstep reset all other nodes first."""
+        """Restart at sample 0; in lockstep reset all other nodes first."""
         with self.lock:
             self._clear()
             self.sample = 0
             self.runner.restart()
 
     def retune(self, parameters) -> None:
-        """Take new parameters of the plant."""
+        """Apply new parameters of the plant."""
         with self.lock:
             self.part.retune(parameters)
 
     def retuned(self, parameters) -> None:
-        """Let ``joint_states`` say the present preload."""
+        """Set the present preload in ``joint_states``."""
         self._message.effort[0] = parameters.preload.force if not self.is_motor else self._message.effort[0]
 
     def change_details(self) -> dict:
-        """Return whether the sample has been measured already: a change concerns what follows then."""
+        """Return a field that marks an already measured sample: a change then affects what follows."""
         return {"after": MEASURED} if self.runner.is_measured else {}
 
     def _on_emergency(self, message) -> None:
@@ -385,7 +385,7 @@ class PlantSimulatorNode(AxisNode):
         return f"stopped: no samples are made, and the voltage stays at {self.part.held():.6g} V"
 
     def hindrance(self) -> str:
-        """Say why the axis does not run though nobody has stopped it; empty when it does."""
+        """Return why the axis does not run although it was not stopped; empty when it runs."""
         text = super().hindrance()
         if text or not self.part.tripped or self.part.finding_home:
             return text
@@ -402,13 +402,13 @@ class PlantSimulatorNode(AxisNode):
         return self._answer_service(response, "homing")
 
     def on_running(self, running: bool) -> None:
-        """``~/stop`` holds the time of the axis; ``~/start`` lets it go on, also after the plant has stopped it."""
+        """Pause the time of the axis (``~/stop``), or resume it (``~/start``), also after a trip of the plant."""
         self.runner.hold(not running)
 
     # -- samples -------------------------------------------------------------------------------------------------
 
     def begin_run(self, origin: int) -> None:
-        """Take the time of sample 0 of a loop [ns since 1970]."""
+        """Set the time of sample 0 of a fused loop [ns since 1970]."""
         self._first = time.monotonic()
         self._told = self._tripped = False
         self.sample = 0
@@ -423,10 +423,7 @@ class PlantSimulatorNode(AxisNode):
         self._publish_measured(self.stamps.of(self.sample), before if self.sample else self.row[signals.MEASURED])
 
     def show(self, sample: int, before: float, quiet: bool):
-        """Publish what stands in the row of a sample that a loop has made.
-
-        Units: ``before`` [m].
-        """
+        """Publish the row of a sample of a fused loop; ``before`` [m] is the previous displacement."""
         self._publish_measured(self.stamps.of(sample), before, quiet)
         self._publish_row()
         return self._message.header.stamp
@@ -458,12 +455,12 @@ class PlantSimulatorNode(AxisNode):
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
 
     def finish_sample(self) -> None:
-        """Hold the voltages that came, NaN where none did, and go on to the next sample."""
+        """Hold the received voltages, NaN for missing ones, and advance to the next sample."""
         for input_ in self.inputs:
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
-        # on the way back to a path; the way to safe is said as what led to it
+        # only on the way back to a path; the way to safe is reported by its cause
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
             self.held_back += int(differs)
@@ -474,7 +471,7 @@ class PlantSimulatorNode(AxisNode):
         self.publish_state(self._message.header.stamp, *[self.row[place] for place in self._state_places])
 
     def receive(self, input_: VoltageInput, voltage: float) -> None:
-        """Keep a voltage for the present sample; what is not finite has not come."""
+        """Store a voltage for the present sample; a value that is not finite counts as missing."""
         if math.isfinite(voltage):
             input_.value = voltage
             input_.received = time.monotonic()
@@ -484,16 +481,16 @@ class PlantSimulatorNode(AxisNode):
             self.warn(input_.topic, f"{input_.topic} {voltage} V refused, {self.part.held():.6g} V kept")
 
     def loop_complete(self) -> bool:
-        """Tell whether somebody publishes every voltage, and the commands they answer."""
+        """Return whether every voltage, and the commands behind it, have a publisher."""
         topics = (self.resolve_topic_name("command"), *(input_.full_name for input_ in self.inputs))
         return all(self.count_publishers(topic) for topic in topics)
 
     def explain_trip(self) -> str:
-        """Say why the plant has stopped the axis."""
+        """Return why the plant has stopped the axis."""
         return explain_trip(self.part, self.runner)
 
     def readers(self) -> int:
-        """Return how many hear ``joint_states``."""
+        """Return the number of subscribers of ``joint_states``."""
         return self._output.get_subscription_count()
 
     @property
@@ -503,7 +500,7 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def late(self) -> int:
-        """Late samples so far: their voltage did not come in time, or a loop has skipped them."""
+        """Number of late samples so far: their voltage was late, or a loop has skipped them."""
         return self.runner.late_samples
 
     def _limited_counts(self) -> dict[str, int]:
@@ -539,7 +536,7 @@ class PlantSimulatorNode(AxisNode):
         self.leave_when_done()
 
     def _tell(self) -> None:
-        """Log what the run was; once."""
+        """Log the summary of the run once."""
         if not self.sample or self._told:
             return
         self._told = True
@@ -558,20 +555,20 @@ class PlantSimulatorNode(AxisNode):
         self.runner.start_time()
 
     def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs."""
+        """Return the partner whose input for the present sample is missing."""
         return self.runner.missing_voltage()
 
     @property
     def listens_at_exit(self) -> bool:
-        """In real time the voltage's return is still followed."""
+        """Whether the node processes pending messages before it exits: the return of the voltage in real time."""
         return not self.runner.exact
 
     def drained(self) -> bool:
-        """Tell whether no voltage is under way any more."""
+        """Return whether no voltage is pending."""
         return self.runner.is_quiet
 
     def release(self) -> None:
-        """Stop the thread that keeps the time; a device is brought to its safe state."""
+        """Stop the timing thread; move a device to its safe state."""
         if self.runner is not None:
             self.runner.stop_time()
             self.make_safe()
@@ -579,12 +576,12 @@ class PlantSimulatorNode(AxisNode):
             self._tell()
 
     def destroy_node(self) -> None:
-        """Leave the graph, and the device."""
+        """Leave the graph and release the device."""
         self.unbuild()
         super().destroy_node()
 
     def make_safe(self) -> None:
-        """Bring a device to its safe state, unless a loop still works on it, which holds it at the safe voltage."""
+        """Move a device to its safe state, unless a loop still runs it, which holds the safe voltage."""
         if self.is_fused and self.fused.loop.running:
             return
         patience = time.monotonic() + RETURN

@@ -23,34 +23,34 @@ def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
 def loop_qos(keeps: bool, depth: int) -> QoSProfile:
     """Topics between the nodes of an axis.
 
-    Lockstep (``keeps``) keeps the last ``depth`` messages for whoever is matched a little later (transient-local): with
-    volatile topics sample 0 can be lost and the loop would wait for ever. In real time old samples are worthless.
+    Lockstep (``keeps``) keeps the last ``depth`` messages for a subscription that is matched later (transient-local):
+    with volatile topics sample 0 can be lost and the loop would wait forever. In real time old samples have no use.
     """
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)
 
 
 def setpoint_qos() -> QoSProfile:
-    """Setpoints from people: reliable and volatile, so that a default ``ros2 topic pub`` matches."""
+    """Setpoints from the user: reliable and volatile, so that a default ``ros2 topic pub`` matches."""
     return _reliable(10, DurabilityPolicy.VOLATILE)
 
 
 def chosen_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
-    """An input from outside: as ``qos`` has it, or ``best_effort`` where its publisher may be so."""
+    """An external input: as in ``qos``, or ``best_effort`` when its publisher may be best effort."""
     if reliability == "best_effort":
         qos = QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=qos.durability)
     return qos
 
 
 def sensor_qos() -> QoSProfile:
-    """Measurements for whoever only looks at them: heard from any driver, reliable or not."""
+    """Measurements for monitoring: matches any driver, reliable or not."""
     return QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 def latched_qos(depth: int = 1) -> QoSProfile:
-    """Said once, for whoever comes later: the end of a run, the configuration of a recording."""
+    """Latched messages for late subscribers: the end of a run, the configuration of a recording."""
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def diagnostics_qos(keeps: bool = False) -> QoSProfile:
-    """``/diagnostics`` as ROS tools expect it; ``keeps``: the last reports, for whoever asks how a node is."""
+    """``/diagnostics`` as ROS tools expect it; ``keeps``: the last reports are kept for late subscribers."""
     return _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

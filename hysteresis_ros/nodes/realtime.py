@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real time: the plant or a driver keeps the time, everybody else answers its measurements as they come.
+"""Real-time mode: the plant or a driver keeps the time; all other nodes answer its measurements on arrival.
 
-Within a sample the order is that of lockstep: a measurement is answered when the other inputs of its sample are there.
-Float64 messages carry no number, so they belong to measurements by count. What has not come when the next measurement
-does is late: the sample is answered without it, and its message, when it comes, is not taken for the next one's. Who is
-late again and again is not waited for until he is back.
+Within a sample the order is that of lockstep: a measurement is answered when the other inputs of its sample have
+arrived. Float64 messages carry no number, so they are assigned to measurements by count. An input that has not arrived
+by the next measurement is late: the sample is answered without it, and its message is not assigned to the next one. An
+input that is late repeatedly is not awaited until it returns.
 
 A partner of which nothing comes for the time-out of the node that needs it, and for a few samples, is *lost*, unless
 it has said that it stops. The node keeps its own part safe, and says so to the plant, which stops the axis, latched: it
@@ -34,18 +34,18 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 
-#: Seconds between two looks at an input that may have stopped.
+#: Interval of the check of an input that may have stopped [s].
 WATCHDOG_PERIOD = 0.01
 
-#: What nodes say about themselves, at work or not any more: ``here NODE``, ``gone NODE``; and about their partners,
-#: silent for too long or heard again: ``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``, NAME being its full one.
+#: Presence messages: a node reports that it is active or stopped (``here NODE``, ``gone NODE``), and that a partner is
+#: lost or back (``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``; NAME is the partner's full name).
 HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
 #: And what the plant says when a person has started a stopped axis: ``started NODE``.
 STARTED = "started"
 #: Measurements of an axis that is stopped which may come after the plant has said so: they were under way.
 UNDER_WAY = 2
 
-#: Messages kept about the nodes that come and go.
+#: Queue depth of the presence messages.
 PRESENCES = 20
 
 #: Messages after which a partner that has not said what it is can be lost; seconds in which the nodes of an axis start,
@@ -58,25 +58,25 @@ ANOTHER_PROCESS = "another process of it has come, and the one before has not sa
 #: The node that owns the time; without its measurements nobody else can be expected to send anything.
 PLANT = "plant_simulator"
 
-#: Part of the time of a loss after which measurements have paused: whatever answers them begins anew then.
+#: Fraction of the loss time after which measurements count as paused; their answers are then matched anew.
 PAUSED = 0.5
 
-#: Samples in a row that an input may miss before nobody waits for it.
+#: Consecutive samples that an input may miss before it is no longer awaited.
 GIVE_UP = 3
 
-#: Measurements in a row that may find a message waiting before its first one is dropped as being too many.
+#: Consecutive measurements that may find a waiting message before its first one is dropped as surplus.
 SUSPICION = 50
 
-#: Measurements that may wait; of more the oldest are answered.
+#: Maximum number of waiting measurements; beyond it the oldest ones are answered.
 BACKLOG = 2
 
-#: Looks at the inputs that may fail to happen before the process itself was stopped or starved.
+#: Checks of the inputs that may be missed before the process itself counts as halted or starved.
 SUSPENDED = 10
 
-#: What comes within this part of a period of the last one has waited.
+#: A message within this fraction of a period after the last one has waited in the queue.
 WAITED = 0.5
 
-#: Most samples that are counted in one look at an input that has stopped.
+#: Maximum number of samples counted in one check of a stopped input.
 MOST_MISSED = 20000
 
 
@@ -100,7 +100,7 @@ class Follower:
         """Note a message."""
         self.last = data
         if not self.present:
-            # whichever measurement it belongs to has been answered; the next one is waited for
+            # its measurement has been answered; the next message is awaited
             self.present, self._owed, self._missed = True, 0, 0
             self.waiting.clear()
         elif self._owed:
@@ -109,7 +109,7 @@ class Follower:
             self.waiting.append(data)
 
     def expect(self) -> None:
-        """A measurement has come."""
+        """Count a measurement."""
         self._ahead = self._ahead + 1 if self.waiting else 0
         if self._ahead > SUSPICION:
             self.waiting.popleft()
@@ -117,11 +117,11 @@ class Follower:
 
     @property
     def ready(self) -> bool:
-        """Whether the oldest measurement need not wait for it."""
+        """Return whether the oldest measurement need not wait for this input."""
         return bool(self.waiting) or not self.present
 
     def give(self) -> float:
-        """Return what belongs to the oldest measurement, as far as it is there."""
+        """Return the message of the oldest measurement, if it has arrived."""
         if self.waiting:
             self._missed = 0
             return self.waiting.popleft()
@@ -134,7 +134,7 @@ class Follower:
 
 
 class RealTime(Runner):
-    """What a node does about time: nothing is exact, inputs may stop, and samples go by without them."""
+    """Base of the real-time runners: inputs may stop, and samples continue without them."""
 
     exact = False
     keeps = False
@@ -146,14 +146,14 @@ class RealTime(Runner):
 
     @property
     def period(self) -> float:
-        """Seconds of the wall clock between two samples."""
+        """Time between two samples on the wall clock [s]."""
         parameters = self.node.parameters
         return 1.0 / (parameters.sample_rate * getattr(parameters, "real_time_factor", 1.0))
 
     is_live = False
 
     def require_rest(self) -> None:
-        """Refuse that one part begins again amid an axis in motion: that would be a step of its output."""
+        """Refuse to reset one part of a moving axis, which would be a step of its output."""
         node = self.node
         if node.active and not node.rests and self.is_live:
             raise HysteresisError(
@@ -162,72 +162,72 @@ class RealTime(Runner):
             )
 
     def make_pace(self) -> Pace:
-        """Return what tells how regularly samples come; only the plant knows how fast that is to be."""
+        """Return the statistics of the sample times; only the plant knows the desired rate."""
         return Pace(self.period, keeps_time=hasattr(self.node.parameters, "real_time_factor"))
 
     def connect(self) -> None:
-        """Make the topic on which nodes say that they come and go."""
+        """Create the presence topic."""
         self._presence = self.node.publisher(String, "run_state", latched_qos())
 
     def begin(self) -> None:
-        """Say that this node is at work."""
+        """Announce that this node is active."""
         self._presence.publish(String(data=f"{HERE} {self.node.kind}"))
 
     def begin_again(self) -> None:
-        """Say so after a reset: what was under way at it will not be answered."""
+        """Announce a reset: pending messages will not be answered."""
         if self.node.active:
             RealTime.begin(self)
 
-    def part(self) -> None:
-        """Say that this node stops working: what it does not send any more is not late."""
+    def leave(self) -> None:
+        """Announce that this node stops, so that its missing messages do not count as late."""
         self._presence.publish(String(data=f"{GONE} {self.node.kind}"))
 
     def end(self) -> None:
-        """What was learned stays."""
+        """Do nothing at deactivation: learned values are kept."""
 
     def clear(self) -> None:
-        """Begin anew with the next measurement."""
+        """Restart with the next measurement."""
         self.node.sample = 0
         self.node.end_of_run = -1
         self.node.finished = False
 
     def advance(self) -> None:
-        """Nothing waits for anybody."""
+        """Do nothing: no input is awaited."""
 
     def say(self, state: str) -> None:
-        """Nobody listens."""
+        """Do nothing: no node subscribes to the state of a run in real time."""
 
     def say_of(self, what: str, partner: str, name: str = "") -> None:
-        """Say that a partner is lost, or heard again."""
+        """Announce that a partner is lost or back."""
         self._presence.publish(String(data=f"{what} {partner} {self.node.kind} {name or partner}"))
 
     def announce(self, failure: str) -> None:
-        """Everybody goes on without this node, as long as their time-outs let them."""
+        """Do nothing: the other nodes continue until their time-outs."""
 
     def replaced(self, topic: str, name: str) -> None:
         """Another process of the same node feeds an input from now on; whoever awaits the input overrides it."""
 
     def matched(self) -> bool:
-        """Tell whether every publisher of the loop has found its partner."""
+        """Return whether every publisher of the loop is matched with its partner."""
         return self.node.all_matched()
 
     def is_old_end(self, count: int) -> bool:
-        """An end mark is always that of this run."""
+        """Return False: an end mark always belongs to this run."""
         return False
 
 
 class RealTimeResponder(RealTime):
-    """Answers measurements as they come, with what belongs to them."""
+    """Answers measurements on arrival, with their inputs."""
 
     def __init__(self, node):
-        #: Partners that have said who they are, that have left, and that come back, by their kind.
+        #: Partners that are known, that have left, and that are returning, by kind.
         self._known: set[str] = set()
         self._gone: set[str] = set()
         self._coming: set[str] = set()
         super().__init__(node)
 
     def clear(self) -> None:
-        """Begin anew with the next measurement."""
+        """Restart with the next measurement."""
         super().clear()
         self._forget()
         self._forget_losses()
@@ -238,12 +238,12 @@ class RealTimeResponder(RealTime):
         self.silent = False
 
     def _forget(self) -> None:
-        """Wait for nothing that belongs to an earlier measurement."""
+        """Discard inputs of earlier measurements."""
         self._followers = [Follower(input_.strict) for input_ in self.node.inputs]
         self._pending: deque = deque()
 
     def connect(self) -> None:
-        """Listen to the partners that come and go."""
+        """Subscribe to the presence of the partners."""
         super().connect()
         for partners in (self._known, self._gone, self._coming):
             partners.clear()
@@ -262,7 +262,7 @@ class RealTimeResponder(RealTime):
             self._known.add(who if state == HERE else reporter)
 
     def _forget_losses(self) -> None:
-        """Begin anew to look whether a partner is lost."""
+        """Restart the detection of lost partners."""
         count = 1 + len(self.node.inputs)
         self._heard_at, self._heard_count, self._first_at = [0.0] * count, [0] * count, [0.0] * count
         self._awake = self._flowing = 0.0
@@ -272,7 +272,7 @@ class RealTimeResponder(RealTime):
         self._going = 0
 
     def begin(self) -> None:
-        """Look after measurements that stop."""
+        """Start the check for missing measurements."""
         super().begin()
         self._forget()
         self._forget_losses()
@@ -281,12 +281,12 @@ class RealTimeResponder(RealTime):
 
     @property
     def is_live(self) -> bool:
-        """Whether what triggers answers has come within its time-out."""
+        """Whether the trigger has arrived within its time-out."""
         return self.age <= self.node.patience
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """Inputs for which nobody waits any more, by topic."""
+        """Inputs that are no longer awaited, by topic."""
         inputs = zip(self.node.inputs, self._followers, strict=True)
         return tuple(
             input_.topic
@@ -296,15 +296,15 @@ class RealTimeResponder(RealTime):
 
     @property
     def age(self) -> float:
-        """Seconds since the last trigger; infinite before the first."""
+        """Time since the last trigger [s]; infinite before the first."""
         return time.monotonic() - self._last if self.node.sample else math.inf
 
     def _stood_still(self, now: float) -> bool:
-        """Tell whether nobody has looked at the inputs for longer than a measurement may be old."""
+        """Return whether the inputs have not been checked for longer than a measurement may be old."""
         return now - self._looked > max(self.node.patience, SUSPENDED * WATCHDOG_PERIOD) + WATCHDOG_PERIOD
 
     def _has_waited(self) -> bool:
-        """Tell whether what comes now is too old to be answered: this process stood still, and it waited meanwhile."""
+        """Return whether a message is too old to be answered, because it waited while this process was halted."""
         now = time.monotonic()
         before, self._heard = self._heard, now
         if self._stood_still(now):
@@ -349,7 +349,7 @@ class RealTimeResponder(RealTime):
             self.node.get_logger().info(f"{self.node.trigger} is back")
 
     def value(self, place: int, data: float) -> None:
-        """Take what came on the input in this place."""
+        """Take a message of the input with this index."""
         node = self.node
         input_ = node.inputs[place]
         if input_.previous:
@@ -368,7 +368,7 @@ class RealTimeResponder(RealTime):
         self._answer_waiting()
 
     def _lend(self, message) -> None:
-        """Keep a measurement that triggers nothing: its stamp belongs to the state of its answer."""
+        """Store a measurement that is not a trigger: its stamp belongs to the state of its answer."""
         node = self.node
         if not node.read(message, node.row):
             return
@@ -383,12 +383,12 @@ class RealTimeResponder(RealTime):
             return
         if not math.isfinite(data):
             node.refuse_value(input_, data)
-            return  # as if it had not come
+            return  # as if it had not arrived
         node.pace.tick()
         self._arrived()
         node.take(input_, data)
         node.respond()
-        # one message from the plant and one from the controller: which of them comes first is chance
+        # one message is from the plant and one from the controller, so their order is random
         values = node.state_values()
         stamp = self._pairing.answer(values, self._last)
         if stamp is not None:
@@ -411,11 +411,11 @@ class RealTimeResponder(RealTime):
 
     @property
     def loss_time(self) -> float:
-        """Seconds of silence after which a partner is lost."""
+        """Time of silence after which a partner is lost [s]."""
         return max(self.node.patience, LEAST_MISSED * self.period)
 
     def _note(self, place: int, partner: str) -> None:
-        """Note that something has come: of the measurement (0) or an input (1 + its place)."""
+        """Record the arrival of the measurement (0) or of an input (1 + its index)."""
         now = self._heard_at[place] = time.monotonic()
         self._first_at[place] = self._first_at[place] or now
         self._heard_count[place] += 1
@@ -430,7 +430,7 @@ class RealTimeResponder(RealTime):
         self._note(0, PLANT)
 
     def _missing(self, now: float) -> dict[str, str]:
-        """Return which partners are lost: kind → full name, or kind where that is not known."""
+        """Return the lost partners: kind → full name, or kind when the name is not known."""
         node, excused = self.node, self._gone | self._coming
         heard, counts = self._heard_at, self._heard_count
 
@@ -444,7 +444,7 @@ class RealTimeResponder(RealTime):
             name = node.masters.publisher_of("joint_states")
             return {} if PLANT in excused else {PLANT: name or PLANT}
         if counts[0] and now - heard[0] > PAUSED * self.loss_time:
-            return {}  # nobody answers measurements that do not come
+            return {}  # without measurements no node has anything to answer
         since = max(self._awake, self._flowing)
         return {
             input_.partner: node.masters.publisher_of(input_.topic) or input_.partner
@@ -456,7 +456,7 @@ class RealTimeResponder(RealTime):
         }
 
     def _look_for_losses(self, now: float) -> None:
-        """Keep the part safe and tell the plant when a partner is lost; tell it when it is heard again."""
+        """Keep the part safe and inform the plant when a partner is lost; inform it when the partner is back."""
         missing = self._missing(now)
         for partner, name in missing.items():
             if partner not in self._lost or not self.latched:
@@ -488,14 +488,14 @@ class RealTimeResponder(RealTime):
             self._lose(partner, name or partner, ANOTHER_PROCESS)
 
     def follow_trip(self, tripped: bool) -> None:
-        """Go on with the axis when the plant, which had been stopped for the loss, is started again."""
+        """Resume when the plant, which was stopped for the loss, is started again."""
         self._stopped = tripped
         self._going = max(self._going - 1, 0) if tripped else 0
         if self.latched and tripped:
             self._has_tripped = True
         elif self.latched and self._has_tripped and self.unlatch():
             self._has_tripped = False
-            for partner, name in self._lost.items():  # the plant was reset, and has forgotten it
+            for partner, name in self._lost.items():  # the plant was reset and has lost this state
                 self.say_of(LOST, partner, name)
 
     @property
@@ -508,7 +508,7 @@ class RealTimeResponder(RealTime):
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
-        """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""
+        """Resume the part after the loss of a partner; return why it cannot, or ''."""
         if not self.latched:
             return ""
         if self._lost:
@@ -519,7 +519,7 @@ class RealTimeResponder(RealTime):
         return ""
 
     def watch(self) -> None:
-        """Timer: count the samples that go by while nothing comes, once that has lasted for the time-out."""
+        """Count the samples without a trigger, once its silence has lasted for the time-out (timer callback)."""
         node = self.node
         now = time.monotonic()
         if self._stood_still(now):
@@ -533,7 +533,7 @@ class RealTimeResponder(RealTime):
         self._look_for_losses(now)
 
     def _count_missed(self, now: float) -> None:
-        """Count the samples that go by while nothing comes."""
+        """Count the samples without a trigger."""
         node = self.node
         if now - self._last < node.patience:
             return
@@ -548,6 +548,6 @@ class RealTimeResponder(RealTime):
             node.miss(0)
             self._counted = now
         elif samples:
-            # a look that comes late must not make up for it in one step
+            # a late check must not catch up in one step
             node.miss(min(samples, max(round(WATCHDOG_PERIOD / self.period), 1)))
             self._counted = now

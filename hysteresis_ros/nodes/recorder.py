@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``recorder``: every topic of an axis into one bag, acknowledged to the plant so that nothing is lost."""
+"""Node ``recorder``: records every topic of an axis in one bag, with acknowledgement to the plant against loss."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ from hysteresis_ros.recordings.provenance import FILES, RECORD, packed_files, pr
 from hysteresis_ros.recordings.run_bag import CHUNK_TIME, AxisTopics, SampleWriter
 from hysteresis_ros.signals import ENDED, MOTOR_SOURCE, PLANT, SOURCE, WRITERS
 
-#: Topic of what people change.
+#: Topic of the change log.
 CHANGES = "changes"
 
 #: Samples between two acknowledgements to the plant.
 STRIDE = 16
 
-#: Seconds that a real-time recording waits for the publishers of an axis before it lets the plant begin anyway.
+#: Time that a real-time recording waits for the publishers of an axis before it releases the plant anyway [s].
 PATIENCE_AT_START = 20.0
 
-#: Seconds of silence after the end mark that end a real-time recording.
+#: Silence after the end mark that ends a real-time recording [s].
 SILENCE = 0.3
 
 
 def sampled_topics(inchworm: bool, external: bool = False):
-    """Return the topics with exactly one message a sample, their types, and who publishes them.
+    """Return the topics with exactly one message per sample, their types, and their publishers.
 
     A plant of somebody else need not publish its state.
     """
@@ -71,7 +71,7 @@ def sampled_topics(inchworm: bool, external: bool = False):
 
 
 class RecorderNode(AxisNode):
-    """Writes MCAP in chunks; at exit, Ctrl-C or SIGTERM nothing is lost, at SIGKILL at most one open chunk."""
+    """Writes MCAP in chunks; nothing is lost at exit, Ctrl-C or SIGTERM, and at most one open chunk at SIGKILL."""
 
     identity = ("path",)
     has_state = False
@@ -85,7 +85,7 @@ class RecorderNode(AxisNode):
         self._reader: Any = None
         self._fused_plant: Any = None
         self._lost = 0
-        #: Entries that were taken of each log of changes in this process.
+        #: Number of entries taken from each change log in this process.
         self._entries_taken: dict[str, int] = {}
 
     def build(self, parameters) -> None:
@@ -116,7 +116,7 @@ class RecorderNode(AxisNode):
 
     @property
     def _period(self) -> float:
-        """Seconds between two looks at what is to be written."""
+        """Interval of the check for data to write [s]."""
         return min(0.1, 0.5 * self.parameters.chunk_time)
 
     @property
@@ -128,7 +128,7 @@ class RecorderNode(AxisNode):
 
     @property
     def bag(self) -> BagWriter | None:
-        """The bag; None before it is made, when it is finished, and when it could not go on."""
+        """The bag; None before it is created, after it is finished, and after it has failed."""
         return None if self.recording is None else self.recording.bag
 
     @property
@@ -141,18 +141,18 @@ class RecorderNode(AxisNode):
 
     @property
     def is_fused(self) -> bool:
-        """It has no part of a loop."""
+        """Whether a loop computes its samples: never, a recorder has no part of a loop."""
         return False
 
     def _describes_inchworm(self, source: str) -> bool:
         try:
             configuration = parse_configuration(self._configuration, source)
         except ConfigurationError:
-            return False  # whatever text it is, it is recorded
+            return False  # any text is recorded
         return configuration.describes("inchworm_sequencer", self.get_namespace())
 
     def reset_blocks(self) -> None:
-        """Count from sample 0 again; the bag goes on, readers of it show the longest run."""
+        """Restart the count at sample 0; the bag continues, and its readers show the longest run."""
         self._counts = [0] * len(self._topics)
         self._acknowledged = 0
         self._ended: set[str] = set()
@@ -170,7 +170,7 @@ class RecorderNode(AxisNode):
             # what it says that it put out, where it does
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # from who takes them: whoever publishes one and leaves may be discovered here too late
+        # from the node that takes them: a publisher that leaves at once may be discovered here too late
         source = MOTOR_SOURCE if self._is_inchworm else SOURCE
         self._taken = self._record(
             "setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=f"{source}/taken"
@@ -183,7 +183,7 @@ class RecorderNode(AxisNode):
         for topic, message_type in self._further:
             self._record(topic, message_type, setpoint_qos(), "volatile")
         self._acknowledge = self.publisher(UInt64, "~/acknowledged", latched_qos())
-        # `ros2 bag record` beside us finds the parameters here as well
+        # a parallel `ros2 bag record` finds the parameters here as well
         self._announce = self.publisher(String, "configuration", latched_qos())
 
     def begin(self) -> None:
@@ -201,7 +201,7 @@ class RecorderNode(AxisNode):
         self.timer(self._period, self._tend)
 
     def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="", heard="") -> str:
-        """Write the messages of a topic, which are ``heard`` on another one; return the full name of what is heard."""
+        """Write the messages of a topic, ``heard`` on another one; return the full name of that one."""
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
         def write(data: bytes) -> None:
@@ -210,9 +210,9 @@ class RecorderNode(AxisNode):
             if topic == CHANGES and self._is_taken(data):
                 return
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
-                return  # somebody else goes on measuring
+                return  # an external plant continues to measure
             if topic == "setpoint" and not heard and self.count_publishers(self._taken):
-                return  # written when it has been taken
+                return  # written when it is accepted
             self.recording.attempt(lambda bag: bag.write(written, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
@@ -228,18 +228,18 @@ class RecorderNode(AxisNode):
 
     @property
     def _takes_logs(self) -> bool:
-        """Whether a loop in this process makes the samples, and what changes them is taken as they are."""
+        """Whether a loop in this process computes the samples, and entries of the change log are read directly."""
         return self.fused is not None and self.runner is not None and not self.runner.by_message
 
     def _is_taken(self, data: bytes) -> bool:
-        """Tell whether an entry is of a log in this process, whose entries are taken where they are made."""
+        """Return whether an entry is of a change log in this process, which is read directly."""
         with contextlib.suppress(ValueError, AttributeError):
             logs = self.fused.nodes if self._takes_logs else ()
             return read_json(deserialize_message(data, String).data).get("node") in logs
         return False
 
     def _note_change(self, text: str) -> None:
-        """Remember whose log of changes is over."""
+        """Store that the change log of a node has ended."""
         self._arrived = True
         with contextlib.suppress(ValueError, AttributeError):
             entry = read_json(text)
@@ -247,7 +247,7 @@ class RecorderNode(AxisNode):
                 self._ended.add(entry.get("node"))
 
     def _lacking_changes(self) -> set[str]:
-        """Return whose log of changes is not over, as long as there is hope: a lost message comes again late."""
+        """Return the nodes whose change log has not ended, within a time-out: a lost message is repeated late."""
         waited = time.monotonic() - self._last_arrival
         if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
             return set()
@@ -261,14 +261,14 @@ class RecorderNode(AxisNode):
             self.runner.heard()
         if index == 0:
             self.pace.tick()
-            self.sample = counts[0] - 1  # the one under way: the first may take as long as the others need to start
+            self.sample = counts[0] - 1  # the present one: the first may take until all nodes have started
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
     # -- samples that a loop in this process makes ---------------------------------------------------------------
 
     def record_loop(self, fused) -> None:
-        """Take all samples of a loop out of its ring, from its next one on, in the place of messages."""
+        """Read all samples of a loop from its ring instead of messages, from its next sample on."""
         plant = fused.plant
         parameters, motor = plant.parameters, plant.is_motor
         if self._samples is None and self.bag is not None:
@@ -286,7 +286,7 @@ class RecorderNode(AxisNode):
         self._reader, self._fused_plant = fused.loop.reader(), plant
 
     def take_samples(self) -> None:
-        """Write what the loop has made since the last time, and before it what was changed for these samples."""
+        """Write the new samples of the loop, preceded by the changes for these samples."""
         taken = self._reader.take() if self._reader is not None else None
         self._take_changes()
         if taken is None or self._samples is None or self.bag is None:
@@ -306,7 +306,7 @@ class RecorderNode(AxisNode):
         self._arrived = True
 
     def _take_changes(self) -> None:
-        """Write what the logs in this process say: in the bag it comes before the samples that it is needed for."""
+        """Write the change logs of this process; in the bag they precede the samples that need them."""
         if not self._takes_logs:
             return
         self.fused.tell_changes()
@@ -332,7 +332,7 @@ class RecorderNode(AxisNode):
         if recording.stopped:
             self.warn("stopped", f"recording ended: {recording.stopped}", every=60.0, error=True)
         if not self._began:
-            # real-time topics keep nothing for a late reader: let the plant begin when all publishers are there
+            # real-time topics keep nothing for a late subscriber: release the plant when all publishers are present
             self._began = now > self._patience or all(map(self.count_publishers, (*self._sampled, self._taken)))
             if self._began:
                 self._send_acknowledgement()
@@ -345,27 +345,27 @@ class RecorderNode(AxisNode):
         self._last_arrival = time.monotonic()
 
     def missing_partner(self) -> str:
-        """Everything comes from the plant in the end."""
+        """Return the plant, on which all recorded messages depend."""
         return "plant_simulator"
 
     def is_done(self) -> bool:
-        """Tell whether every message of the run is in the bag."""
+        """Return whether every message of the run is in the bag."""
         return min(self._counts) >= self.end_of_run and not self._lacking_changes()
 
-    #: As long as a busy machine keeps messages waiting: the last of them are those of an axis that goes safe.
+    #: Longest delay of messages on a busy machine [s]; the last ones are those of an axis that moves to safe values.
     listens_for = 3.0
 
     @property
     def listens_at_exit(self) -> bool:
-        """What was sent before this node left is still written."""
+        """Whether messages sent before the exit of this node are still written."""
         return True
 
     def drained(self) -> bool:
-        """Tell whether no message is under way any more."""
+        """Return whether no message is pending."""
         if self._arrived:
             self._last_arrival, self._arrived = time.monotonic(), False
         silent = time.monotonic() - self._last_arrival > QUIET
-        # who stops a run tells all nodes at once in lockstep; elsewhere one axis may go on without its recorder
+        # in lockstep all nodes are stopped at once; otherwise an axis may continue without its recorder
         return silent and not ((self.runner.exact or self._ended) and self._lacking_changes())
 
     @property
@@ -394,7 +394,7 @@ class RecorderNode(AxisNode):
             self.get_logger().warning(f"messages missing from the recording: {', '.join(missing)}")
 
     def health(self):
-        """Report what has been written, and whether nothing comes."""
+        """Report the recorded data, and whether messages are missing."""
         stale = self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate) and self.end_of_run < 0
         recording = self._opened
         values: dict[str, Any] = {

@@ -10,10 +10,10 @@
 """Node ``reference_generator``: setpoints and waveforms → ``reference``, one for every sample.
 
 A generator that starts with its axis begins as configured: at ``initial_setpoint``, with its waveform. A generator that
-was restarted beside a running axis begins where the axis is and stays there until a setpoint comes. It learns the
-place from ``~/state`` of the controller; measurements are those of a preloaded actuator, and off by the control error.
+is restarted on a running axis begins at the present position of the axis and holds it until a setpoint arrives. It
+reads the position from ``~/state`` of the controller, because a measurement includes the preload and the control error.
 
-With an external plant it also begins and ends the run: after the loop is complete and the recorder is there, it
+With an external plant it also begins and ends the run: when the loop is complete and the recorder is present, it
 answers the measurements of the external node for the given number of samples.
 """
 
@@ -38,8 +38,8 @@ from hysteresis_ros.nodes.timing import STALE, WINDOW, Pairing
 from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, action_type
 from hysteresis_ros.references.moves import Settling
 
-#: Seconds after the first measurement for which a controller is looked for, and for which one that is there but says
-#: nothing (it is not active) is waited for.
+#: Time after the first measurement to search for a controller, and to wait for one that is present but silent because
+#: it is not active [s].
 CONTROLLER_LOOK, CONTROLLER_PATIENCE = 1.0, 5.0
 
 #: Modes of a controller that follows its reference.
@@ -47,9 +47,9 @@ LEADING_MODES = (RUNNING, HOLDING, FOLLOWING)
 
 
 def place_of(state: dict[str, float]) -> float:
-    """Return where an axis is kept [m], by the signals of its controller's ``~/state``; NaN: nobody has led it yet.
+    """Return the position [m] that the controller holds, from the signals of its ``~/state``; NaN before any command.
 
-    Under a controller that has been stopped that is the command, on its way to ``safe_command``.
+    For a stopped controller this is the command, on its way to ``safe_command``.
     """
     if math.isnan(state["reference"]):
         return math.nan
@@ -57,7 +57,7 @@ def place_of(state: dict[str, float]) -> float:
 
 
 class Beginning:
-    """Whether a reference generator begins as configured or where the axis is."""
+    """Decides whether a reference generator begins as configured or at the position of the axis."""
 
     def __init__(self, node):
         self._node = node
@@ -73,10 +73,10 @@ class Beginning:
         place = place_of(dict(zip(message.name, message.position, strict=True)))
         if math.isfinite(place):
             node.begin_at(place)
-            node.get_logger().info(f"the axis is at work: beginning at {place:.6g} m, until a setpoint or ~/start")
+            node.get_logger().info(f"the axis is running: beginning at {place:.6g} m, until a setpoint or ~/start")
 
     def take(self, message) -> bool:
-        """Tell whether this measurement may be answered: whether it is known how to begin."""
+        """Return whether this measurement may be answered, which requires a known beginning."""
         node = self._node
         if not self._known and node.active:
             now = time.monotonic()
@@ -90,16 +90,16 @@ class Beginning:
         return self._known
 
 
-#: How long a run of given length waits for its beginning [s], and how often it is said what for [s].
+#: Time-out for the beginning of a run of given length, and interval of the log message about it [s].
 START_PATIENCE, START_REPORT = 30.0, 5.0
 
-#: Measurements between a loop that is complete and the first sample: others find out which answers belong to which.
+#: Measurements between a complete loop and the first sample, in which the nodes match answers to measurements.
 SETTLING_SAMPLES = Pairing.SUSPICION + 20
 
-#: Between the last sample and the end [s]: on a busy machine others answer later than the source.
+#: Time between the last sample and the end of the run [s]: on a busy machine other nodes answer after the source.
 END_GRACE = 0.5
 
-#: Measurements whose stamps say at what rate they come, and how far that may be from ``sample_rate``.
+#: Number of measurements whose stamps determine their rate, and its allowed relative deviation from ``sample_rate``.
 RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
 
 
@@ -123,32 +123,32 @@ class ExternalRun:
         self._recorded = True
 
     def _on_voltage(self, message) -> None:
-        """Note that controller and compensator have found each other: they answer before the first reference."""
+        """Store that controller and compensator are connected: they answer before the first reference."""
         self._answered = True
 
     def begin(self) -> None:
-        """Begin to wait."""
+        """Start to wait."""
         self._since = time.monotonic()
         self._node.timer(0.5, self._look)
 
     def _absent(self) -> str:
-        """Name who is missing for the run to begin; nobody: ''."""
+        """Return what the run waits for; '' when nothing is missing."""
         node = self._node
         who = {
             "motion_controller": node.count_publishers(self._command),
             "hysteresis_compensator": node.count_publishers(self._applied),
-            "who publishes joint_states (the node in the plant's place)": node.count_publishers(self._joint_states),
+            "a publisher of joint_states (the external plant)": node.count_publishers(self._joint_states),
             # beside this node and the recorder
-            "who hears voltage (the node in the plant's place)": node.count_subscribers(self._voltage)
+            "a subscriber of voltage (the external plant)": node.count_subscribers(self._voltage)
             > 1 + node.parameters.wait_for_recorder,
             "recorder": self._recorded or not node.parameters.wait_for_recorder,
             "a voltage": self._answered,
-            "who hears reference": node.runner.matched(),
+            "a subscriber of reference": node.runner.matched(),
         }
         return ", ".join(name for name, there in who.items() if not there)
 
     def take(self, message) -> bool:
-        """Take a measurement; tell whether it belongs to the run."""
+        """Take a measurement; return whether it belongs to the run."""
         node = self._node
         if node.finished or node.failure:
             return False
@@ -171,7 +171,7 @@ class ExternalRun:
         return False
 
     def _note(self, stamp) -> None:
-        """Look once at what rate measurements come."""
+        """Check once the rate of the measurements."""
         if self._noted:
             return
         self._stamps.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
@@ -181,22 +181,22 @@ class ExternalRun:
         self._noted = True
         steps = sorted(later - earlier for earlier, later in zip(self._stamps[:-1], self._stamps[1:], strict=True))
         wanted, rate = self._node.parameters.sample_rate, len(steps) / span
-        # a burst deceives the usual step and a gap the count, a wrong rate is wrong in both
+        # a burst distorts the median interval and a gap distorts the count; a wrong rate shows in both
         usual = 1e9 / max(steps[len(steps) // 2], 1)
         self._stamps.clear()
         if min(abs(rate - wanted), abs(usual - wanted)) > RATE_TOLERANCE * wanted:
-            text = f"joint_states come at {rate:.6g} Hz, sample_rate is {wanted:g} Hz: models and controllers are made "
-            self._node.warn("rate", f"{text}for that; give both the same", error=True, every=0.0)
+            text = f"joint_states arrive at {rate:.6g} Hz, but models and controllers are for sample_rate {wanted:g} Hz"
+            self._node.warn("rate", f"{text}; make both equal", error=True, every=0.0)
 
     def _look(self) -> None:
-        """Timer: say what the run waits for; one of given length does not do so for ever."""
+        """Log at intervals what the run waits for; a run of given length has a time-out."""
         node, waited = self._node, time.monotonic() - self._since
         absent = "" if self._begun else self._absent()
         if self._begun or waited < START_REPORT:
             return
-        text = f"the run waits for {absent or 'a measurement of the node in the plant’s place'}"
+        text = f"the run waits for {absent or 'a measurement of the external plant'}"
         if node.parameters.samples and waited > START_PATIENCE:
-            node.fail(f"{text} since {waited:.0f} s; start it and begin again")
+            node.fail(f"{text} for {waited:.0f} s; start it and repeat the run")
         else:
             node.warn("waiting", text, every=START_REPORT)
 
@@ -209,7 +209,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     parameters: ReferenceNodeParameters
     identity = ("waveform.type",)
-    #: Without measurements there is nothing to answer: no samples are counted.
+    #: Without measurements no samples are counted, because there is nothing to answer.
     patience = math.inf
     outputs = (("reference", signals.REFERENCE),)
 
@@ -219,7 +219,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.action: TrajectoryAction | None = None
 
     def build(self, parameters) -> None:
-        """Make the generator from the parameters."""
+        """Create the generator from the parameters."""
         self.part = GeneratorSource(parameters)
         self._connect_part()
         self.setpoint = parameters.initial_setpoint
@@ -228,11 +228,11 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.compile()
 
     def step(self) -> None:
-        """Run the source of the loop on the row."""
+        """Run the reference source of the loop on the row."""
         _GENERATE(self._laws, self._arrays, self.row)
 
     def after_step(self) -> None:
-        """Look at moves that somebody waits for, and at the setpoint that a trajectory may have put in force."""
+        """Update the pending moves, and the setpoint that a trajectory may have set."""
         self.setpoint = self.row[signals.SETPOINT]
         if self.trajectories is not None:
             self.trajectories.look()
@@ -242,7 +242,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.action.tell()
 
     def retune(self, parameters) -> None:
-        """Take another waveform while stopped."""
+        """Apply another waveform while stopped."""
         self.part.retune(parameters)
         self._connect_part()
 
@@ -255,7 +255,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.row[signals.SETPOINT] = self.setpoint
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         self._run = ExternalRun(self) if self.parameters.external_plant else None
         self._beginning = Beginning(self) if self.runner.by_message and not self.runner.exact else None
         super().connect()
@@ -264,7 +264,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.action = TrajectoryAction(self, self.trajectories, kind) if kind else None
 
     def begin(self) -> None:
-        """Go to work, and look after the plant of somebody else."""
+        """Start work, and monitor an external plant."""
         super().begin()
         self.forget_settled()
         if self.trajectories is not None:
@@ -273,23 +273,23 @@ class ReferenceGeneratorNode(ReferenceSource):
             self._run.begin()
 
     def release(self) -> None:
-        """Let go of moves that are under way."""
+        """Abort the moves in progress."""
         super().release()
         if self.trajectories is not None:
             self.trajectories.give_up("the node has stopped working")
 
     def unbuild(self) -> None:
-        """Let go of the action."""
+        """Remove the action."""
         if self.action is not None:
             self.action.server.destroy()
         self.trajectories = self.action = None
 
     def forget_settled(self) -> None:
-        """Begin anew to look whether the axis settles."""
+        """Restart the settling detection."""
         self.settling.restart()
 
     def look_at(self, rows) -> None:
-        """Look at samples whether the axis has settled in them."""
+        """Update the settling detection with samples."""
         look = self.settling.look
         for row in rows:
             if not row[signals.SKIPPED]:  # nobody looked
@@ -298,7 +298,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.tell_settled(self.settling.settled)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
-        """Let the reference follow a trajectory, or come to rest, from the next sample on, and log it."""
+        """Make the reference follow a trajectory, or come to rest, from the next sample on, and log it."""
         if self.is_fused:
             self.fused.apply(self.kind, action, parameters)
         else:
@@ -307,7 +307,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     @property
     def take_measurement(self):
-        """What takes ``joint_states``: once the beginning is known, of an external plant those of the run only."""
+        """Return the callback of ``joint_states``; measurements of an external plant outside the run are ignored."""
         awaited = [one for one in (self._beginning, self._run) if one is not None]
         taken = self.runner.measurement
         if not awaited:
@@ -315,7 +315,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return lambda message: taken(message) if all(one.take(message) for one in awaited) else None
 
     def begin_at(self, position: float) -> None:
-        """Begin where an axis is that runs already [m]; a setpoint that has come meanwhile is gone to from there."""
+        """Begin at the position of a running axis [m]; a setpoint that has arrived meanwhile starts from there."""
         asked = self.setpoint != self.parameters.initial_setpoint
         self.part.begin_at(position)
         if not asked:
@@ -324,7 +324,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     @property
     def unasked(self) -> bool:
-        """Whether it stays where it has begun, because nobody has asked for anything."""
+        """Whether it holds its initial position because it has not received any request."""
         return self.part is not None and self.part.generator.unasked
 
     def on_running(self, running: bool) -> None:
@@ -339,7 +339,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return super()._on_start(request, response)
 
     def reset_blocks(self) -> None:
-        """Begin again: waveform at its start, setpoint as configured."""
+        """Reset: waveform at its start, setpoint as configured."""
         super().reset_blocks()
         self.setpoint = self.parameters.initial_setpoint
 
@@ -363,7 +363,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             return 2, "joint_states is stale", values
         if self.row[signals.TRIPPED]:
             return 2, "the plant has stopped the axis", values
-        begun = "holds where the axis was when it came; send a setpoint, or call ~/start" if self.unasked else ""
+        begun = "holds the initial position of the axis; send a setpoint, or call ~/start" if self.unasked else ""
         return (1, f"{refused} setpoints refused", values) if refused else (0, begun, values)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the sources of references have in common: people ask them for something, and hear why they do not get it."""
+"""Base of the reference sources: they take setpoints and requests, and report why one is refused."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, Refe
 from hysteresis_ros.nodes.qos import chosen_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
 
-#: How often is looked whether samples stay away [s], and for how long they may.
+#: Interval of the check for missing samples, and the time they may be missing [s].
 LOOK, SILENCE = 0.1, 0.3
 
 
-#: Setpoints under way at most to whoever records them.
+#: Queue depth of the accepted setpoints for a recorder.
 KEPT = 1000
-#: Service that takes a setpoint and answers; the only parameter of its request.
+#: Service that takes a setpoint and answers, and the only parameter of its request.
 SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
 
 
 class ReferenceSource(Responder):
     """A node that takes setpoints: on topics, and by a service that answers.
 
-    Every setpoint that it takes is published on ``~/taken``, which is what is recorded; why it refuses one is published
-    on ``~/refused``, because a topic has no answer.
+    Every accepted setpoint is published on ``~/taken``, which is recorded; the reason of a refusal is published on
+    ``~/refused``, because a topic has no answer.
     """
 
     parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters
@@ -42,11 +42,11 @@ class ReferenceSource(Responder):
     refused = 0
     #: Setpoint in force [m].
     setpoint = 0.0
-    #: What was published last of whether it has settled; a node that leaves without topics has nothing to take back.
+    #: Last published value of ``~/settled``; None: a node without topics has nothing to withdraw.
     _told: bool | None = False
 
     def connect(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         super().connect()
         self._settled = self.publisher(Bool, "settled", latched_qos())
         self._told = None
@@ -63,7 +63,7 @@ class ReferenceSource(Responder):
         self.subscriber(Float64MultiArray, "~/commands", self._on_commands, setpoint_qos())
 
     def begin(self) -> None:
-        """Look after samples that stay away: what is not measured has not settled."""
+        """Start the check for missing samples: an axis that is not measured has not settled."""
         self.timer(LOOK, self._look_for_samples)
 
     def _look_for_samples(self) -> None:
@@ -73,24 +73,24 @@ class ReferenceSource(Responder):
 
     @property
     def lacks_samples(self) -> bool:
-        """Whether no sample has come for some time, in real time."""
+        """Whether no sample has arrived for some time, in real time."""
         return not self.runner.exact and self.pace.age > max(SILENCE, 3.0 / self.parameters.sample_rate)
 
     def forget_settled(self) -> None:
-        """Begin anew to look whether the axis settles."""
+        """Restart the settling detection."""
 
     def look_at(self, rows) -> None:
-        """Look at samples whether the axis has settled in them."""
+        """Update the settling detection with samples."""
         raise TypeError(f"{type(self).__name__} does not say when its axis has settled")
 
     def tell_settled(self, settled: bool) -> None:
-        """Publish whether the axis has settled, when that has changed."""
+        """Publish whether the axis has settled, when this has changed."""
         if settled != self._told:
             self._told = settled
             self._settled.publish(Bool(data=settled))
 
     def release(self) -> None:
-        """Nobody looks any more whether the axis has settled."""
+        """Stop the settling detection."""
         if self.parameters is not None:
             self.tell_settled(False)
 
@@ -99,7 +99,7 @@ class ReferenceSource(Responder):
         raise TypeError(f"{type(self).__name__} does not say how it takes setpoints")
 
     def _take(self, value: float) -> str:
-        """Take a setpoint [m] and publish that, or refuse it, publish why, and return that."""
+        """Take a setpoint [m] and publish it, or refuse it; publish and return the reason."""
         reason = self.take_setpoint(value)
         if reason:
             reason = f"{reason}; {self.setpoint:.6g} m is kept"
@@ -112,7 +112,7 @@ class ReferenceSource(Responder):
         self._take(message.data)
 
     def _on_set_setpoint(self, request, response):
-        """Take a setpoint and answer; ROS has no service with one number, so it comes as a parameter does."""
+        """Take a setpoint and answer; it comes as a parameter, because ROS has no service with one number."""
         given = [(one.name, one.value) for one in request.parameters]
         if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
             reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"
@@ -122,7 +122,7 @@ class ReferenceSource(Responder):
         return response
 
     def _on_commands(self, message) -> None:
-        """Take a setpoint as position controllers of ros2_control do: an array with one number for each joint."""
+        """Take a setpoint in the form of ros2_control position controllers: an array with one number per joint."""
         if len(message.data) == 1:
             self._take(message.data[0])
         else:
@@ -132,7 +132,7 @@ class ReferenceSource(Responder):
             )
 
     def refuse(self, key: str, reason: str) -> None:
-        """Count, log and publish that something was refused."""
+        """Count, log and publish a refusal."""
         self.refused += 1
         self.warn(key, reason)
         self._refusals.publish(String(data=reason))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What source, controller and compensator have in common: they answer samples with their part of the loop."""
+"""Base of source, controller and compensator: nodes that answer each sample with their part of the loop."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
 TRIPPED_FRAME = signals.TRIPPED_FRAME
-#: Among so many joints of a measurement that of the axis is looked for.
+#: Maximum number of joints in a measurement among which the joint of the axis is searched.
 MOST_JOINTS = 1000
 
 
@@ -35,23 +35,23 @@ class Input:
     """A Float64 topic that carries one signal of the loop."""
 
     topic: str
-    signal: int  #: Place in the row.
-    partner: str  #: Who publishes it.
-    previous: bool = False  #: It belongs to the sample before: what was carried out.
-    strict: bool = False  #: In real time nothing stands in for a message that does not come in time.
+    signal: int  #: Index in the row.
+    partner: str  #: Node that publishes it.
+    previous: bool = False  #: Whether it belongs to the previous sample, as the achieved command does.
+    strict: bool = False  #: Whether a late message is not replaced by the last one in real time.
 
 
 class Responder(AxisNode):
     """A node that answers each sample with its part of the loop.
 
-    Subclasses set :attr:`part`, and say in :meth:`step` which kernel of the loop they run on the row.
+    Subclasses set :attr:`part`, and run their kernel of the loop on the row in :meth:`step`.
     """
 
-    #: Name of what triggers an answer in real time.
+    #: Name of the input that triggers an answer in real time.
     trigger = "joint_states"
-    #: Whether that is the measurement.
+    #: Whether the trigger is the measurement.
     triggered_by_measurement = True
-    #: Float64 topics that are heard and published, in order.
+    #: Subscribed and published Float64 topics, in order.
     inputs: tuple[Input, ...] = ()
     outputs: tuple[tuple[str, int], ...] = ()
 
@@ -72,16 +72,16 @@ class Responder(AxisNode):
         raise TypeError(f"{type(self).__name__} does not say which part of the loop it is")
 
     def reset_blocks(self) -> None:
-        """Begin again with everything at rest."""
+        """Reset the part to rest."""
         self.part.reset()
         self.row[:] = [0.0] * len(self.row)
 
     def retune(self, parameters) -> None:
-        """Take new parameters without a jump."""
+        """Apply new parameters without a step of the output."""
         self.part.retune(parameters)
 
     def on_running(self, running: bool) -> None:
-        """``~/stop`` brings the part to its safe output, ``~/start`` lets it go on without a jump."""
+        """Move the part to its safe output (``~/stop``), or resume without a step (``~/start``)."""
         action = "start" if running else "stop"
         if self.is_fused:
             self.fused.apply(self.kind, action)
@@ -103,9 +103,9 @@ class Responder(AxisNode):
         return super().hindrance() or self.loss or stopped
 
     def compile(self) -> None:
-        """Take the part through everything it can be asked for, so that nothing is compiled later.
+        """Run all operations of the part once, so that nothing is compiled later.
 
-        A fused loop has machine code of its own for all parts.
+        A fused loop has its own machine code for all parts.
         """
         if self.part.parameters.time_mode == "fused":
             return
@@ -121,7 +121,7 @@ class Responder(AxisNode):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Make the topics of the loop."""
+        """Create the topics of the loop."""
         self._message = Float64()
         qos = self.qos()
         state = self.state_signals()
@@ -144,11 +144,11 @@ class Responder(AxisNode):
 
     @property
     def take_measurement(self):
-        """What takes ``joint_states``."""
+        """Return the callback of ``joint_states``."""
         return self.runner.measurement
 
     def read(self, message, row) -> bool:
-        """Put the measurement of the joint into a row, NaN when there is none; False when the run is broken by it."""
+        """Put the measurement of the joint into a row, NaN when there is none; return False when it breaks the run."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index
         self.read_trip(message, row)
         row[signals.MEASURED] = math.nan
@@ -169,32 +169,32 @@ class Responder(AxisNode):
         return True
 
     def read_trip(self, message, row) -> None:
-        """Put into a row whether the axis is stopped: by the plant, or here because a partner is lost."""
+        """Put into a row whether the axis is stopped, by the plant or because a partner of this node is lost."""
         tripped = message.header.frame_id == TRIPPED_FRAME
         self.runner.follow_trip(tripped)
         row[signals.TRIPPED] = 1.0 if tripped or self.runner.latched else 0.0
 
     @property
     def loss(self) -> str:
-        """Say which partner's loss keeps this part safe; empty: none."""
+        """Return the lost partner that keeps this part safe; empty when there is none."""
         name = self.runner.latched
         return f"{name} is lost, ~/start of plant_simulator when it is back lets the axis go on" if name else ""
 
     def reject(self, row) -> None:
-        """Take the measurement out of a row."""
+        """Remove the measurement from a row."""
         row[signals.MEASURED] = math.nan
 
     def take(self, input_: Input, data: float) -> None:
-        """Take a value of an input."""
+        """Store a value of an input."""
         self.row[input_.signal] = data
 
     def refuse_value(self, input_: Input, data: float) -> None:
-        """Say that a value of an input cannot be used."""
+        """Log that a value of an input is invalid."""
 
     # -- answers -------------------------------------------------------------------------------------------------
 
     def respond(self) -> None:
-        """Run the part of the loop and publish what it gives."""
+        """Run the part of the loop and publish its outputs."""
         self.before_step()
         self.step()
         self.publish_outputs()
@@ -202,10 +202,10 @@ class Responder(AxisNode):
         self.after_step()
 
     def before_step(self) -> None:
-        """Put what people ask for into the row."""
+        """Put the user's requests into the row."""
 
     def after_step(self) -> None:
-        """Look at what the part has done."""
+        """Handle the result of the part."""
 
     def answer(self, stamp) -> None:
         """Answer the sample in the row."""
@@ -213,7 +213,7 @@ class Responder(AxisNode):
         self.report(stamp)
 
     def show(self, stamp, quiet: bool) -> None:
-        """Publish what stands in the row of a sample that a loop has made; ``quiet``: nothing is said about it."""
+        """Publish the row of a sample of a fused loop; ``quiet``: without log messages."""
         self.publish_outputs()
         self.report(stamp)
         if not quiet:
@@ -224,12 +224,12 @@ class Responder(AxisNode):
         self.publish_state(stamp, *self.state_values())
 
     def state_values(self) -> list[float]:
-        """Return what ``~/state`` holds."""
+        """Return the content of ``~/state``."""
         row = self.row
         return [row[place] for place in self._state_places]
 
     def publish_outputs(self) -> None:
-        """Publish what the part gives."""
+        """Publish the outputs of the part."""
         row, message = self.row, self._message
         for place, publisher in self._outputs:
             message.data = float(row[place])
@@ -239,28 +239,28 @@ class Responder(AxisNode):
 
     @property
     def patience(self) -> float:
-        """Seconds without a trigger after which samples are counted without it."""
+        """Time without a trigger after which samples are counted by the clock [s]."""
         return self.parameters.measurement_timeout
 
     @property
     def is_stale(self) -> bool:
-        """Whether the input of the part has not been usable for its time-out."""
+        """Whether the input of the part has been unusable for its time-out."""
         return False
 
     def say_silent(self) -> None:
-        """Say that the trigger has stopped."""
+        """Log that the trigger has stopped."""
 
     def miss_sample(self) -> None:
-        """Let a sample go by without a trigger."""
+        """Process a sample without a trigger."""
         self.row[signals.MEASURED] = self.row[signals.COMMAND] = math.nan
         self.step()
         self.after_missing()
 
     def miss(self, samples: int) -> None:
-        """Let samples go by without a trigger, and publish where that has led."""
+        """Process samples without a trigger, and publish the result."""
         for _ in range(samples):
             self.miss_sample()
         self.publish_outputs()
 
     def after_missing(self) -> None:
-        """Look at what the part has done without a trigger."""
+        """Handle the result of the part without a trigger."""

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the plant publishes in bulk: all samples of a fused axis in blocks, and the frames of a plant seen by a camera.
+"""Bulk data of the plant: all samples of a fused axis in blocks, and the frames of a plant with a camera.
 
 The other topics of a fused axis show the last sample at ``publish_rate`` and would miss a peak between two of them. A
 block is a table: a row for each quantity, named in the label of the first dimension, and a column for each sample.
@@ -29,22 +29,22 @@ from hysteresis_ros.errors import HysteresisError
 
 #: Name of the topic, below the plant.
 TOPIC = "samples"
-#: Seconds between two blocks: thirty a second, as often as a page is drawn.
+#: Interval between two blocks [s]: thirty a second, the redraw rate of a page.
 PERIOD = 1.0 / 30.0
-#: Blocks that wait for somebody who is slow: two seconds.
+#: Blocks queued for a slow subscriber: two seconds.
 DEPTH = 60
-#: Most samples of a block: what the ring of the fastest axis holds.
+#: Maximum number of samples of a block: the ring size of the fastest axis.
 MOST = 1_000_000
 #: Rows before the signals: stamp [s and ns since 1970], and number of the sample.
 STAMPED = ("stamp_s", "stamp_ns", "sample")
-#: What ``joint_states`` has of each joint of a motor.
+#: Quantities in ``joint_states`` for each joint of a motor.
 OF_JOINTS = ("position", "velocity", "effort")
 
 SECOND = 1_000_000_000
 
 
 class Block(NamedTuple):
-    """Samples that follow one another."""
+    """Consecutive samples."""
 
     stamps: np.ndarray  #: shape (N,) [ns since 1970], int64.
     numbers: np.ndarray  #: shape (N,); Numbers of the samples, int64.
@@ -54,7 +54,7 @@ class Block(NamedTuple):
 
 
 def samples_qos() -> QoSProfile:
-    """Blocks for whoever looks: reliable, volatile, two seconds of them."""
+    """Quality of service of the blocks: reliable, volatile, a depth of two seconds."""
     return QoSProfile(depth=DEPTH)
 
 
@@ -87,7 +87,7 @@ def block_of(message: Float64MultiArray) -> Block:
     begin = len(STAMPED)
     count = len(message.data) // max(len(names), 1)
     if names[: begin + row] != labels(motor, ())[: begin + row] or count * len(names) != len(message.data):
-        raise HysteresisError("samples: the rows are not those of this version; run the page with the axis' version")
+        raise HysteresisError("samples: the rows are not of this version; run the page in the version of the axis")
     table = np.frombuffer(message.data, float).reshape(len(names), count)
     if count > MOST or not np.isfinite(table[:begin]).all():
         raise HysteresisError(f"samples: a block has at most {MOST} samples, whose times and numbers are finite")
@@ -97,7 +97,7 @@ def block_of(message: Float64MultiArray) -> Block:
 
 
 class SampleStream:
-    """Publishes what a loop makes, as long as somebody listens."""
+    """Publishes the samples of a fused loop while there is a subscriber."""
 
     def __init__(self, plant):
         self._plant = plant
@@ -106,7 +106,7 @@ class SampleStream:
         self._last = 0.0
 
     def show(self, loop, ended: bool) -> None:
-        """Publish what is new, when it is time."""
+        """Publish new samples when a block is due."""
         if not self._publisher.get_subscription_count():
             self._reader = None
             return
@@ -127,12 +127,12 @@ FRAMES = "image"
 
 
 def camera_qos() -> QoSProfile:
-    """Quality of service for frames in real time: of any camera, and only the last one."""
+    """Quality of service of frames in real time: best effort, matching any camera, only the last frame."""
     return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 class FramePublisher:
-    """Publishes the frames of a plant with the header of what it would say itself."""
+    """Publishes the frames of a plant with the header of its joint_states."""
 
     def __init__(self, node):
         self._node = node
@@ -149,12 +149,12 @@ class FramePublisher:
         self._publisher.publish(message)
 
     def get_subscription_count(self) -> int:
-        """Return how many hear what somebody makes of the frames; 0 while nobody looks at them."""
+        """Return the number of subscribers of the measurement from the frames; 0 while no node reads the frames."""
         node = self._node
         seen = self._publisher.get_subscription_count()
         return node.count_subscribers(node.resolve_topic_name("joint_states")) if seen else 0
 
 
 def output_of(node):
-    """Return what publishes the samples of a plant: its joint_states, or its frames."""
+    """Return the publisher of a plant's samples: of its joint_states, or of its frames."""
     return FramePublisher(node) if node.is_seen else node.publisher(JointState, "joint_states", node.qos(), loop=True)

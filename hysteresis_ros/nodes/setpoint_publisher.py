@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Publish setpoints as a person would with ``ros2 topic pub``, for machines that have no ``ros2`` command."""
+"""Publish setpoints like ``ros2 topic pub``, for machines without the command ``ros2``."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from hysteresis_ros.nodes.parameters import GuardedServices
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
-#: Seconds after which both sides know each other; a volatile message sent before is lost.
+#: Time until publisher and subscription are matched on both sides; a volatile message sent earlier is lost [s].
 ACQUAINTANCE = 0.5
 
 
 class SetpointPublisher(GuardedServices):
-    """Publishes each setpoint once its time has come on the axis' own clock, the stamps of ``joint_states``."""
+    """Publishes each setpoint at its time on the clock of the axis, the stamps of ``joint_states``."""
 
     def __init__(self, schedule, **options):
         super().__init__("setpoint_publisher", **options)
@@ -48,10 +48,10 @@ class SetpointPublisher(GuardedServices):
 
     @property
     def heard(self) -> bool:
-        """True when everybody who listens has been matched for a while: they may find us later than we find them."""
+        """Return whether all subscribers have been matched for a while: they may match later than this publisher."""
         matched, known = self._setpoint.get_subscription_count(), self.count_subscribers("setpoint")
         if matched == 0 or matched < known or matched != self._matched:
-            # a recorder may be there before the generator that is to move
+            # a recorder may be present before the generator
             self._matched, self._found = matched, None
         elif self._found is None:
             self._found = time.monotonic()
@@ -65,17 +65,17 @@ class SetpointPublisher(GuardedServices):
             self.publish_until(now - self._first)
 
     def publish_until(self, now: float) -> None:
-        """Publish what is due at ``now`` [s], if somebody listens."""
+        """Publish the setpoints due at ``now`` [s], if there is a subscriber."""
         while self.heard and self.schedule and self.schedule[0][0] <= now:
             self._setpoint.publish(Float64(data=self.schedule.pop(0)[1]))
 
     def flush(self) -> bool:
-        """Wait until everything has been received."""
+        """Wait until all setpoints are acknowledged."""
         return self._setpoint.wait_for_all_acked(Duration(seconds=5.0))
 
 
 def main(arguments=None) -> int:
-    """Publish the setpoints of the command line; returns 0, or 1 when nobody listened within the timeout."""
+    """Publish the setpoints of the command line; return 0, or 1 when there was no subscriber within the timeout."""
     parser = argparse.ArgumentParser(prog="setpoint_publisher", description=__doc__)
     parser.add_argument("--setpoint", type=float, nargs="+", required=True, help="setpoints [m]")
     parser.add_argument("--at", type=float, nargs="+", default=[0.0], help="time of each [s of the axis]")

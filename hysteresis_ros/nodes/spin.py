@@ -33,9 +33,9 @@ _MADV_DONTNEED = 4
 
 
 def release_compiler() -> None:
-    """Give the code pages of LLVM back once all kernels are loaded; should it be used again, they come back.
+    """Release the code pages of LLVM once all kernels are loaded; Linux reads them again on demand.
 
-    Only pages that are mapped from the file for execution, which nobody writes: Linux reads them again on demand.
+    Only executable pages mapped from the file are released, which are never written.
     """
     maps = pathlib.Path("/proc/self/maps")
     if not COMPILED or not maps.exists():
@@ -49,23 +49,23 @@ def release_compiler() -> None:
             madvise(start, end - start, _MADV_DONTNEED)
 
 
-#: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
+#: Interval of the check for signals and finished nodes while no message arrives [s].
 LOOK = 0.05
 
-#: Seconds that messages get to be acknowledged: at the regular end of a run, and when a signal or an error ends it. An
-#: acknowledgement waits for a heartbeat, seconds after the message has come: more would only make every exit slow.
+#: Time for messages to be acknowledged: at the regular end of a run, and when a signal or an error ends it [s]. An
+#: acknowledgement waits for a heartbeat, seconds after the message has arrived: a longer time would delay every exit.
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
 #: Module whose functions the compiler calls back.
 COMPILER = "llvmlite.binding.executionengine"
 
-#: Seconds without a message after which nothing is under way any more.
+#: Time without a message after which none is pending [s].
 QUIET = 0.1
 
 
 def make_executor():
-    """Return rclpy's EventsExecutor (a tenth of the default executor's cost), or the default one if it is missing."""
+    """Return rclpy's EventsExecutor (a tenth of the cost of the default executor), or the default one if missing."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -74,14 +74,14 @@ def make_executor():
 
 
 def called_by_compiler(frame) -> bool:
-    """Tell whether Python runs on behalf of the compiler, which swallows exceptions and fails on them in its own words."""
+    """Return whether Python runs a callback of the compiler, which swallows exceptions and then fails itself."""
     while frame is not None and frame.f_globals.get("__name__") != COMPILER:
         frame = frame.f_back
     return frame is not None
 
 
 def run(factories, arguments=None) -> int:
-    """Make nodes, start them, and spin until the end."""
+    """Create nodes, start them, and spin until the end."""
     stop: list[int] = []
 
     starting = True
@@ -104,7 +104,7 @@ def run(factories, arguments=None) -> int:
     try:
         try:
             stay_on_this_machine()
-            set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says about wrong arguments is raised as well
+            set_logger_level("rcl", LoggingSeverity.FATAL)  # its messages about wrong arguments are raised as well
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )
@@ -112,7 +112,7 @@ def run(factories, arguments=None) -> int:
             require_admission(domain)
             nodes += [factory() for factory in factories]
             claims += [claim(domain, node.get_fully_qualified_name()) for node in nodes if node.kind != "recorder"]
-        except Exception as error:  # rclpy raises its own and plain C++ errors for names and files that it refuses
+        except Exception as error:  # rclpy raises its own and C++ errors for refused names and files
             # without the places in rcl's C sources
             print(f"error: {' '.join(str(error).split(', at /')[0].split())}", file=sys.stderr)
             return 2
@@ -134,7 +134,7 @@ def run(factories, arguments=None) -> int:
     finally:
         starting = False
         for node in nodes:
-            node.release()  # also after an exception: no thread may go on publishing
+            node.release()  # also after an exception: no thread may continue to publish
         _destroy(executor, nodes)
         for claimed in filter(None, claims):
             claimed.close()
@@ -145,7 +145,7 @@ def run(factories, arguments=None) -> int:
 
 
 def _destroy(executor, nodes: list) -> None:
-    """Let go of all that the nodes hold in DDS, and of the nodes."""
+    """Release the DDS entities of the nodes, and the nodes."""
     for node in nodes:
         if executor is not None:
             executor.remove_node(node)
@@ -156,20 +156,20 @@ def _destroy(executor, nodes: list) -> None:
 
 
 def _collect() -> None:
-    """Free the nodes now: lifecycle nodes stand in reference cycles, and hold the DDS participant until collected.
+    """Free the nodes now: lifecycle nodes are in reference cycles, and hold the DDS participant until collected.
 
-    A participant that is still there when the process ends is taken down by the C library beside the threads that use
-    it, which now and then ended in an abort long after the run was over and its bag was closed.
+    The C library destroys a remaining participant at the end of the process while threads still use it, which has
+    sometimes ended in an abort long after the run was over and its bag was closed.
     """
     gc.unfreeze()
     gc.collect()
 
 
 def _over(nodes) -> bool:
-    """Tell whether a node has failed, or all have finished; asked some seven times a sample, so without generators."""
+    """Return whether a node has failed, or all have finished; called about seven times a sample, so no generators."""
     finished = True
     for node in nodes:
-        # a node that could not be configured by hand waits for better parameters
+        # a node whose manual configuration failed waits for other parameters
         if node.failure and node.parameters is not None:
             return True
         finished = finished and node.finished
@@ -177,7 +177,7 @@ def _over(nodes) -> bool:
 
 
 def _spin(executor, nodes, stop) -> int:
-    # The loop makes no reference cycles; a collection in the middle of a sample would cost milliseconds.
+    # The loop creates no reference cycles; a garbage collection within a sample would take milliseconds.
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -195,16 +195,16 @@ def _spin(executor, nodes, stop) -> int:
 
 
 def _leave(executor, nodes, regular: bool) -> None:
-    """Bring outputs to their safe values and wait until they have arrived, then let go of threads and files."""
+    """Move outputs to their safe values, wait until they are received, then release threads and files."""
     deadline = time.monotonic() + PATIENCE_AT_END
     for node in nodes:
         node.leaving = True
         if node.active:
-            node.runner.part()
+            node.runner.leave()
     if regular:
         for node in nodes:
             node.wait_acknowledged(deadline)
-    # The controller before the compensator, the compensator before the plant: it still sees the voltage return.
+    # The controller before the compensator, the compensator before the plant, which still receives the safe voltage.
     listening = []
     for node in reversed(nodes):
         if not node.active:
@@ -212,7 +212,7 @@ def _leave(executor, nodes, regular: bool) -> None:
         # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
         if not (regular and node.runner.exact):
             node.runner.go_safe()
-            if not node.is_fused:  # a loop's recorder takes the log where it is made
+            if not node.is_fused:  # the recorder of a fused loop reads the change log directly
                 node.changes.end(node.sample, stopped=True)
         if node.listens_at_exit and not regular:
             listening.append(node)
@@ -228,7 +228,7 @@ def _leave(executor, nodes, regular: bool) -> None:
         elapsed = time.monotonic() - start
         if elapsed > QUIET:
             listening = [node for node in listening if elapsed < node.listens_for and not node.drained()]
-    for node in reversed(nodes):  # a recorder is the first: it gets what is made until the end
+    for node in reversed(nodes):  # a recorder is the first node, so it receives everything until the end
         node.active = False
         node.release()
         node.tell_health()

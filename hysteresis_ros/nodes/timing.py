@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""When a node processes its samples, and what is measured of that: rate, jitter, overruns, time in limitation.
+"""Sample timing of a node and its statistics: rate, jitter, overruns, time in limitation.
 
 It imports no ROS. ``Runner`` is the base of the time modes (lockstep, real time, fused).
 """
@@ -23,23 +23,23 @@ from hysteresis_ros.analysis.metrics import MOMENT
 #: An interval is overrun when it is longer than this many periods.
 OVERRUN = 1.5
 
-#: Seconds without a measurement after which the input is called stale, unless samples are slower than that.
+#: Time without a measurement after which the input is stale, unless samples are slower [s].
 STALE = 1.0
 
 
-#: Seconds over which a rate is counted: in less, messages that a busy machine delivers together look like a rate.
+#: Interval for counting a rate [s]: in a shorter one, messages that a busy machine delivers together distort it.
 WINDOW = 1.0
 
 
 class CountedRate:
-    """Samples a second, counted over the last second at least, however they arrive."""
+    """Sample rate, counted over at least the last second."""
 
     def __init__(self):
         self._marks: deque[tuple[float, int]] = deque()
         self._rate = 0.0
 
     def restart(self) -> None:
-        """Forget what was counted: a pause belongs to no rate."""
+        """Reset the count, because a pause must not affect the rate."""
         self._marks.clear()
         self._rate = 0.0
 
@@ -49,7 +49,7 @@ class CountedRate:
             self._marks.append((now, total))
 
     def read(self, now: float, total: int) -> float:
-        """Return the rate until now [Hz]; 0 in the first second, of which nothing is known yet."""
+        """Return the present rate [Hz]; 0 in the first second, when it is not known yet."""
         self.begin(now, total)
         while len(self._marks) > 1 and now - self._marks[1][0] >= WINDOW:
             self._marks.popleft()
@@ -61,7 +61,7 @@ class CountedRate:
 
 
 class Pace:
-    """Collects the arrival times of samples between two readings; nothing grows with time."""
+    """Statistics of the arrival times of samples between two readings, in bounded memory."""
 
     def __init__(self, period: float = float("inf"), keeps_time: bool = True, capacity: int = 20000):
         self._intervals = array("d", bytes(8 * capacity))
@@ -74,7 +74,7 @@ class Pace:
         self._rate = CountedRate()
 
     def tick(self) -> None:
-        """Note one sample, now."""
+        """Record one sample at the present time."""
         now = time.monotonic_ns()
         self.total += 1
         if self._last:
@@ -90,11 +90,11 @@ class Pace:
 
     @property
     def age(self) -> float:
-        """Seconds since the last sample; infinite before the first."""
+        """Time since the last sample [s]; infinite before the first."""
         return (time.monotonic_ns() - self._last) * 1e-9 if self._last else float("inf")
 
     def restart(self) -> None:
-        """Forget the last sample, so that a pause is not taken for an interval."""
+        """Discard the last sample, so that a pause does not count as an interval."""
         self._last = 0
         self._rate.restart()
 
@@ -116,20 +116,20 @@ class Pace:
 
 
 class Pairing:
-    """Real time: finds the measurement an answer belongs to, though the two arrive on different topics in any order.
+    """Matches answers to measurements in real time; the two arrive on different topics in any order.
 
-    Every measurement is answered once, so the n-th answer belongs to the n-th measurement; whichever of the two comes
-    first waits. An answer is ahead of its measurement only by chance and by little; a measurement may wait as long as
-    a loaded machine takes. Two things keep a loss from shifting all that follows: what waits for too long is
-    forgotten (a watchdog's command answers nothing), and when answers find several measurements waiting time after
-    time, the oldest one was never answered (it was rejected) and is dropped; likewise the answer that every measurement
-    finds waiting, because answers are made after their measurements.
+    Every measurement is answered once, so the n-th answer belongs to the n-th measurement; the first of the two to
+    arrive waits. An answer precedes its measurement only by chance and by little; a measurement may wait as long as a
+    loaded machine takes. Two rules keep a loss from shifting all later pairs. An entry that waits too long is discarded
+    (a watchdog's command answers no measurement). When answers repeatedly find several waiting measurements, the oldest
+    was never answered (it was rejected) and is dropped; likewise an answer that every measurement finds waiting,
+    because answers follow their measurements.
     """
 
-    #: Most that may wait, and for how long [s].
+    #: Maximum number of waiting entries, and their maximum age [s].
     ANSWERS, ANSWER_PATIENCE = 2, 0.05
     MEASUREMENTS, MEASUREMENT_PATIENCE = 256, 1.0
-    #: Answers in a row that find several measurements waiting before the oldest is dropped.
+    #: Consecutive answers that find several waiting measurements before the oldest is dropped.
     SUSPICION = 50
 
     def __init__(self):
@@ -139,13 +139,13 @@ class Pairing:
         self._ahead = 0
 
     def begin(self) -> None:
-        """Let the next answer belong to the last measurement: those before came while nobody answered."""
+        """Assign the next answer to the last measurement: earlier ones arrived while no node answered."""
         self._answers.clear()
         while len(self._measurements) > 1:
             self._measurements.popleft()
 
     def measurement(self, stamp, now: float):
-        """Note a measurement; returns the answer that waited for it, or None and the measurement waits."""
+        """Take a measurement; return its waiting answer, or None, and the measurement waits."""
         self._ahead = self._ahead + 1 if self._answers else 0
         if self._ahead > self.SUSPICION:
             self._answers.popleft()
@@ -153,7 +153,7 @@ class Pairing:
         return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
 
     def answer(self, answer, now: float):
-        """Note an answer; returns the stamp of its measurement, or None and the answer waits."""
+        """Take an answer; return the stamp of its measurement, or None, and the answer waits."""
         self._crowded = self._crowded + 1 if len(self._measurements) > 1 else 0
         if self._crowded > self.SUSPICION:
             self._measurements.popleft()
@@ -170,25 +170,25 @@ class Pairing:
         return None
 
 
-#: Seconds of the past of which a node speaks.
+#: Length of the reported past [s].
 LATELY = 60.0
-#: What the words of such a report begin with.
+#: Beginning of the text of such a report.
 LIMITED = "output limited for"
-#: What limits a voltage besides the way back to a path.
+#: Name of the voltage limits, besides the way back to a path.
 AMPLIFIER = "limits (range or slew rate)"
 
 
 class LimitedTime:
-    """Remembers how counters of limited samples stood at each report of the last minute."""
+    """Stores the counters of limited samples at each report of the last minute."""
 
     def __init__(self) -> None:
-        """Begin without a report."""
+        """Start without a report."""
         self._counts: deque[tuple[float, dict[str, int]]] = deque()
 
     def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
-        """Return for how long of the last minute limits kept the output from what was asked, longest first.
+        """Return the time of the last minute in which limits restricted the output, longest first.
 
-        Units: ``sample_rate`` [Hz], ``now`` [s].
+        ``sample_rate`` is in Hz, ``now`` in s.
         """
         now = time.monotonic() if now is None else now
         if self._counts and any(count < self._counts[-1][1].get(name, 0) for name, count in counts.items()):
@@ -196,7 +196,7 @@ class LimitedTime:
         if not self._counts:
             self._counts.append((now, dict.fromkeys(counts, 0)))
         self._counts.append((now, dict(counts)))
-        # the last report from before the minute is where the minute begins
+        # the minute begins at the last report before it
         while len(self._counts) > 2 and now - self._counts[1][0] >= LATELY:
             self._counts.popleft()
         began, before = self._counts[0]
@@ -227,15 +227,15 @@ def _causes(counts: dict[str, int]) -> str:
 
 
 class Runner:
-    """Base of the runners."""
+    """Base of the runners, which decide when a node processes its samples."""
 
     #: Period of a sample for the statistics of pace [s].
     period = float("inf")
-    #: Whether the node makes its part of a sample when messages come.
+    #: Whether the node computes its part of a sample when messages arrive.
     by_message = True
-    #: Inputs of the node that came once and do not come any more, by topic.
+    #: Inputs of the node that have stopped, by topic.
     absent: tuple[str, ...] = ()
-    #: Partner whose loss keeps this node's part of the loop safe until a person lets it go on; empty: none.
+    #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: none.
     latched = ""
     #: Whether the plant has said that the axis goes on, and no measurement has come yet that shows it.
     goes_on = False
@@ -244,27 +244,27 @@ class Runner:
         self.node = node
 
     def require_rest(self) -> None:
-        """Refuse that the node begins again now."""
+        """Raise an error when the node cannot be reset now."""
 
     def make_pace(self) -> Pace:
-        """Return what tells how regularly samples come."""
+        """Return the statistics of the sample times."""
         return Pace(self.period)
 
     def missing_partners(self) -> str:
-        """Name the nodes without which an axis cannot go on; empty: none is lost."""
+        """Return the lost nodes without which the axis cannot continue; empty when none is lost."""
         return ""
 
     def follow_trip(self, tripped: bool) -> None:
-        """Take note whether the plant has stopped the axis."""
+        """Record whether the plant has stopped the axis."""
 
     def unlatch(self) -> str:
-        """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""
+        """Resume the part after the loss of a partner; return why it cannot, or ''."""
         return ""
 
     def timeliness(self) -> dict:
-        """Return what diagnostics say about how late samples begin, where that is known."""
+        """Return the diagnostics of how late samples begin, if known."""
         return {}
 
     def go_safe(self) -> None:
-        """Bring the outputs of the node to their safe values."""
+        """Move the outputs of the node to their safe values."""
         self.node.go_safe()

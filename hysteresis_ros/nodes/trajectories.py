@@ -9,9 +9,9 @@
 
 """Trajectories over ROS: the topic ``joint_trajectory``, and the action ``follow_joint_trajectory``.
 
-The reference generator follows them (:mod:`hysteresis_ros.references.trajectory`); here they are read from messages,
-and the sender gets the result. The action exists where the package control_msgs is installed. A goal is
-accepted and, when it is refused, aborted at once: a goal that ROS 2 rejects carries no reason.
+The reference generator follows them (:mod:`hysteresis_ros.references.trajectory`); this module reads them from messages
+and returns the result to the sender. The action exists when the package control_msgs is installed. A refused goal is
+accepted and aborted at once, because a goal that ROS 2 rejects carries no reason.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.references.moves import Ending, Move, Tolerances
 from hysteresis_ros.references.trajectory import MOST_POINTS
 
-#: How often is looked at moves of an axis that may have stopped [s], and how long its samples may stay away.
+#: Interval of the check of moves on an axis that may have stopped, and the time its samples may be missing [s].
 LOOK, SILENCE = 0.1, 1.0
 
-#: Where trajectories are awaited: beside the axis, and where tools of ros2_control send those for a controller.
+#: Topics of trajectories: in the namespace of the axis, and where tools of ros2_control send them to a controller.
 TOPICS = ("joint_trajectory", "~/joint_trajectory")
 
 #: Fields that name joints.
 JOINTS = ("joint_names", "path_tolerance", "goal_tolerance")
 
-#: Who is told how a move has ended, and why.
+#: Callback for the ending of a move and its reason.
 Told = Callable[[Ending, str], None]
 
 
@@ -51,7 +51,7 @@ def seconds(duration) -> float:
 
 
 def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
-    """Return the points of a ``JointTrajectory`` of one joint, as a generator takes them; without any: empty."""
+    """Return the points of a ``JointTrajectory`` of one joint in the form of the generator; empty without points."""
     names = list(message.joint_names)
     if names != [joint]:
         raise _refused("joint_names", names, f"allowed: ['{joint}'], the joint of this axis")
@@ -73,7 +73,7 @@ def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
 
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
-    """Return the tolerances of a goal of the action; what it leaves at 0 is the default, below 0 any."""
+    """Return the tolerances of a goal of the action: 0 is the default, a negative value is unlimited."""
     found = {}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
         if len(given) > 1:
@@ -94,7 +94,7 @@ def _refused(name: str, value, text: str) -> ParameterError:
 
 
 class Trajectories:
-    """What a reference generator says and hears of trajectories."""
+    """Trajectory topics of a reference generator."""
 
     def __init__(self, node):
         self._node = node
@@ -106,17 +106,17 @@ class Trajectories:
 
     @property
     def tolerances(self) -> Tolerances:
-        """When a move is well done, unless somebody says otherwise."""
+        """Default tolerances of a move."""
         own = self._node.parameters
         goal = own.trajectory.goal_tolerance or 0.01 * (own.maximum - own.minimum)
         return Tolerances(goal, own.trajectory.dwell, own.trajectory.goal_time)
 
     def begin(self) -> None:
-        """Look after moves of an axis whose samples stop."""
+        """Start the check of moves on an axis whose samples may stop."""
         self._node.timer(LOOK, self._look_for_samples)
 
     def _on_trajectory(self, message) -> None:
-        """Topic: follow a trajectory; one without points ends whatever moves."""
+        """Follow a trajectory from the topic; one without points ends the present move."""
         try:
             points = points_of(message, self._node.parameters.joint)
             if points["times"]:
@@ -127,12 +127,12 @@ class Trajectories:
             self.refuse(error)
 
     def refuse(self, error: HysteresisError) -> None:
-        """Say that a trajectory is refused, and why."""
+        """Report that a trajectory is refused, and why."""
         self._node.refuse("trajectory", f"trajectory refused: {error}")
         self.say(f"refused: {error}")
 
     def say(self, text: str) -> None:
-        """Publish what became of a trajectory."""
+        """Publish the result of a trajectory."""
         self._answers.publish(String(data=text))
 
     def follow(self, points: dict[str, tuple[float, ...]], tolerances: Tolerances, told: Told | None = None) -> Move:
@@ -149,12 +149,12 @@ class Trajectories:
         return move
 
     def hold(self) -> None:
-        """Let what moves come to rest."""
+        """Bring the present move to rest."""
         if self._node.active:
             self._node.steer("hold")
 
     def look(self) -> None:
-        """Look at the present sample of moves under way."""
+        """Update the moves in progress with the present sample."""
         if not self._moves:
             return
         node = self._node
@@ -175,7 +175,7 @@ class Trajectories:
         told(ending, text)
 
     def _look_for_samples(self) -> None:
-        """Timer: nobody waits for the samples of an axis that makes none."""
+        """Abort the moves of an axis that has stopped to produce samples (timer callback)."""
         sample, since = self._heard
         if self._node.sample != sample:
             self._heard = (self._node.sample, time.monotonic())
@@ -183,7 +183,7 @@ class Trajectories:
             self.give_up(f"no sample for {SILENCE:g} s")
 
     def give_up(self, text: str) -> None:
-        """End all moves that are under way."""
+        """Abort all moves in progress."""
         if self._moves:
             self.hold()
         for move, told in tuple(self._moves):
@@ -192,7 +192,7 @@ class Trajectories:
 
 #: Name of the action, beneath the namespace of the axis.
 ACTION = "follow_joint_trajectory"
-#: Feedback at most so often [Hz].
+#: Maximum rate of feedback [Hz].
 FEEDBACK = 20.0
 
 #: Names of the result's error codes.
@@ -204,7 +204,7 @@ _CODES = {
 
 
 def action_type():
-    """Return the action's type, None where the package control_msgs is not installed."""
+    """Return the type of the action; None when the package control_msgs is not installed."""
     try:
         return importlib.import_module("control_msgs.action").FollowJointTrajectory
     except ImportError:
@@ -214,8 +214,8 @@ def action_type():
 class TrajectoryAction:
     """Goals of the action.
 
-    A goal waits without being executed in rclpy's sense, and is executed at its end: a callback that waits would cost a
-    thread, or a turn of the executor at every sample.
+    In rclpy's sense a goal is executed only at its end: a waiting callback would need a thread, or a turn of the
+    executor at every sample.
     """
 
     def __init__(self, node, trajectories: Trajectories, kind):
@@ -247,7 +247,7 @@ class TrajectoryAction:
         self._goals.append(handle)
 
     def cancel(self, handle):
-        """Let the axis come to rest when its goal is cancelled, unless another one moves it."""
+        """Bring the axis to rest when its goal is cancelled, unless another goal moves it."""
         if self._goals and handle is self._goals[-1]:
             self._trajectories.hold()
         return CancelResponse.ACCEPT
@@ -263,7 +263,7 @@ class TrajectoryAction:
         handle.execute()
 
     def _answer(self, handle):
-        """Put a goal into its last state, and return its result."""
+        """Set the final state of a goal, and return its result."""
         result = self._results.pop(id(handle))
         if result.error_code == self._kind.Result.SUCCESSFUL:
             handle.succeed()
@@ -274,7 +274,7 @@ class TrajectoryAction:
         return result
 
     def tell(self) -> None:
-        """Publish the feedback of goals under way, now and then."""
+        """Publish the feedback of the goals in progress at intervals."""
         node = self._node
         if not self._goals or 0 <= node.sample - self._shown < node.parameters.sample_rate / FEEDBACK:
             return

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How fast nodes that exchange messages are on this machine; imports no ROS itself."""
+"""Measure the speed of nodes that exchange messages on this machine; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from hysteresis_ros.recordings.files import load_run
 
 @dataclass(frozen=True)
 class Answers:
-    """How soon the nodes of an axis answer a measurement in real time."""
+    """Response times of the nodes of an axis in real time."""
 
-    rate: float  #: Of the samples [Hz].
-    samples: int  #: samples, late: Samples, and how many of their voltages came too late.
+    rate: float  #: Sample rate [Hz].
+    samples: int  #: samples, late: Number of samples, and of those with a late voltage.
     late: int
-    #: p50, p99, max: Time from a measurement to its voltage that half, 99 % and all of the samples do not exceed [s],
-    #: as the recorder hears both; None when no voltage came at all before the run was over.
+    #: p50, p99, max: Median, 99th percentile and maximum of the time from a measurement to its voltage [s], seen by the
+    #: recorder; None when no voltage arrived during the run.
     p50: float | None
     p99: float | None
     max: float | None
@@ -44,19 +44,19 @@ class Answers:
 
 @dataclass(frozen=True)
 class Trial:
-    """Runs of an axis as nodes, recorded, in a ROS domain that nobody else uses."""
+    """Recorded runs of an axis as nodes, in an isolated ROS domain."""
 
     axis: AxisParameters  #: What runs.
     samples: int  #: Length of a run.
-    composed: bool  #: All nodes in one process, instead of one for each.
+    composed: bool  #: Whether all nodes share one process.
 
     def message_rate(self) -> float:
-        """Return how many samples a second the nodes make in lockstep [Hz]."""
+        """Return the sample rate of the nodes in lockstep [Hz]."""
         with self._recorded("lockstep") as bag:
             return float(load_run(bag).metadata["timing"]["rate_hz"])
 
     def answers(self) -> Answers:
-        """Let the nodes run in real time and return how soon they answer."""
+        """Run the nodes in real time and return their response times."""
         with self._recorded("realtime") as path:
             bag = read_bag(path)
             late = int(load_run(path).metadata["late_commands"])
@@ -73,7 +73,7 @@ class Trial:
     @contextlib.contextmanager
     def _recorded(self, time_mode: str) -> Iterator[pathlib.Path]:
         """Run the axis and yield its bag, which is removed afterwards."""
-        # a namespace of its own as well: another graph may enter the domain while this one runs
+        # also a separate namespace: another graph may enter the domain while this one runs
         plant = replace(self.axis.plant_simulator, samples=self.samples, late_limit=-1)
         axis = replace(self.axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant).with_time_mode(time_mode)
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:

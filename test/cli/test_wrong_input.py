@@ -213,8 +213,8 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
     number = next(k for k, line in enumerate(lines) if "sample_rate:" in line)
     path.write_text("\n".join([*lines[: number + 1], lines[number], *lines[number + 1 :]]))
     line = refusal("simulate", path, "-o", tmp_path / "a.npz")
-    assert f"twice.yaml: line {number + 2}: 'sample_rate' stands in line {number + 1} already" in line
+    assert f"twice.yaml: line {number + 2}: 'sample_rate' is already in line {number + 1}" in line
     path.write_text(f"{text}\n/**:\n  ros__parameters:\n    plain: 1\n/**:\n  ros__parameters:\n    plain: 2\n")
-    assert "'/**' stands in line" in refusal("simulate", path, "-o", tmp_path / "a.npz")
+    assert "'/**' is already in line" in refusal("simulate", path, "-o", tmp_path / "a.npz")
     path.write_text(f"{text}\n/**/recorder:\n  ros__parameters:\n    a.b: 1\n    a: {{b: 2}}\n")
-    assert "'a.b' stands twice" in refusal("simulate", path, "-o", tmp_path / "a.npz")
+    assert "'a.b' is twice" in refusal("simulate", path, "-o", tmp_path / "a.npz")

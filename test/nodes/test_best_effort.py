@@ -49,8 +49,8 @@ def test_a_driver_that_publishes_best_effort_is_named_with_what_to_set_and_heard
     driver = observer.talk(JointState, "/joint_states", BEST_EFFORT)
     inside.spin()
     said = (
-        f"/joint_states: nothing is heard from /{observer.node.get_name()}, which offers best effort, reliable is "
-        "asked for: set measurement_reliability: best_effort here, or let the publisher be reliable"
+        f"/joint_states: nothing is received from /{observer.node.get_name()}, which offers best effort, but "
+        "reliable is requested: set measurement_reliability: best_effort here, or make the publisher reliable"
     )
     # whose publisher it is may be told after what it offers
     until(lambda: deaf.compatibility.complaint() == said, what="that the driver is not heard")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: who comes second is refused before it moves anything, and told who is there."""
+"""One axis, one active publisher: a second node is refused before it moves anything; the refusal names the first."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="cl
 def test_a_claim_holds_for_one_name_of_one_domain_until_it_is_closed(domain):
     first = claim(domain, "/left/plant_simulator")
     assert str(os.getpid()) in holder(domain, "/left/plant_simulator")
-    with pytest.raises(HysteresisError, match=rf"/left/plant_simulator runs already in ROS domain {domain}: process"):
+    with pytest.raises(HysteresisError, match=rf"/left/plant_simulator already runs in ROS domain {domain}: process"):
         claim(domain, "/left/plant_simulator", patience=0.0)
     for other in ((domain, "/right/plant_simulator"), (domain + 1000, "/left/plant_simulator")):
         assert holder(*other) == ""
@@ -46,7 +46,7 @@ def test_a_second_node_of_one_name_is_refused_and_one_that_follows_a_killed_one_
     until(lambda: "active" in first.output, what="the first node")
     second = processes.node("reference_generator", path)
     assert second.wait() == 2, second.output
-    assert "/reference_generator runs already" in second.output and str(first.popen.pid) in second.output
+    assert "/reference_generator already runs" in second.output and str(first.popen.pid) in second.output
     assert "active" not in second.output and "Traceback" not in second.output and len(second.output.splitlines()) == 1
     first.send(signal.SIGKILL)
     first.wait()

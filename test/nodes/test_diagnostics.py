@@ -73,7 +73,7 @@ def test_what_has_not_come_yet_is_an_error_only_after_the_others_had_time(axis):
         node.active_since = time.monotonic() - START_UP
         assert said(node)[0] == ERROR
     assert said(axis[1])[1] == "no command has come yet"
-    assert said(axis[2])[1] == "no measurement of 'extender' has come yet"
+    assert said(axis[2])[1] == "no measurement of 'extender' has arrived yet"
 
 
 def test_levels_of_the_modes_of_controller_and_compensator(axis):

@@ -145,7 +145,7 @@ def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer,
 
     references = observer.listen(Float64, "/reference")
     up = processes.command("up", axis, "--plant", "external", "--log-level", "info")
-    until(lambda: "the run waits for who publishes joint_states" in up.output, what="the warning")
+    until(lambda: "the run waits for a publisher of joint_states" in up.output, what="the warning")
     assert not references
     stage(processes, 150.0)
     until(lambda: references, what="the beginning")

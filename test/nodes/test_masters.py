@@ -155,7 +155,7 @@ def test_who_has_left_the_graph_is_followed_by_another_at_once_and_who_is_in_it_
     led.node.names = {THEIRS: "compensator"}
     pass_time(led, 0.03)
     led.master.take(2.0, THEIRS)
-    assert led.taken == [1.0, 2.0] and "/voltage is taken from /compensator now" in led.node.told[0]
+    assert led.taken == [1.0, 2.0] and "/voltage is now accepted from /compensator" in led.node.told[0]
     led.node.names |= {OURS: "compensator"}  # and now he is the second one
     pass_time(led, 0.03)
     led.master.take(1.0, OURS)
@@ -179,7 +179,7 @@ def test_both_are_named_as_long_as_there_are_two(led):
     assert "/voltage is published by /compensator and /stranger: stop one" in led.masters.complaint()
     led.master.take(1.0, OURS)
     led.master.take(2.0, THEIRS)
-    words = "/voltage is taken from /compensator, and nothing of /stranger: stop one of them"
+    words = "/voltage is accepted from /compensator and refused from /stranger: stop one of them"
     assert words in led.masters.complaint() and words in led.node.warned[0]
     led.node.names = {OURS: "_NODE_NAME_UNKNOWN_", THEIRS: "_NODE_NAME_UNKNOWN_"}
     assert "/voltage is published by somebody who has not told a name and somebody" in led.masters.complaint()

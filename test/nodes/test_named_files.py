@@ -61,7 +61,7 @@ def test_the_working_folder_is_the_place_where_nothing_else_is_said(work):
     for refused in (*outside, ".ssh/authorized_keys", "a/.hidden/x"):
         said = str(misplaced(save, refused))
         assert said.startswith(f"learning.save_file = '{refused}'") and FOLDERS in said, refused
-        assert f"must lie in {work}" in said
+        assert f"must be in {work}" in said
     for refused in ("loop/x", "x\0y", "~nobody-of-that-name/x"):
         assert misplaced(save, refused) is not None
 
@@ -74,19 +74,19 @@ def test_stated_folders_take_its_place(work, monkeypatch, tmp_path):
     assert misplaced(save, "x.yaml") is not None
     assert misplaced(save, str(tmp_path / "ab" / "x.yaml")) is not None
     monkeypatch.setenv(FOLDERS, "")
-    assert "must lie in nowhere" in str(misplaced(save, "x.yaml"))
+    assert "must be in nowhere" in str(misplaced(save, "x.yaml"))
 
 
 def test_a_service_that_is_started_in_the_root_has_no_place(work, monkeypatch):
     monkeypatch.chdir("/")
-    assert "must lie in nowhere" in str(misplaced(row("recorder", "path"), "tmp/bag"))
+    assert "must be in nowhere" in str(misplaced(row("recorder", "path"), "tmp/bag"))
 
 
 def test_code_is_never_named_over_the_graph(work):
     driver = row("plant_simulator", "driver")
     assert misplaced(driver, "gcs") is None and misplaced(driver, "") is None
-    assert "is code" in str(misplaced(driver, "./mine.py"))
-    assert "is code" in str(misplaced(row("plant_simulator", "driver_options"), ["port=/dev/sda"]))
+    assert "names code" in str(misplaced(driver, "./mine.py"))
+    assert "names code" in str(misplaced(row("plant_simulator", "driver_options"), ["port=/dev/sda"]))
 
 
 def test_every_text_is_known_to_be_a_path_or_none():

@@ -101,7 +101,7 @@ def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(i
     overrides = {"hysteresis_compensator": {"limits__minimum": -30.0, "limits__maximum": 90.0}}
     node = inside.add(HysteresisCompensatorNode, axis_parameters(overrides=overrides).hysteresis_compensator)
     refused = set_(node, **{"limits.maximum": 10000.0})
-    assert not refused.successful and "beyond the 90 V of the start" in refused.reason
+    assert not refused.successful and "beyond the 90 V at the start of the node" in refused.reason
     assert not set_(node, **{"limits.minimum": -30.1}).successful
     assert set_(node, **{"limits.maximum": 50.0}).successful and set_(node, **{"limits.minimum": 0.0}).successful
     assert set_(node, **{"limits.maximum": 90.0}).successful and set_(node, **{"limits.minimum": -30.0}).successful

@@ -341,7 +341,7 @@ def test_a_reference_that_stops_is_reported_and_the_last_one_kept(controller, ob
         driver.send()
 
     keep_sending(both, lambda: commands and commands[-1].data == 8.0e-6)
-    keep_sending(driver.send, lambda: "nobody sends reference any more" in said(), what="the warning")
+    keep_sending(driver.send, lambda: "reference no longer received" in said(), what="the warning")
     assert commands[-1].data == 8.0e-6
     reports.clear()
     keep_sending(both, lambda: reports and "nobody" not in said() and said(), what="no warning")

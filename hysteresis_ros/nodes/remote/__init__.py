@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What ``hysteresis status|get|set|call|echo|setpoint`` do in the graph, without the command ``ros2``.
+"""The commands ``hysteresis status|get|set|call|echo|setpoint`` in the graph, without the command ``ros2``.
 
 Read commands, then client (the node behind a command); session keeps one on the graph, door finds it without ROS.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Do in the graph what a command asks for: ``python -m hysteresis_ros.nodes.remote '{"command": "status", …}'``."""
+"""Execute a command in the graph: ``python -m hysteresis_ros.nodes.remote '{"command": "status", …}'``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COMMANDS: dict[str, Callable[..., int | None]] = {
 
 
 def done(request: dict, make_client: Callable[[str, float], Client] = Client) -> int:
-    """Do what is asked for, and return the exit code."""
+    """Execute the command, and return the exit code."""
     arguments = dict(request)
     command = COMMANDS[arguments.pop("command")]
     try:
@@ -40,15 +40,15 @@ def done(request: dict, make_client: Callable[[str, float], Client] = Client) ->
             return command(client, **arguments) or 0
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
-        # 1: not known to be taken, which is something else than refused
+        # 1: it is unknown whether the request was accepted, which differs from a refusal
         return 1 if command is setpoint and isinstance(error, AbsentError) else 2
 
 
 def main() -> int:
-    """Do what the only argument says; return the exit code."""
+    """Execute the command of the only argument; return the exit code."""
     try:
         return done(json.loads(sys.argv[1]))
-    except BrokenPipeError:  # who reads has seen enough
+    except BrokenPipeError:  # the reader has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A node of a command among the nodes of an axis: it looks who is there, asks, listens, and never waits for ever."""
+"""Client node of a command: finds the nodes of an axis, calls services and listens, always with a time-out."""
 
 from __future__ import annotations
 
@@ -25,21 +25,18 @@ from hysteresis_ros.errors import HysteresisError, did_you_mean
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
-#: Seconds of one look at the graph.
+#: Duration of one check of the graph [s].
 LOOK = 0.02
-#: Seconds without news after which the graph is taken as known.
+#: Time without a change after which discovery counts as complete [s].
 SETTLED = 0.5
 
 
 class AbsentError(HysteresisError):
-    """Somebody is not there, or does not answer."""
+    """A node is missing or does not answer."""
 
 
 class Client:
-    """A node that asks others; use it in a ``with`` statement.
-
-    Units: ``timeout`` [s].
-    """
+    """A client node; use it in a ``with`` statement. ``timeout`` [s] limits every wait."""
 
     def __init__(
         self,
@@ -54,7 +51,7 @@ class Client:
         self._own = context is None
         self._make_executor = make_executor or (lambda: SingleThreadedExecutor(context=self._context))
         self._clients: dict[str, Any] = {}
-        #: Seconds without news after which the graph is taken as known.
+        #: Time without a change after which discovery counts as complete [s].
         self.settles = SETTLED
 
     def __enter__(self) -> Client:
@@ -67,13 +64,13 @@ class Client:
                 enclave = enclave_of(self.namespace, OPERATOR)
                 rclpy.init(args=["--ros-args", "--enclave", enclave], context=self._context)
             self.node = rclpy.create_node(
-                f"_hysteresis_{self._name}",  # hidden, as names with an underscore are
+                f"_hysteresis_{self._name}",  # a name with an underscore is hidden
                 namespace=self.namespace or "/",
                 context=self._context,
                 start_parameter_services=False,
                 enable_rosout=False,
             )
-        except Exception as error:  # rclpy has an error of its own for each thing wrong with a name
+        except Exception as error:  # rclpy has a separate error class for each fault of a name
             self._leave()
             raise HysteresisError(f"namespace {self.namespace}: {str(error).splitlines()[0]}") from None
         self._executor = self._make_executor()
@@ -91,7 +88,7 @@ class Client:
             self._context.try_shutdown()
 
     def until(self, condition: Callable[[], Any], seconds: float | None = None) -> Any:
-        """Hear and look until a condition holds; return what it says in the end."""
+        """Spin until a condition holds; return its last value."""
         deadline = time.monotonic() + (self.timeout if seconds is None else seconds)
         while True:
             found = condition()
@@ -104,16 +101,16 @@ class Client:
         self._executor.spin_once(timeout_sec=LOOK)
 
     def full_name(self, name: str) -> str:
-        """Return a name with the namespace in front, unless it is a whole one."""
+        """Return a name with the namespace in front, unless it is a full name."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def nodes(self) -> list[str]:
-        """Return the full names of the nodes that are there, without those of commands."""
+        """Return the full names of the present nodes, without those of commands."""
         found = self.node.get_node_names_and_namespaces()
         return sorted({f"{space.rstrip('/')}/{name}" for name, space in found if not name.startswith("_")})
 
     def settle(self) -> list[str]:
-        """Return the nodes that are there, as soon as somebody is and nobody else comes."""
+        """Return the present nodes, as soon as there is one and no further node appears."""
         known: list[str] = []
         since = time.monotonic()
 
@@ -128,21 +125,21 @@ class Client:
         return known
 
     def find(self, name: str) -> str:
-        """Return the full name of a node when it is there."""
+        """Return the full name of a node when it is present."""
         wanted = self.full_name(name)
         if not self.until(lambda: wanted in self.nodes()):
             raise AbsentError(f"no node {wanted} within {self.timeout:g} s; {self.who_is_there(wanted)}")
         return wanted
 
     def who_is_there(self, wanted: str = "") -> str:
-        """Return in words which nodes there are, and which of them has nearly the name that was looked for."""
+        """Return a text with the present nodes, and the one whose name is similar to ``wanted``."""
         found = self.nodes()
         if not found:
             return f"there is nobody in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: does an axis run?"
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
     def make_client(self, kind, service: str):
-        """Return what asks for a service, kept: finding a service takes longer than its answer."""
+        """Return the client of a service, which is kept: finding a service takes longer than its answer."""
         return self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
 
     def ask(self, kind, service: str, request=None, seconds: float | None = None):
@@ -159,7 +156,7 @@ class Client:
 
 
 def axis_nodes(names) -> dict[str, list[str]]:
-    """Return the namespaces in which there are nodes of an axis, with the names of these."""
+    """Return the namespaces with nodes of an axis, and the names of these nodes."""
     found: dict[str, list[str]] = {}
     for full in names:
         namespace, _, name = full.rpartition("/")

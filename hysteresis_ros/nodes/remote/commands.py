@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The commands ``hysteresis status|get|set|call|echo|setpoint``, as a node of the graph does them."""
+"""The commands ``hysteresis status|get|set|call|echo|setpoint``, executed by a node of the graph."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from hysteresis_ros.nodes.timing import LIMITED
 from hysteresis_ros.signals import MOTOR_SOURCE, PLANT
 from hysteresis_ros.units import quantity_in, readable
 
-#: Transitions that a person asks for.
+#: Lifecycle transitions that the user can request.
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
-#: Seconds in which the node's log says why it refuses.
+#: Time to wait for the log message with the reason of a refusal [s].
 WORDS = 0.5
 
 
 def call(client: Client, node: str, action: str) -> None:
-    """Ask a node for a service or a transition of its lifecycle, and print what it answers."""
+    """Call a service or a lifecycle transition of a node, and print its answer."""
     full = client.find(node)
     if action in TRANSITIONS:
         _change(client, full, action)
@@ -66,7 +66,7 @@ def call(client: Client, node: str, action: str) -> None:
 
 
 def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
-    """Return the state of each node's lifecycle, all asked at once; of one that does not answer ``silent``."""
+    """Return the lifecycle state of each node, requested in parallel; ``silent`` when a node does not answer."""
     asked = {name: client.node.create_client(GetState, f"{name}/get_state") for name in names}
     client.until(lambda: all(one.service_is_ready() for one in asked.values()))
     ready = {name: one for name, one in asked.items() if one.service_is_ready()}
@@ -77,7 +77,7 @@ def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
 
 
 def _triggers(client: Client, full: str) -> list[str]:
-    """Return the services without arguments that a node has, by their short names."""
+    """Return the services of a node without arguments, by their short names."""
     namespace, _, name = full.rpartition("/")
     found = client.node.get_service_names_and_types_by_node(name, namespace or "/")
     own = [(service.removeprefix(f"{full}/"), kinds) for service, kinds in found]
@@ -107,14 +107,14 @@ def _change(client: Client, full: str, action: str) -> None:
             raise HysteresisError(f"{full} is {before} and refuses to {action}: {why}")
     finally:
         client.node.destroy_subscription(ear)
-    # a node that shuts down may leave before it can be asked
+    # a node that shuts down may exit before it answers
     after = "finalized" if action == "shutdown" else lifecycle_states(client, [full])[full]
     print(f"{full}: {before} → {after}", flush=True)
 
 
-#: Words of the levels of diagnostics.
+#: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Where the last values are heard: node whose ``~/state`` says them, name there, unit.
+#: Sources of the last values: node whose ``~/state`` has them, name there, unit.
 LAST = (
     ("reference_generator", "setpoint", "m"),
     ("inchworm_sequencer", "setpoint", "m"),
@@ -122,42 +122,42 @@ LAST = (
     ("inchworm_sequencer", "reference", "m"),
     ("hysteresis_compensator", "voltage", "V"),
 )
-#: Where nodes say how they are.
+#: Topic of the diagnostics.
 DIAGNOSTICS = "/diagnostics"
-#: What is wrong with a node that is not known to be well.
+#: Messages for nodes without diagnostics.
 MISSING = {"absent": "not found", "silent": "found, but did not answer"}
-#: Seconds in which every node says something of itself, and more.
+#: Time in which every node publishes its diagnostics, with a margin [s].
 REPORTED = 1.6
 
 
 @dataclass
 class NodeStatus:
-    """What is known of one node."""
+    """Status of one node."""
 
     name: str  #: Full name.
-    state: str  #: Of its lifecycle; ``absent`` where there is no such node, ``silent`` where it does not answer.
-    level: str = ""  #: level, message: Its health, empty where it has said nothing.
+    state: str  #: Lifecycle state; ``absent`` when there is no such node, ``silent`` when it does not answer.
+    level: str = ""  #: level, message: Last diagnostics; empty when there were none.
     message: str = ""
     rate: float | None = None  #: Samples per second [Hz].
 
     @property
     def is_well(self) -> bool:
-        """Whether it is active and says nothing bad of itself."""
+        """Whether it is active and its diagnostics report no problem."""
         return self.state == "active" and self.level in ("ok", "")
 
 
 @dataclass
 class AxisStatus:
-    """What is known of one axis."""
+    """Status of one axis."""
 
     namespace: str
     nodes: list[NodeStatus]
-    plant: str = ""  #: Who publishes ``joint_states`` in the place of ``plant_simulator``; empty where that is there.
+    plant: str = ""  #: External node that publishes ``joint_states``; empty when ``plant_simulator`` does.
     last: dict[str, float] = field(default_factory=dict)  #: Last values in SI.
 
 
 def survey(client: Client) -> list[AxisStatus]:
-    """Return what is known of the axes that are there, of all namespaces or of the client's."""
+    """Return the status of the running axes, of all namespaces or of the client's."""
     reports: dict[str, tuple] = {}
 
     def hear(message: DiagnosticArray) -> None:
@@ -165,12 +165,12 @@ def survey(client: Client) -> list[AxisStatus]:
             values = {pair.key: pair.value for pair in status.values}
             reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
 
-    # the last reports of our nodes come at once, those of others when they are made
+    # the last reports of this package's nodes arrive at once, those of other nodes when they are published
     for keeps in (True, False):
         client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
 
     def there() -> dict[str, list[str]]:
-        """Return the nodes of each axis: those that discovery has named, and those of which messages have come."""
+        """Return the nodes of each axis: those found by discovery, and those from which messages have arrived."""
         named_or_heard = sorted({*client.nodes(), *reports})
         return {
             space: names
@@ -187,7 +187,7 @@ def survey(client: Client) -> list[AxisStatus]:
     active = {name for name, state in states.items() if state == "active"}
 
     def reported() -> bool:
-        # the last report of a node that has just been activated is one from before
+        # the last report of a node that has just been activated is from before its activation
         told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
         places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
         return active <= told and all(signal in last[space] for space, _, signal in places)
@@ -197,13 +197,13 @@ def survey(client: Client) -> list[AxisStatus]:
 
 
 def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
-    """Return the nodes of each axis as soon as none is missing and no other one comes; later only what is there."""
+    """Return the nodes of each axis when all are present and no other one appears, or at the time-out."""
     known: dict[str, list[str]] = {}
     since = time.monotonic()
 
     def lacks(space: str, names: list[str]) -> bool:
         lacking = {*node_names(MOTOR_SOURCE in names)} - {*names}
-        if lacking == {PLANT}:  # of somebody else
+        if lacking == {PLANT}:  # an external plant
             return not client.node.count_publishers(f"{space}/joint_states")
         return bool(lacking)
 
@@ -240,7 +240,7 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
 
 
 def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
-    """Return a table that is filled with the last values as they come."""
+    """Return a table that is updated with the last values."""
     last: dict[str, float] = {}
     newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -261,7 +261,7 @@ def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
 
 
 def status(client: Client, as_json: bool) -> int:
-    """Print what is known of each axis; return 0 when all is well, 1 when something is not."""
+    """Print the status of each axis; return 0 when all nodes are healthy, otherwise 1."""
     found = survey(client)
     if as_json:
         table = {axis.namespace or "/": _figures(axis) for axis in found}
@@ -280,7 +280,7 @@ def _figures(axis: AxisStatus) -> dict:
 
 
 def _lines(axis: AxisStatus):
-    """Yield what is known of an axis, for people."""
+    """Yield the readable status of an axis, line by line."""
     yield axis.namespace or "/"
     for node in axis.nodes:
         if node.message.startswith(LIMITED):
@@ -300,7 +300,7 @@ def _lines(axis: AxisStatus):
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
-    """Print parameters of a node as YAML, all of them when none is named."""
+    """Print parameters of a node as YAML; all when none is named."""
     full = client.find(node)
     known = _names(client, full)
     _refuse_unknown(full, names, known)
@@ -319,13 +319,13 @@ def values_of(client: Client, full: str, names: list[str] | None = None) -> dict
 
 
 def plain_value(value):
-    """Return a parameter's value as plain Python: arrays are lists."""
+    """Return a parameter's value as plain Python; arrays are lists."""
     plain = parameter_value_to_python(value)
     return plain if plain is None or isinstance(plain, (str, bool, int, float)) else list(plain)
 
 
 def set_(client: Client, node: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them or, when one is refused, none; and say so."""
+    """Set parameters of a node atomically, and print the result."""
     full = client.find(node)
     _refuse_unknown(full, list(values), _names(client, full))
     change(client, full, values)
@@ -333,8 +333,8 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them or, when one is refused, none."""
-    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # half a second, which no other command needs
+    """Set parameters of a node, all of them, or none when one is refused."""
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # takes half a second, and no other command needs it
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
     rows = {row.name: row for row in table.table()} if table else {}
@@ -361,7 +361,7 @@ def _refuse_unknown(full: str, names: list[str], known: list[str]) -> None:
 
 
 def _value(row: ParameterRow | None, name: str, text: str):
-    """Return the value of a parameter from its text, in the parameter's type where that is known."""
+    """Return the value of a parameter from its text, in the type of the parameter if known."""
     value = parse_value(text)
     if row is None:
         return value
@@ -377,7 +377,7 @@ def _value(row: ParameterRow | None, name: str, text: str):
 
 
 def echo(client: Client, topic: str, count: int | None) -> None:
-    """Print the messages of a topic, one a line where they are short."""
+    """Print the messages of a topic, short ones as one line each."""
     name = client.full_name(topic)
     publishers = client.until(lambda: client.node.get_publishers_info_by_topic(name))
     if not publishers:
@@ -401,7 +401,7 @@ def echo(client: Client, topic: str, count: int | None) -> None:
 
 
 def _nobody(client: Client, name: str) -> str:
-    """Say that nobody publishes a topic, and what is published."""
+    """Return that a topic has no publisher, and the published topics."""
     topics = [topic for topic, _ in client.node.get_topic_names_and_types() if client.node.count_publishers(topic)]
     topics = [topic for topic in topics if topic not in ("/rosout", "/parameter_events")]
     there = f"there are {', '.join(topics)}{did_you_mean(name, topics)}" if topics else client.who_is_there()
@@ -418,7 +418,7 @@ def _message_type(name: str):
 
 
 def _matching(publishers) -> QoSProfile:
-    """Return a quality of service that every one of the publishers meets."""
+    """Return a quality of service that is compatible with all publishers."""
     offered = [info.qos_profile for info in publishers]
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
@@ -430,7 +430,7 @@ def _matching(publishers) -> QoSProfile:
 
 
 def formatted(message) -> str:
-    """Return a message as people read it."""
+    """Return a message as readable text."""
     if isinstance(message, JointState):
         return _joints(message)
     if isinstance(message, DiagnosticArray):
@@ -445,7 +445,7 @@ def formatted(message) -> str:
 
 
 def _joints(message: JointState) -> str:
-    """Return the time of a sample, and what each joint or signal is in SI."""
+    """Return the time of a sample, and the value of each joint or signal in SI."""
     stamp = message.header.stamp
     parts = [f"{stamp.sec}.{stamp.nanosec:09d} s"]
     units = ((message.velocity, "m/s"), (message.effort, "N"))
@@ -467,20 +467,18 @@ def _plain(value):
     return [_plain(item) for item in value]
 
 
-#: Nodes that take setpoints and answer, on ``~/set_setpoint``.
+#: Nodes that take setpoints with an answer, on ``~/set_setpoint``.
 SOURCES = (signals.SOURCE, signals.MOTOR_SOURCE)
-#: Seconds after which a person wants to know what is waited for.
+#: Time after which the command prints what it waits for [s].
 PATIENCE = 2.0
-#: Seconds in which a sample is made.
+#: Time-out for a new sample [s].
 ANSWER = 5.0
 
 
 def setpoint(client: Client, value: float) -> None:
-    """Give a setpoint to the reference source, and say whether it has been taken.
+    """Send a setpoint [m] to the reference source, and print whether it was accepted.
 
-    The source answers: a setpoint cannot get lost without a word, as it can on a topic.
-
-    Units: ``value`` [m].
+    The source answers, so a setpoint cannot be lost silently, as on a topic.
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -500,7 +498,7 @@ def setpoint(client: Client, value: float) -> None:
 
 
 def _source(client: Client) -> str:
-    """Return the node that takes the setpoints of an axis: by its name, whoever else subscribes to the topic."""
+    """Return the node that takes the setpoints of an axis, by its name, ignoring other subscribers of the topic."""
     wanted = [client.full_name(name) for name in SOURCES]
 
     def there() -> list[str]:
@@ -518,7 +516,7 @@ def _source(client: Client) -> str:
 
 
 def _require_active(client: Client, source: str) -> None:
-    """Refuse an axis that cannot move because one of its nodes is not active."""
+    """Raise an error when the axis cannot move because one of its nodes is not active."""
     space = source.rpartition("/")[0]
     names = [f"{space}/{name}" for name in axis_nodes(client.nodes())[space] if name != "recorder"]
     for name, state in lifecycle_states(client, names).items():
@@ -531,7 +529,7 @@ def _require_active(client: Client, source: str) -> None:
 
 
 def stands(source: str, state: dict[str, float]) -> str:
-    """Return why a source does not move although it has the setpoint, and what to do; empty when it does."""
+    """Return why a source does not move although it has the setpoint, and what to do; empty when it moves."""
     from hysteresis_ros.loop.watch import STOPPED, TRIPPED
     from hysteresis_ros.references import inchworm_layout as at
 
@@ -542,7 +540,7 @@ def stands(source: str, state: dict[str, float]) -> str:
         return f"stands still, because the plant has stopped the axis: `hysteresis call {plant} start` lets it go on"
     if mode == STOPPED:
         return f"is stopped: {start}"
-    if error > at.SENSOR_ERROR:  # that one heals itself
+    if error > at.SENSOR_ERROR:  # this error clears itself
         return f"stands with the error {at.ERROR_NAMES[error]}: {start} after repair"
     if round(state.get("phase", 0.0)) == at.RELEASED:
         return f"has let the slider go: {start}"
@@ -550,12 +548,12 @@ def stands(source: str, state: dict[str, float]) -> str:
 
 
 def _require_moving(client: Client, source: str, value: float, state: dict[str, float]) -> None:
-    """Wait for a sample that was made with the setpoint, and refuse an axis that does not move."""
+    """Wait for a sample with the setpoint; raise an error when the axis does not move."""
 
     state.clear()
 
     def made() -> bool:
-        # a motor asked for the same setpoint again takes it with the last digit changed
+        # a motor that receives the same setpoint again stores it with the last digit changed
         return math.isclose(state.get("setpoint", math.nan), value, rel_tol=1e-12, abs_tol=1e-15)
 
     if not client.until(made, min(ANSWER, client.timeout)):
@@ -572,7 +570,7 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
 
 
 def _cause(client: Client, source: str, state: dict[str, float]) -> str:
-    """Return what the plant says of why it has stopped the axis, after a semicolon; empty where it has not."""
+    """Return the plant's reason for stopping the axis, after a semicolon; empty when it has not stopped it."""
     from hysteresis_ros.loop.watch import TRIPPED
 
     if round(state.get("mode", 0.0)) != TRIPPED:

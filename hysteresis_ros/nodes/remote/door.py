@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where commands find the session that ``hysteresis up`` keeps on the graph; no ROS is imported here.
+"""Connection of commands to the session that ``hysteresis up`` keeps in the graph; imports no ROS.
 
-A command of its own needs up to some seconds until DDS has introduced it to the nodes. The session knows them already.
-The kernel forgets the address when the session ends, however it ends, and names the user at the other end.
+A separate command needs up to some seconds for discovery; the session already knows the nodes. The kernel releases the
+address when the session ends, however it ends, and identifies the user at the other end.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import struct
 import sys
 from contextlib import suppress
 
-#: What decides which nodes are found, and as whom: a session of other values is none of ours.
+#: Environment variables that determine discovery and identity: a session with other values is not used.
 ENVIRONMENT = ("ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "CYCLONEDDS_")
-#: Variables of the same beginning that say nothing about it.
+#: Variables with the same prefix that have no effect on it.
 OTHERS = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_LOG_DIR", "ROS_HOME", "ROS_PACKAGE_PATH")
 
 
@@ -41,13 +41,13 @@ def address() -> bytes:
 
 
 def is_of_this_user(connection: socket.socket) -> bool:
-    """Tell whether the process at the other end is this user's."""
+    """Return whether the process at the other end belongs to this user."""
     peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     return struct.unpack("3i", peer)[1] == os.getuid()
 
 
 def ask_session(request: dict) -> int | None:
-    """Let the session do what is asked for, print what it prints, and return the exit code; None where none answers."""
+    """Execute a command in the session, print its output, and return the exit code; None when no session answers."""
     if not sys.platform.startswith("linux"):
         return None
     with socket.socket(socket.AF_UNIX) as connection:
@@ -57,7 +57,7 @@ def ask_session(request: dict) -> int | None:
             return None
         if not is_of_this_user(connection):
             return None
-        # a session that is killed resets the connection
+        # a killed session resets the connection
         with suppress(ConnectionResetError), connection.makefile("rw", encoding="utf-8") as answers:
             print(json.dumps(request), file=answers, flush=True)
             for line in answers:

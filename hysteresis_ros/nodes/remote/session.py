@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``python -m hysteresis_ros.nodes.remote.session``: does the commands of this user, beside an axis that runs.
+"""``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands beside a running axis.
 
-It keeps a participant in the graph, so that a command need not be introduced to the nodes; between commands it sleeps.
+It keeps a participant in the graph, so that a command needs no discovery; between commands it sleeps.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-import hysteresis_ros.loop.parameters  # noqa: F401  what a command would import at its first use
+import hysteresis_ros.loop.parameters  # noqa: F401  a command would import it at its first use
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.remote.__main__ import done
 from hysteresis_ros.nodes.remote.client import Client
 from hysteresis_ros.nodes.remote.door import address, is_of_this_user
 
-#: Seconds after which the session takes the address of another one that may have ended meanwhile.
+#: Interval of the attempts to take over the address of another session [s].
 AGAIN = 1.0
-#: Seconds in which all nodes are introduced; a session that is older need not wait for more of them.
+#: Time for discovery of all nodes; an older session need not wait for further ones [s].
 INTRODUCED = 5.0
 
 
 class _Printed:
-    """What stands for a standard stream: each thread prints to the command that it serves."""
+    """Replacement of a standard stream: each thread prints to the command that it serves."""
 
     def __init__(self, name: str, usual):
         self._name, self._usual = name, usual
         self.served = threading.local()
 
     def write(self, words: str) -> int:
-        """Send words to the command of this thread."""
+        """Send text to the command of this thread."""
         connection = getattr(self.served, "connection", None)
         if connection is None:
             return self._usual.write(words)
@@ -58,7 +58,7 @@ class _Printed:
         return len(words)
 
     def flush(self) -> None:
-        """Nothing is kept back."""
+        """Do nothing: output is not buffered."""
 
 
 class Session:
@@ -69,7 +69,7 @@ class Session:
         self._streams = (_Printed("out", sys.stdout), _Printed("err", sys.stderr))
 
     def serve(self) -> None:
-        """Take the address as soon as it is free, then serve for ever."""
+        """Take the address as soon as it is free, then serve forever."""
         sys.stdout, sys.stderr = self._streams
         with socket.socket(socket.AF_UNIX) as door:
             while True:
@@ -115,13 +115,13 @@ class Session:
 
 
 def main() -> None:
-    """Serve until the process that has started this one ends it."""
+    """Serve until the parent process ends this one."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     stay_on_this_machine()
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    # a participant of DDS is there as long as one node is
+    # the DDS participant exists while there is a node
     _node = rclpy.create_node(
         "_hysteresis_session", context=context, start_parameter_services=False, enable_rosout=False
     )

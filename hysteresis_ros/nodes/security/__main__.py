@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Write an SROS 2 policy of what the nodes use: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
+"""Write an SROS 2 policy of the nodes: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
 
-The nodes are created and configured in a ROS domain of their own, and their topics and services are listed. No driver
-is opened and no node is activated: what a node uses does not depend on the device behind it, and it makes all its
-topics and services when it is configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate``
-(or null), ``processes`` (or null: as `up` decides), ``record`` and ``external`` (truths), ``remap`` (list).
+The nodes are created and configured in an isolated ROS domain, and their topics and services are listed. No driver is
+opened and no node is activated: the interfaces of a node do not depend on its device, and all of them exist once it is
+configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null), ``processes`` (or
+null: as `up` decides), ``record`` and ``external`` (booleans), ``remap`` (list).
 """
 
 from __future__ import annotations
@@ -71,18 +71,19 @@ NODES = {
     "recorder": RecorderNode,
 }
 
-#: What may stand beside the nodes: name of its enclave → what returns its profile, ``profile(axes, context, used_by)``.
+#: Optional processes beside the nodes: enclave name → function that returns the profile, ``profile(axes, context,
+#: used_by)``.
 FURTHER = {
     PAGE: "hysteresis_ros.laboratory.watch.link:profile",
     RECORDS: "hysteresis_ros.laboratory.epics.link:profile",
 }
 
-#: Node of somebody else in the plant's place, as in ``examples/driver_skeleton.py``.
+#: External plant node, as in ``examples/driver_skeleton.py``.
 EXTERNAL = "driver"
 
 
 def used_by(node, name: str = "", namespace: str = "") -> Profile:
-    """Return what a node uses now."""
+    """Return the present interfaces of a node."""
     name, namespace = name or node.get_name(), namespace or node.get_namespace()
 
     def names(ask) -> list[str]:
@@ -96,7 +97,7 @@ def used_by(node, name: str = "", namespace: str = "") -> Profile:
 def enclaves_of(
     axes: list[AxisParameters], *, composed: bool = False, record: bool = False, remap: tuple[str, ...] = ()
 ) -> list[Enclave]:
-    """Return the enclaves of the processes that a graph of these axes has, and of who steers and watches it."""
+    """Return the enclaves of the processes of a graph with these axes, of its operators and of its monitors."""
     stay_on_this_machine()
     context = Context()
     rclpy.init(args=["--ros-args", "--log-level", "warn"], context=context)
@@ -107,7 +108,7 @@ def enclaves_of(
                 enclaves += _of_axis(axis, context, (composed, record), remap, pathlib.Path(folder) / str(number))
             return [*enclaves, Enclave(enclave_of("", RECORDS), (_further(RECORDS, axes, context),))]
         finally:
-            gc.collect()  # lifecycle nodes stand in reference cycles
+            gc.collect()  # lifecycle nodes are in reference cycles
             context.try_shutdown()
 
 
@@ -150,7 +151,7 @@ def _is_ours(name: str, axis: AxisParameters) -> bool:
 
 
 def _configured(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path, joined: FusedAxis | None):
-    """Return a node of an axis, configured."""
+    """Return a configured node of an axis."""
     given = getattr(axis, name)
     if name == "plant_simulator":
         given = replace(given, driver="", driver_options=())
@@ -166,7 +167,7 @@ def _configured(name: str, axis: AxisParameters, context, arguments, folder: pat
             cli_args=arguments,
             enable_logger_service=False,
         )
-    except Exception as error:  # rclpy has one of its own for each thing wrong with a rule
+    except Exception as error:  # rclpy has a separate error class for each fault of a rule
         raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
     if joined is not None:
         joined.join(node)
@@ -183,24 +184,24 @@ def _destroyed(node) -> None:
 
 
 def _of_a_command(axis: AxisParameters, context) -> Profile:
-    """Return what a command uses for itself, whatever its number and whether it is ours or ``ros2``."""
+    """Return the interfaces of a command itself, of this package or of ``ros2``, with any number in its name."""
     with Client(axis.namespace, context=context) as client:
         own = used_by(client.node)
         numbered = f"_hysteresis_{os.getpid()}"
     there = {name.replace(numbered, "_hysteresis_*") for name in own.serves}
-    # the commands of ros2 are nodes of the root, which say what they log
+    # the commands of ros2 are nodes in the root namespace and publish their log
     there |= {"/_ros2cli_*/get_type_description"}
     return replace(own, serves=tuple(sorted(there)), publishes=tuple(sorted({*own.publishes, "/rosout"})))
 
 
 def _further(name: str, axes: list[AxisParameters], context) -> Profile:
-    """Return what something uses beside the nodes of axes; its module is imported now."""
+    """Return the profile of a process beside the nodes of the axes; imports its module."""
     module, _, function = FURTHER[name].partition(":")
     return getattr(importlib.import_module(module), function)(axes, context, used_by)
 
 
 def _of(make) -> Profile:
-    """Return what a plain node uses, which goes again."""
+    """Return the interfaces of a temporary plain node."""
     node = make()
     try:
         return used_by(node)
@@ -209,7 +210,7 @@ def _of(make) -> Profile:
 
 
 def _of_an_external_plant(axis: AxisParameters, context) -> Profile:
-    """Return what a plain node in the plant's place uses that answers voltages by measurements."""
+    """Return the interfaces of an external plant node that answers voltages with measurements."""
     space = axis.namespace
     plain = _of(lambda: rclpy.create_node(EXTERNAL, namespace=space or "/", context=context))
     return replace(
@@ -220,7 +221,7 @@ def _of_an_external_plant(axis: AxisParameters, context) -> Profile:
 
 
 def main() -> int:
-    """Do what the only argument says; return the exit code."""
+    """Execute the request of the only argument; return the exit code."""
     request = json.loads(sys.argv[1])
     try:
         found, processes, record = _axes(request), request["processes"], request["record"]

@@ -9,8 +9,8 @@
 
 """Policies of SROS 2 as ``ros2 security`` reads them (version 0.2.0); imports no ROS.
 
-An enclave is what one key opens: a process. Its profiles are those of the nodes in it, with the names of all that they
-publish, subscribe, serve and ask for, written out whole; whatever is not named is denied.
+An enclave is the security identity of one process. Its profiles list the full names of all topics, services and actions
+of the nodes in it; everything that is not listed is denied.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from dataclasses import dataclass, fields
 
 VERSION = "0.2.0"
 
-#: Enclaves of who steers an axis, who watches one, who serves its page, and who serves motor records.
+#: Enclaves of an operator, a monitor, the page server, and the server of motor records.
 OPERATOR, MONITOR, PAGE, RECORDS = "operator", "monitor", "watch", "epics_ioc"
 
-#: Names of the topics and services that an action consists of have this in them.
+#: Part of the names of an action's topics and services.
 ACTION = "/_action/"
 
-#: What the parts of a profile are in the language of a policy: kind of name, and what is allowed.
+#: Elements of a policy file for the parts of a profile: kind of name, and permission.
 WORDS = {
     "publishes": ("topic", "publish"),
     "hears": ("topic", "subscribe"),
@@ -38,20 +38,20 @@ WORDS = {
     "calls": ("action", "call"),
 }
 
-#: Every node's own affairs: what people do not steer an axis by.
+#: Interfaces of every node that are not needed to operate an axis.
 INTERNAL = ("/rosout", "/parameter_events", "*/get_type_description")
 
 
 def enclave_of(namespace: str, name: str) -> str:
-    """Return the enclave whose key a process has; without security it is a name and no more."""
+    """Return the enclave of a process; without security it is only a name."""
     return f"{namespace}/{name}"
 
 
 @dataclass(frozen=True)
 class Profile:
-    """What one node uses, as sorted full names."""
+    """Interfaces of one node, as sorted full names."""
 
-    namespace: str  #: namespace, node: Where it is, ``/`` for the root, and its name.
+    namespace: str  #: namespace, node: Namespace, ``/`` for the root, and name.
     node: str
     publishes: tuple[str, ...] = ()  #: publishes, hears: Topics.
     hears: tuple[str, ...] = ()
@@ -63,16 +63,16 @@ class Profile:
 
 @dataclass(frozen=True)
 class Enclave:
-    """What one process is allowed."""
+    """Permissions of one process."""
 
     path: str  #: Name of the enclave, a path that begins with a slash.
-    profiles: tuple[Profile, ...]  #: Of the nodes in it.
+    profiles: tuple[Profile, ...]  #: Profiles of its nodes.
 
 
 def profile(
     namespace: str, node: str, topics: tuple[Iterable, Iterable], services: tuple[Iterable, Iterable]
 ) -> Profile:
-    """Return the profile of a node whose actions are still the topics and services they consist of."""
+    """Return the profile of a node with its action topics and services combined into actions."""
     (publishes, hears), (serves, asks) = topics, services
 
     def actions(names) -> tuple[str, ...]:
@@ -102,9 +102,9 @@ def _steers(name: str) -> bool:
 
 
 def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profile:
-    """Return what whoever steers an axis may: say what its nodes hear from outside, hear all, ask for all services.
+    """Return the permissions of an operator: publish external inputs, subscribe to all topics, call all services.
 
-    What one node of the axis says to another, such as ``command`` and ``voltage``, is no part of it.
+    Topics between the nodes of the axis, such as ``command`` and ``voltage``, are excluded from publishing.
     """
     said = _all(nodes, "publishes")
     return Profile(
@@ -120,7 +120,7 @@ def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profil
 
 
 def monitor(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profile:
-    """Return what whoever only watches an axis may: hear what its nodes say."""
+    """Return the permissions of a monitor: subscribe to the topics of the nodes."""
     hears = tuple(sorted({*own.hears, *_all(nodes, "publishes")}))
     return Profile(namespace or "/", MONITOR, own.publishes, hears, own.serves)
 
