@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis camera``: displacements out of a video or a folder of pictures."""
+"""``hysteresis camera``: measure displacements in a video or a folder of pictures."""
 
 from __future__ import annotations
 
@@ -18,24 +18,26 @@ import click
 from hysteresis_ros.cli.options import Quantity
 
 
-@click.command(short_help="Displacements out of a video or a folder of pictures.")
+@click.command(short_help="Measure displacements in a video or a folder of pictures.")
 @click.argument("frames", type=click.Path(path_type=pathlib.Path))
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="File to write: .npz, .csv or .mcap.")
 @click.option("--config", help="Take tracking and calibration from displacement_camera in this parameter file.")
-@click.option("--namespace", default="", help="Of the axis in that file.")
-@click.option("--rate", type=Quantity("Hz"), help="Frames per second; that of the video by default.")
-@click.option("--method", type=click.Choice(["edge", "pattern"]), help="What is looked for.")
+@click.option("--namespace", default="", help="Namespace of the axis in that file.")
+@click.option("--rate", type=Quantity("Hz"), help="Frame rate, such as 30Hz; by default that of the video.")
+@click.option("--method", type=click.Choice(["edge", "pattern"]), help="Tracked feature.")
 @click.option("--along", type=click.Choice(["x", "y"]), help="Direction of the motion in the frames.")
-@click.option("--region", metavar="X,Y,W,H", help="Part of the frames that is looked at [px].")
+@click.option("--region", metavar="X,Y,W,H", help="Evaluated region of the frames [px].")
 @click.option("--scale", metavar="M", help="Displacement of one pixel, such as 0.5um.")
 @click.option(
-    "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale: a table of known displacements."
+    "--known", type=click.Path(path_type=pathlib.Path), help="Print the scale, from a table of known displacements."
 )
-@click.option("--target", metavar="M", help="Print the scale: distance of two edges in the first frame, such as 100um.")
+@click.option(
+    "--target", metavar="M", help="Print the scale, from the distance of two edges in the first frame, such as 100um."
+)
 def camera(frames, output, config, namespace, rate, known, target, **options):
     """Find the tip in FRAMES, a video or a folder of pictures, and write its displacement (measured, in m).
 
-    With --known or --target it prints how many metres a pixel is instead, as lines for the parameter file.
+    With --known or --target it prints the scale in metres per pixel instead, as lines for the parameter file.
     """
     from hysteresis_ros.cli.progress import Progress
     from hysteresis_ros.errors import RecordingError
@@ -79,7 +81,7 @@ def _metres(option: str, text: str) -> float:
 
 
 def _parameters(config, namespace, calibrating, method, along, region, scale):
-    """Return the parameters of the file with what the options say; a scale that is looked for may be anything."""
+    """Return the parameters of the file, changed by the options; a scale to be found may have any value."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.hardware.tracker import CameraParameters
 

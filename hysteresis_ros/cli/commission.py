@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis new|commission``: from an axis of which nothing is known to a closed loop that was judged."""
+"""``hysteresis new|commission``: take an unknown axis to a verified closed loop."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: What is asked on a terminal when its option is missing: the option, the words of the question, and an example.
+#: Questions on a terminal for missing options: the option, the question, and an example.
 QUESTIONS = {
     "stroke": ("--stroke", "How far does the actuator move over its range of voltage?", "100um"),
-    "voltage": ("--voltage", "Which voltages may be put out?", "0:100V"),
+    "voltage": ("--voltage", "Which range of voltage may be applied?", "0:100V"),
     "rate": ("--rate", "How many samples per second?", "1kHz"),
 }
 
 
 @click.command(short_help="Write a safe parameter file for a new axis.")
 @click.argument("file", type=click.Path(path_type=pathlib.Path))
-@click.option("--stroke", "--range", metavar="LENGTH", help="Displacement over the range of voltage, such as 100um.")
+@click.option("--stroke", "--range", metavar="LENGTH", help="Displacement over the voltage range, such as 100um.")
 @click.option("--voltage", metavar="MIN:MAX", help="Range of voltage, such as 0:100V or -30..120V.")
 @click.option("--rate", metavar="FREQUENCY", help="Sample rate, such as 2kHz.")
 @click.option("--driver", metavar="NAME|PATH", default="", help="Driver of the device; by default the simulated plant.")
-@click.option("--driver-option", "options", metavar="NAME=VALUE", multiple=True, help="What the driver is opened with.")
+@click.option(
+    "--driver-option", "options", metavar="NAME=VALUE", multiple=True, help="Option of the driver; repeatable."
+)
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
@@ -45,7 +47,7 @@ QUESTIONS = {
 def new(file, driver, options, plant, joint, **given):
     """Write FILE, a commented parameter file that is safe: open loop, no inverse, small limits, slow.
 
-    What is not given is asked for on a terminal. `hysteresis commission FILE` does the rest.
+    Missing values are asked for on a terminal. The next step is `hysteresis commission FILE`.
     """
     from hysteresis_ros.cli.commissioning.new_file import NewAxis, parsed, parsed_range, write_new
     from hysteresis_ros.errors import ConfigurationError
@@ -74,40 +76,47 @@ def new(file, driver, options, plant, joint, **given):
 
 #: Exit code of a scan whose error is much larger than the predicted one; the files are written.
 UNPREDICTED = 4
-#: Longest silence [s]; stages last for some seconds.
+#: Maximum interval between two progress messages [s]; stages last some seconds.
 SILENCE = 5.0
 
 
-@click.command(short_help="From a new parameter file to a closed loop that was judged.")
+@click.command(short_help="Take a new axis to a verified closed loop.")
 @click.argument("file", type=click.Path(path_type=pathlib.Path))
-@click.option("--stage", "stages", metavar="NAME", multiple=True, help="Do this stage only, and anew; may be repeated.")
-@click.option("--resume", is_flag=True, help="Go on: stages that are done are not done again.")
-@click.option("--yes", is_flag=True, help="Ask nothing before a stage moves the axis.")
-@click.option("--directory", metavar="DIR", type=click.Path(path_type=pathlib.Path), help="Where everything is kept.")
+@click.option(
+    "--stage", "stages", metavar="NAME", multiple=True, help="Run only this stage, again if it is done; repeatable."
+)
+@click.option("--resume", is_flag=True, help="Continue; finished stages are not repeated.")
+@click.option("--yes", is_flag=True, help="Move the axis without asking for confirmation.")
+@click.option("--directory", metavar="DIR", type=click.Path(path_type=pathlib.Path), help="Folder for all results.")
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
-    help="external: a node of yours, which runs already, stands in plant_simulator's place; the file's by default.",
+    help="external: a running node of yours replaces plant_simulator; by default as in the file.",
 )
 @click.option("--offline", is_flag=True, help="Rehearse on the simulated plant of the file, without ROS, at once.")
-@click.option("--model", default="auto", show_default=True, help="Model to identify; auto: by blocks held out.")
 @click.option(
-    "--against", metavar="NAME", multiple=True, help="Another model that the controller has to bear; or `none`."
+    "--model",
+    default="auto",
+    show_default=True,
+    help="Model to identify; auto: by cross-validation on held-out blocks.",
+)
+@click.option(
+    "--against", metavar="NAME", multiple=True, help="Another model that the controller must tolerate; or `none`."
 )
 @click.option(
     "--controller", default="auto", show_default=True, help="Controller to design; auto: the best in the scan."
 )
 @click.option("--scan-stroke", metavar="LENGTH", help="Triangle of the scan from peak to peak, such as 70um.")
-@click.option("--scan-frequency", metavar="FREQUENCY", help="Of the triangle, such as 5Hz.")
+@click.option("--scan-frequency", metavar="FREQUENCY", help="Frequency of the triangle, such as 5Hz.")
 @click.option("--namespace", default="", help="Which axis of the file, when it describes several.")
 @click.pass_context
 def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
     """Measure, model and control the axis of FILE.
 
-    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn. Says
-    before each what it is about to move, and how far, and asks. Stops with the outputs safe at whatever looks wrong
-    (code 2). Leaves commissioned.yaml, all recordings and report.html in DIR, FILE_commissioning by default. Exit code
-    4: the scan's error is much larger than predicted.
+    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn. Before
+    each movement it prints what will move and how far, and asks for confirmation. When a result is implausible it stops
+    with safe outputs (exit code 2). It writes commissioned.yaml, all recordings and report.html to DIR, by default
+    FILE_commissioning. Exit code 4: the error of the scan is much larger than predicted.
     """
     from hysteresis_ros.analysis.commissioning_report import write_commissioning_report
     from hysteresis_ros.cli.commissioning.situation import COMMISSIONED
@@ -141,7 +150,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
 
 
 def _situation(file, directory, resumed, plant, offline, choices):
-    """Return what the stages know, and the bench."""
+    """Return the situation of the stages, and the bench."""
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
     from hysteresis_ros.cli.commissioning.new_file import parsed
     from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
@@ -166,13 +175,13 @@ def _situation(file, directory, resumed, plant, offline, choices):
 
 
 class Terminal:
-    """Who is asked and told: the person at the terminal. Without one nothing moves that nobody allowed."""
+    """Asks the user at the terminal for permission; without a terminal nothing moves unless --yes is given."""
 
     def __init__(self, yes: bool, progress: Progress):
         self._yes, self._progress = yes, progress
 
     def may_move(self, stage: str, words: str) -> bool:
-        """Say what is about to move, and ask."""
+        """Print what will move, and ask for permission."""
         from hysteresis_ros.errors import ConfigurationError
 
         self._progress.say(f"{stage}: {words}")
@@ -184,7 +193,7 @@ class Terminal:
             return click.confirm("  may it move?", default=False)
 
     def told(self, stage: str, outcome, done_before: bool) -> None:
-        """Print what was found."""
+        """Print the outcome of a stage."""
         if done_before:
             self._progress.say(f"{stage}: done before")
             return

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis demo``: an axis in real time, with and without its inverse, moved by setpoints; then as processes."""
+"""``hysteresis demo``: run an axis in real time with and without its inverse and by setpoints; then as processes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85
 TRIANGLES = 1.0, 1.0e-5, 2
 #: Length of the run in lockstep [s of the axis]: the beginning of the triangles.
 LOCKSTEP = 0.75
-#: How long the last setpoint is held [s of the axis], and the longest wait for all of them [s].
+#: Hold time of the last setpoint [s of the axis], and the time-out for all of them [s].
 HELD, PATIENCE = 0.2, 60.0
 
-#: Shortest silence where the output goes to a file or through a pipe [s].
+#: Minimum interval of progress messages in a file or pipe [s].
 SILENCE = 10.0
-#: Length of the steps where nothing is compiled [s of the axis].
+#: Length of the steps without compiled kernels [s of the axis].
 INTERPRETED = 2.4
 
 #: Folders of the recordings.
@@ -46,7 +46,7 @@ WITHOUT, WITH, STEPS, PROCESSES = "without_inverse", "with_inverse", "bag", "loc
 @click.option("-o", "--output", default="demo", show_default=True, help="New folder for bags, report and figures.")
 @click.option("--factor", type=click.FloatRange(0.0, 1.0, min_open=True), default=1.0, help="Real-time factor.")
 def demo(output, factor):
-    """Run the inchworm's propulsion part of Kim 2009 at 3 kHz, and leave bags, a picture, report.html and metrics.json.
+    """Run the inchworm's propulsion part of Kim 2009 at 3 kHz; write bags, a picture, report.html and metrics.json.
 
     In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
     Then the triangle as four processes in lockstep, compared bit for bit with the offline twin.
@@ -61,7 +61,7 @@ def demo(output, factor):
         require_ros()
         folder = _new_folder(output)
         axes = _axes(factor)
-    with entered():  # a running axis of the user and this one must not hear each other
+    with entered():  # isolated from a running axis of the user
         _compile(axes.values(), progress)
         _run_live(axes, folder, progress)
         proof = _run_processes(axes[WITH], folder, progress)
@@ -89,27 +89,27 @@ def _axes(factor: float) -> dict:
     from hysteresis_ros.models.block import COMPILED
 
     configuration = load_configuration(config_path("kim2009"))
-    # without compiled kernels no loop is fast enough: then the nodes run as fast as they can, and wait for each other
+    # without compiled kernels no loop is fast enough: the nodes then run in lockstep, as fast as they can
     configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
-    # it is simulated, and shows itself on a busy machine too: skipped samples are counted and told, nothing is stopped
+    # a simulation may run on a busy machine: skipped samples are counted and reported, and do not stop it
     configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
     frequency, stroke, cycles = TRIANGLES
     triangle = dict(waveform__type="triangle", waveform__frequency=frequency, waveform__cycles=cycles)
     triangle |= dict(waveform__amplitude=stroke)
     open_loop = configuration.override("motion_controller", type="open_loop")
     closed = open_loop.override("reference_generator", **triangle)
-    # of the steps the waveform of the file stays out: the setpoints come from outside, on the topic
+    # the steps do not use the waveform of the file: the setpoints come from the topic
     steps = configuration.override("reference_generator", waveform__type="hold")
     return {
         WITHOUT: _axis(closed.override("hysteresis_compensator", inverse__type="none"), WITHOUT, cycles / frequency),
         WITH: _axis(closed, WITH, cycles / frequency),
-        # in real time it goes on until all have come; a lockstep run that is stopped ends within a sample
+        # in real time it runs until all have arrived; a stopped lockstep run ends within a sample
         STEPS: _axis(steps, "steps", None if COMPILED else INTERPRETED),
     }
 
 
 def _axis(configuration, name: str, duration: float | None = None):
-    """Return an axis in a namespace of its own: another graph may enter the domain while this one runs."""
+    """Return an axis in a separate namespace: another graph may enter the domain while this one runs."""
     from hysteresis_ros.loop.reach import axes
 
     axis = replace(axes(configuration)[0], namespace=f"/demo_{os.getpid()}/{name}")
@@ -117,7 +117,7 @@ def _axis(configuration, name: str, duration: float | None = None):
 
 
 def _compile(axes, progress: Progress) -> None:
-    """Make the loops once, so that the processes find their code in the cache."""
+    """Compile the loops once, so that the processes find the code in the cache."""
     from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
@@ -136,7 +136,7 @@ def _compile(axes, progress: Progress) -> None:
 
 
 def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
-    """Run all axes side by side; one of them is moved by setpoints, and ends after the last."""
+    """Run all axes in parallel; one of them follows setpoints, and ends after the last."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph, node_environment
 
@@ -182,7 +182,7 @@ def _publisher_command(namespace: str) -> list[str]:
 
 
 def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
-    """Run the triangle as four processes in lockstep, and return how all runs compare with their offline twins."""
+    """Run the triangle as four processes in lockstep, and compare all runs with their offline twins."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph
 
@@ -199,7 +199,7 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
 
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
-    """Return the number of samples of a recorded run, and in what it differs from its twin; empty: in nothing."""
+    """Return the number of samples of a recorded run, and its differences from the twin; empty when equal."""
     from hysteresis_ros.cli.recording import unlike
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.loop.reach import single_axis
@@ -212,7 +212,7 @@ def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
 
 
 def _same_as_live(folder: pathlib.Path) -> str:
-    """Return in words whether processes and loop made the same displacement."""
+    """Return a line that states whether processes and loop produced the same displacement."""
     import numpy as np
 
     from hysteresis_ros.recordings.files import load_run
@@ -229,7 +229,7 @@ def _same_as_live(folder: pathlib.Path) -> str:
 
 
 def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progress) -> None:
-    """Write picture, report and figures, as far as the libraries for them are there, and say what came out."""
+    """Write picture, report and figures, if their libraries are installed, and print the results."""
     import numpy as np
 
     from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis parameters|urdf|policy``: what other tools need to know of an axis: parameters, URDF, SROS 2 policy."""
+"""``hysteresis parameters|urdf|policy``: descriptions of an axis for other tools: parameters, URDF, SROS 2 policy."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def parameters(node):
 
 
 def parameter_lines(nodes: list[str]):
-    """Yield the lines of the tables: first what all nodes share, then each node's own."""
+    """Yield the lines of the tables: first the common parameters, then those of each node."""
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
 
     shared = {row.name for row in NodeParameters.table()}
@@ -67,7 +67,7 @@ def _yaml(value) -> str:
 def urdf(config, namespace):
     """Print the URDF of CONFIG: a base, and a prismatic joint with the limits of the axis.
 
-    It is what the source of references publishes on robot_description.
+    The reference source publishes the same text on robot_description.
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.loop.description import robot_description
@@ -75,7 +75,7 @@ def urdf(config, namespace):
 
     axis = AxisParameters.from_configuration(load_configuration(config), namespace)
     source = axis.inchworm_sequencer or axis.reference_generator
-    assert source is not None  # every axis has one of them
+    assert source is not None  # every axis has a source
     click.echo(robot_description(source), nl=False)
 
 
@@ -87,13 +87,13 @@ def urdf(config, namespace):
 @click.option("--record", is_flag=True, help="With a recorder.")
 @click.option("--plant", type=click.Choice(["own", "external"]), default="own", show_default=True, help="As with `up`.")
 @click.option("--namespace", help="Only the axis in this namespace.")
-@click.option("--remap", multiple=True, metavar="FROM:=TO", help="A remapping that the nodes get; may be repeated.")
+@click.option("--remap", multiple=True, metavar="FROM:=TO", help="Remapping of the nodes; repeatable.")
 def policy(config, output, processes, rate, record, plant, namespace, remap):
-    """Write what each process of CONFIG uses, and nothing else, as a policy that `ros2 security` reads.
+    """Write a policy for `ros2 security` that permits only the interfaces that each process of CONFIG uses.
 
-    The nodes are made and asked where nobody hears them; no device is opened. Beside their enclaves there are those of
-    an operator, who may say what people say and call services, of a monitor, who may only hear, of watch, who serves
-    the page, and of epics_ioc.
+    The nodes are created in an isolated ROS domain; no device is opened. Further enclaves are those of an operator,
+    which may publish user inputs and call services, of a monitor, which may only subscribe, of watch, which serves the
+    page, and of epics_ioc.
     """
     from hysteresis_ros.nodes.launcher import run_apart
 

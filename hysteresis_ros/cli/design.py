@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis design``: gains of a controller from the identified model in a configuration."""
+"""``hysteresis design``: design a controller from the identified model in a configuration."""
 
 from __future__ import annotations
 
@@ -28,41 +28,47 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--learning",
     metavar="NAME",
-    help=f"Learning from period to period over the controller that CONFIG has: {', '.join(sorted(KINDS))}.",
+    help=f"Add iterative learning to the controller of CONFIG: {', '.join(sorted(KINDS))}.",
 )
 @click.option(
     "--damping",
     metavar="NAME",
-    help=f"Damp the model's resonance first, the controller is for the damped plant: {', '.join(damping.KINDS)}, none.",
+    help=f"Damp the resonance of the model first, and design for the damped plant: {', '.join(damping.KINDS)}, none.",
 )
-@click.option("--period", type=Quantity("s"), help="With --learning: of the reference.  [default: of the waveform]")
+@click.option(
+    "--period", type=Quantity("s"), help="With --learning: period of the reference.  [default: of the waveform]"
+)
 @click.option(
     "--maximum",
     type=Quantity("m"),
-    help="With --learning: largest correction.  [default: 10 % of the stroke]",
+    help="With --learning: maximum correction.  [default: 10 % of the stroke]",
 )
 @click.option("--bandwidth", type=Quantity("Hz"), help="-3 dB from reference to displacement, or of learning.")
 @click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
-@click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor, by which the fastest design is chosen.")
+@click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor; the fastest design is chosen for it.")
 @click.option(
     "--criterion",
     type=click.Choice(["iae", "ise", "itae"]),
     help="Tune the gains by Nelder-Mead on the waveform (pid).",
 )
-@click.option("--duration", type=Quantity("s"), help="Length of the run that --criterion judges.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run that --criterion evaluates.")
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
-@click.option("--preview", type=int, help="Samples that the reference is ahead, with --feedforward.")
-@click.option("--robust", is_flag=True, help="Gains for the worst of plants drawn around the model, by these ranges:")
-@click.option("--gain-range", type=float, help="Part by which the gain may be off.  [default: 0.05]")
-@click.option("--hysteresis-range", type=float, help="Part by which the slope left may be off.  [default: 0.1]")
-@click.option("--resonance-range", type=float, help="Part by which resonances and lags may be off.  [default: 0.1]")
-@click.option("--delay-range", type=float, help="Delay beyond the model's [samples].  [default: 1]")
-@click.option("--draws", type=int, help="Plants drawn, besides the model and the corners.  [default: 20]")
-@click.option("--seed", type=int, help="Seed of the plants.  [default: 1]")
+@click.option("--preview", type=int, help="Preview of the reference [samples], with --feedforward.")
+@click.option(
+    "--robust", is_flag=True, help="Robust gains for the worst of random plants around the model, within these ranges:"
+)
+@click.option("--gain-range", type=float, help="Relative uncertainty of the gain.  [default: 0.05]")
+@click.option(
+    "--hysteresis-range", type=float, help="Relative uncertainty of the slope left by the inverse.  [default: 0.1]"
+)
+@click.option("--resonance-range", type=float, help="Relative uncertainty of resonances and lags.  [default: 0.1]")
+@click.option("--delay-range", type=float, help="Additional delay beyond that of the model [samples].  [default: 1]")
+@click.option("--draws", type=int, help="Number of random plants, besides the model and the corners.  [default: 20]")
+@click.option("--seed", type=int, help="Seed of the random plants.  [default: 1]")
 @click.option(
     "--response",
     type=click.Path(path_type=pathlib.Path),
-    help="NPZ of `hysteresis frf`: the design bears what was measured, and its margins are measured.",
+    help="NPZ of `hysteresis frf`: design for the measured response, and compute the margins from it.",
 )
 @click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
 @click.option("-o", "--output", required=True, help="Parameter file to write.")
@@ -70,7 +76,7 @@ def design(config, namespace, output, response, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning
-    the controller stays, and what learns over it is designed.
+    the controller is kept, and its learning filter is designed.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis doctor``: what this machine holds in real time, what it lacks, and what to do about it."""
+"""``hysteresis doctor``: measure the real-time rates of this machine, and report missing software and remedies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hysteresis_ros.cli.progress import Progress
 if TYPE_CHECKING:
     from hysteresis_ros.nodes.trial import Answers
 
-#: Libraries, and the extra of this package that brings each, empty: always.
+#: Libraries, and the extra of this package that installs each; empty: always installed.
 LIBRARIES = {
     "numpy": "",
     "scipy": "",
@@ -42,18 +42,18 @@ LIBRARIES = {
     "jinja2": "report",
     "rich": "progress",
 }
-#: Modules of those that also come without a wheel, with ROS 2 from apt.
+#: Modules of the libraries that ROS 2 from apt also provides.
 MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}
 #: Priority that a fused loop asks for by default.
 PRIORITY = 80
 #: Longest wait for the name of the middleware [s].
 PATIENCE = 10.0
-#: Asks rclpy in a process of its own: it is loaded nowhere but in nodes.
+#: Asks rclpy in a separate process, because only nodes import it.
 ASK_MIDDLEWARE = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
 
 
 def versions() -> dict[str, str]:
-    """Return the version of each library; 'not installed' where there is none."""
+    """Return the version of each library, or 'not installed'."""
     found = {}
     for name in LIBRARIES:
         try:
@@ -70,7 +70,7 @@ def versions() -> dict[str, str]:
 
 
 def middleware() -> str:
-    """Return what carries the messages, such as rmw_fastrtps_cpp; empty without ROS."""
+    """Return the middleware, such as rmw_fastrtps_cpp; empty without ROS."""
     if importlib.util.find_spec("rclpy") is None:
         return ""
     try:
@@ -102,7 +102,7 @@ def _text(path: str) -> str:
 
 
 def system() -> dict:
-    """Return what the operating system is and permits."""
+    """Return the operating system and its limits."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
     return {
         "python": platform.python_version(),
@@ -117,7 +117,7 @@ def system() -> dict:
 
 
 def kernel_cache() -> dict:
-    """Return where machine code is kept, and how many bytes it takes."""
+    """Return the folder and the size [bytes] of the machine code cache."""
     from hysteresis_ros.models.block import COMPILED, cache_folder
 
     if not COMPILED:
@@ -127,7 +127,7 @@ def kernel_cache() -> dict:
 
 
 def advice(found: dict, permitted: bool) -> list[str]:
-    """Return a line for each thing that is missing: what it is for, and what to do."""
+    """Return a line for each missing item: its purpose, and the remedy."""
     lines, system_ = [], found["system"]
     extras: dict[str, list[str]] = {}
     for name, version in found["libraries"].items():
@@ -150,22 +150,24 @@ def advice(found: dict, permitted: bool) -> list[str]:
     return lines
 
 
-#: Rates that are tried [Hz], and for how long each [s].
+#: Tested rates [Hz], and the duration of each test [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
 #: Samples of the runs of nodes that exchange messages in lockstep: one process, a process for each node.
 COMPOSED, PROCESSES = 1000, 600
 #: Rate [Hz] and samples of their runs in real time.
 MESSAGE_RATE, ANSWERED = 300.0, 300
-#: Part of the samples that are skipped at a rate beyond which no higher one is tried.
+#: Fraction of skipped samples above which no higher rate is tested.
 HOPELESS = 0.1
-#: Time after which no further measurement of nodes begins [s]: the first run of a version compiles.
+#: Time after which no further measurement of nodes starts [s]: the first run of a version compiles.
 BUDGET = 35.0
 
 
-@click.command(short_help="Measure what this machine holds, and say what is missing.")
-@click.option("--json", "path", metavar="FILE", type=click.Path(path_type=pathlib.Path), help="JSON file for it all.")
+@click.command(short_help="Measure the rates of this machine, and list what is missing.")
+@click.option(
+    "--json", "path", metavar="FILE", type=click.Path(path_type=pathlib.Path), help="JSON file for all results."
+)
 def doctor(path: pathlib.Path | None) -> None:
-    """Measure at which rates this machine runs an axis, how late its samples begin, and list versions and limits.
+    """Measure the rates at which this machine runs an axis and how late samples begin; list versions and limits.
 
     Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
     half a period and fewer than 0.5 % are skipped. Composed and as processes: samples a second in lockstep, and in real
@@ -208,7 +210,7 @@ def _installed(found: dict):
 
 
 def _axis(rate: float):
-    """Return Kim's axis at another rate; what is asked of time does not depend on its dynamics."""
+    """Return Kim's axis at another rate; its dynamics do not affect the computing time."""
     from hysteresis_ros.configuration import config_path, load_configuration
     from hysteresis_ros.loop.reach import axes
 
@@ -222,7 +224,7 @@ def _axis(rate: float):
 
 
 def _fused(progress: Progress) -> list[dict]:
-    """Return what a fused loop did at each rate, with priority and without."""
+    """Return the results of a fused loop at each rate, with priority and without."""
     from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
@@ -248,7 +250,7 @@ def _fused(progress: Progress) -> list[dict]:
                 made.append(_trial(rate, priority))
             progress.say(_row(made[-1]))
             if made[-1]["warning"]:
-                break  # then the priority was not given, and the other round measures the same
+                break  # the priority was not granted, and the other round measures the same
             if made[-1]["skipped"] > HOPELESS * made[-1]["samples"]:
                 break
         held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)
@@ -288,7 +290,7 @@ def _row(row: dict) -> str:
 
 
 def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
-    """Return how many samples a second composed nodes and processes make in lockstep, and how soon they answer."""
+    """Return the rates of composed nodes and processes in lockstep, and their response times in real time."""
     import importlib.util
 
     if importlib.util.find_spec("rclpy") is None or libraries["rosbags"] == "not installed":
@@ -313,7 +315,7 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
 
 
 def _answered(took: Answers) -> str:
-    """Say how soon nodes answered."""
+    """Return a line about the response times of nodes."""
     if took.p50 is None or took.p99 is None or took.max is None:
         return f"not one of {took.samples} measurements was answered; the machine has no time for it"
     late = f"{took.late} of {took.samples} voltages late ({100.0 * took.late / max(took.samples, 1):.2g} %)"

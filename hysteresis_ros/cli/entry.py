@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where the executable ``hysteresis`` begins: Ctrl-C is answered from here on, also while the rest is imported."""
+"""Entry point of the executable ``hysteresis``: handles Ctrl-C from here on, also during the remaining imports."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from typing import Any, NoReturn
 
 from hysteresis_ros.cli.interrupt import INTERRUPTED, WORDS
 
-#: Seconds after which an interrupt that was lost is repeated.
+#: Time after which a lost interrupt is repeated [s].
 AGAIN = 0.05
-#: Linear algebra takes one thread, unless these say otherwise: its tables are narrow, and threads that wait for each
-#: other on a busy machine made an identification three times as long.
+#: Linear algebra uses one thread unless these variables are set: its arrays are small, and several threads on a busy
+#: machine made an identification three times as long (measured).
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def main() -> None:
     """Run the command; it ends in :class:`SystemExit`."""
     dropped: list[type] = []
-    for name in ONE_THREAD:  # before anybody imports NumPy
+    for name in ONE_THREAD:  # before NumPy is imported
         os.environ.setdefault(name, "1")
 
     def repeat_interrupt(unraisable: Any) -> None:
@@ -48,7 +48,7 @@ def main() -> None:
 
         command(prog_name="hysteresis")
     except (KeyboardInterrupt, Exception) as error:
-        # a compiler whose callback was interrupted fails soon after, in words of its own
+        # a compiler whose callback was interrupted fails soon after with its own message
         if not dropped and not isinstance(error, KeyboardInterrupt):
             raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -59,7 +59,7 @@ def main() -> None:
             _leave_at_once()
         raise
     finally:
-        # what is left is the interpreter's own end: an interrupt there would be a traceback and change nothing
+        # only the interpreter's shutdown is left: an interrupt there would only print a traceback
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

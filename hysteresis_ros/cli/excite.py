@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis excite``: drive an axis through its nodes with what an identification needs, and record it."""
+"""``hysteresis excite``: drive an axis through its nodes with an identification signal, and record it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.references.recipes import RECIPES
 
 
-@click.command(short_help="Drive an axis with what an identification needs.")
+@click.command(short_help="Drive an axis with an identification signal, and record it.")
 @click.argument("config", type=ConfigurationName())
-@click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
+@click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="Excitation signal; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
 @split_options
-@click.option("--duration", type=Quantity("s"), help="Length of the run [s of the axis]; the recipe's own by default.")
 @click.option(
-    "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
+    "--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default that of the recipe."
+)
+@click.option(
+    "--rate",
+    type=click.Choice(["realtime", "lockstep", "fused"]),
+    help="Time mode; by default that of the configuration.",
 )
 @click.option(
     "--processes/--composed",
@@ -41,7 +45,7 @@ from hysteresis_ros.references.recipes import RECIPES
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours, which runs already, stands in plant_simulator's place.",
+    help="external: a running node of yours replaces plant_simulator.",
 )
 @click.option("--namespace", help="Drive only the axis in this namespace.")
 @reference_options
@@ -50,10 +54,10 @@ def excite(
 ):
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
-    The bag goes into `hysteresis identify` as it is. Recipes: triangles (growing peaks), decaying (minor loops),
-    multisine and chirp (dynamics), steps, creep. With one, --amplitude is the part of its own amplitude (0.5), and
-    --frequency that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference
-    lengths may be given in volts too (60V), or in metres at the gain of the compensator's model (5um).
+    `hysteresis identify` reads the bag directly. Recipes: triangles (growing peaks), decaying (minor loops), multisine
+    and chirp (dynamics), steps, creep. With one, --amplitude is the part of its own amplitude (0.5), and --frequency
+    that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference lengths may be
+    given in volts too (60V), or in metres at the gain of the compensator's model (5um).
     """
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
@@ -107,7 +111,7 @@ def excite(
     options = {"composed": processes is False, "record": record, "log_level": "warn"}
     with contextlib.ExitStack() as stack:
         if plant == "own":
-            # nobody steers this graph: a running axis of the user must not hear its commands
+            # isolated: a running axis of the user must not receive the commands of this graph
             options["environment"] = stack.enter_context(Domain()).environment
         stack.enter_context(Progress(err=True).during(*_stages(axis, length)))
         stack.enter_context(Graph([axis], **options)).wait()
@@ -116,7 +120,7 @@ def excite(
 
 
 def _stages(axis, length: float):
-    """Return what goes on, and functions that say the time that has passed and, in real time, the part of the run."""
+    """Return the activity, and functions for the elapsed time and, in real time, the completed fraction."""
     import time
 
     plant, begun = axis.plant_simulator, time.monotonic()
@@ -130,7 +134,7 @@ def _stages(axis, length: float):
 
 
 def _of_recipe(reference) -> dict:
-    """Return what the options say about a recipe."""
+    """Return the options of a recipe."""
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.units import quantity
 

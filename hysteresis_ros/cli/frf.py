@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis frf``: the frequency response of an axis, measured or from a recording."""
+"""``hysteresis frf``: measure the frequency response of an axis, or estimate it from a recording."""
 
 from __future__ import annotations
 
@@ -20,43 +20,53 @@ from hysteresis_ros.cli.progress import Progress
 
 #: Endings of recordings; a folder is a bag.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
-#: Options with units: the unit, and what stands for it in the experiment.
+#: Options with units: the unit, and the argument of the experiment.
 WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 
 
 @click.command(short_help="Measure the frequency response of an axis.")
 @click.argument("source", metavar="CONFIG|RECORDING", type=ConfigurationName())
-@click.option("--loop", type=click.Choice(["open", "closed"]), help="What is measured; of a configuration open.")
+@click.option(
+    "--loop", type=click.Choice(["open", "closed"]), help="Measured loop; for a configuration open by default."
+)
 @click.option(
     "--at",
     type=click.Choice(["voltage", "command", "reference"]),
-    help="Where it is excited: open at the voltage or the command, closed at the reference or the command.",
+    help="Point of excitation: open loop at the voltage or the command, closed loop at the reference or the command.",
 )
 @click.option(
     "--excitation",
     "kind",
     type=click.Choice(["multisine", "stepped", "noise"]),
-    help="Odd random-phase multisine (default), stepped sine, or noise; of a recording what it looks like.",
+    help="Odd random-phase multisine (default), stepped sine, or noise; for a recording detected by default.",
 )
-@click.option("--amplitude", metavar="TEXT", help="Peak, e.g. 2V or 500nm; a part of the range without unit.  [0.05]")
-@click.option("--offset", metavar="TEXT", help="Around what, e.g. 40V or 30um; a part of the range.  [0.5]")
+@click.option(
+    "--amplitude", metavar="TEXT", help="Peak, e.g. 2V or 500nm; without unit a fraction of the range.  [0.05]"
+)
+@click.option(
+    "--offset", metavar="TEXT", help="Operating point, e.g. 40V or 30um; without unit a fraction of the range.  [0.5]"
+)
 @click.option("--low", metavar="FREQUENCY", help="Lowest frequency, e.g. 2Hz.")
 @click.option("--high", metavar="FREQUENCY", help="Highest frequency; 0.4 of the sample rate by default.")
-@click.option("--period", metavar="TIME", help="Of multisine, of blocks of a stepped sine, of segments of noise.")
-@click.option("--duration", metavar="TIME", help="Of the whole excitation, in place of --period.")
-@click.option("--periods", type=int, default=4, show_default=True, help="Periods (blocks) that are averaged.")
-@click.option("--settle", type=int, default=1, show_default=True, help="Periods before them that are not.")
-@click.option("--realisations", type=int, default=4, show_default=True, help="Phases drawn anew, of a multisine.")
-@click.option("--points", type=int, default=40, show_default=True, help="Frequencies of a stepped sine.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of phases, lines left out, noise.")
-@click.option("--offline", is_flag=True, help="On the simulated plant of the file, without ROS, at once.")
+@click.option(
+    "--period", metavar="TIME", help="Period of a multisine, of the blocks of a stepped sine, of the segments of noise."
+)
+@click.option("--duration", metavar="TIME", help="Length of the whole excitation, instead of --period.")
+@click.option("--periods", type=int, default=4, show_default=True, help="Number of averaged periods (blocks).")
+@click.option("--settle", type=int, default=1, show_default=True, help="Number of discarded periods before them.")
+@click.option(
+    "--realisations", type=int, default=4, show_default=True, help="Realisations of the random phases of a multisine."
+)
+@click.option("--points", type=int, default=40, show_default=True, help="Number of frequencies of a stepped sine.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of phases, omitted lines and noise.")
+@click.option("--offline", is_flag=True, help="Use the simulated plant of the file, without ROS.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode of the nodes.")
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours, which runs already, stands in plant_simulator's place.",
+    help="external: a running node of yours replaces plant_simulator.",
 )
 @click.option("--namespace", help="Which axis, when there are several.")
 @click.option("--record", type=click.Path(path_type=pathlib.Path), help="Keep the run: .npz, .csv or .mcap.")
@@ -68,7 +78,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.option("--report", type=click.Path(path_type=pathlib.Path), help="Page to write: .html.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead.")
 def frf(source, outputs, plot, report, json_path, namespace, **options):
-    """Excite an axis of CONFIG around a place and measure its frequency response, or take it from RECORDING.
+    """Measure the frequency response of an axis of CONFIG at an operating point, or estimate it from RECORDING.
 
     Open loop: from voltage (or command, through the inverse) to displacement. Closed loop: sensitivity, complementary
     sensitivity and loop transfer with measured margins beside those of the model. Bands hold the true response with
@@ -125,7 +135,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
         run = load_run(path, namespace, further=True)
-        # of a table of somebody else's only what is needed is there
+        # a foreign table may have only the required columns
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
         return recorded_response(
             run, plan, options["loop"], options["at"], _with_units(options).get("period"), options["kind"]
@@ -133,7 +143,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
 
 def _of_configuration(source, namespace, options: dict):
-    """Return the response of an axis that is excited now."""
+    """Excite an axis and return its response."""
     import contextlib
     import tempfile
 

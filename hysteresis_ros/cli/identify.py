@@ -21,7 +21,7 @@ from hysteresis_ros.errors import ConfigurationError
 
 #: Exit code of a fit that did not converge: the best point was written.
 NOT_CONVERGED = 3
-#: Exit code of a model that may do for an inverse, but not for feedback: the recording shows what it misses.
+#: Exit code of a model that is suitable for an inverse but not for feedback, as the recording shows.
 UNFIT = 4
 #: Figures that are shown first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
@@ -30,7 +30,7 @@ UNKNOWN = 60.0
 
 
 class FitState:
-    """How far a fit is: of unknown length, so that each of its reports fills a part of what is left of a bar."""
+    """Progress of a fit of unknown length: each report fills a fraction of the remaining bar."""
 
     def __init__(self) -> None:
         self.text = ""
@@ -54,15 +54,15 @@ class FitState:
     "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."
 )
 @click.option("-p", "--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the model; repeatable.")
-@click.option("--inverse", help="Inverse of the compensator; the model's first by default.")
+@click.option("--inverse", help="Inverse of the compensator; by default the first of the model.")
 @click.option("-o", "--params", "params", required=True, type=click.Path(path_type=pathlib.Path), help="File to write.")
 @click.option(
     "--into",
     metavar="CONFIG",
     type=ConfigurationName(),
-    help="Of a response of `hysteresis frf`: the axis whose dynamics it becomes; its hysteresis stays.",
+    help="For a response of `hysteresis frf`: the axis that gets its dynamics; the hysteresis is kept.",
 )
-@click.option("--order", type=int, help="Of these dynamics; by default the lowest that fits about as well as any.")
+@click.option("--order", type=int, help="Order of these dynamics; by default the lowest with about the best fit.")
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options
 @click.pass_context
@@ -151,7 +151,7 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
 @click.option("--no-inverse", is_flag=True, help="Leave the inverse out.")
 @data_options
 def validate(params, data, report_path, no_inverse, skip, offset, intersample, initial, json_path, **columns):
-    """Simulate the plant of PARAMS under the voltage of DATA and compare with what was measured.
+    """Simulate the plant of PARAMS with the voltage of DATA and compare with the measurement.
 
     Prints the errors of the model (m, % of stroke, fit %), of its inverse (V, m), and whether the residual is white.
     """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How a command answers Ctrl-C; imports nothing, so that it is there from the first moment."""
+"""Handling of Ctrl-C by a command; imports nothing, so that it is available from the start."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import signal
 import sys
 from typing import NoReturn
 
-#: Exit code after Ctrl-C, as shells have it.
+#: Exit code after Ctrl-C, as in shells.
 INTERRUPTED = 128 + signal.SIGINT
-#: The one line.
+#: Message after Ctrl-C.
 WORDS = "hysteresis: interrupted"
 
 
 def leave_interrupted() -> NoReturn:
-    """Say in one line that Ctrl-C ended the command, and leave with its exit code."""
+    """Print one line that Ctrl-C ended the command, and exit with its code."""
     print(WORDS, file=sys.stderr)
     raise SystemExit(INTERRUPTED)

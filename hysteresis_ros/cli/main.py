@@ -29,7 +29,7 @@ from click.shell_completion import CompletionItem
 from hysteresis_ros.cli.interrupt import leave_interrupted
 from hysteresis_ros.errors import HysteresisError, shortened
 
-#: Subcommands in the groups of the help: group → name → (module:attribute, what it does in one line).
+#: Subcommands in the groups of the help: group → name → (module:attribute, one-line description).
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Run an axis": {
         "up": ("hysteresis_ros.cli.up:up", "Start the nodes of an axis; record, watch and verify them."),
@@ -147,13 +147,13 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(name.ljust(10), line) for name, (_, line) in commands.items()])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Return what a shell offers: the subcommands that begin so, with their lines and without importing them."""
+        """Return the shell completions: matching subcommands with their descriptions, without importing them."""
         named = [(name, line) for name, (_, line) in COMMANDS.items() if name.startswith(incomplete)]
         options = click.Command.shell_complete(self, ctx, incomplete)
         return [*(CompletionItem(name, help=line) for name, line in named), *options]
 
     def resolve_command(self, ctx: click.Context, args: list[str]):
-        """Find the subcommand that the first word names; of a word that names none say what is near."""
+        """Find the subcommand of the first word; suggest a similar name for an unknown word."""
         if (
             args
             and not ctx.resilient_parsing
@@ -173,7 +173,7 @@ class LazyGroup(click.Group):
             leave_interrupted()
 
     def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
-        """Run the command line and leave: wrong input, Ctrl-C and SIGTERM end in one line at most, with no traceback."""
+        """Run the command line and exit; wrong input, Ctrl-C and SIGTERM print one line at most and no traceback."""
         extra["standalone_mode"] = False
         gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
         try:
@@ -199,13 +199,13 @@ class LazyGroup(click.Group):
 
 
 def _refuse(text: str, code: int) -> NoReturn:
-    """Say in one line what is wrong, and leave."""
+    """Print an error as one line, and exit."""
     click.echo("hysteresis: " + " ".join(text.split()), err=True)
     sys.exit(code)
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return what is wrong with the words of the command line, and where its help is."""
+    """Return the error of the command line, and how to get help."""
     text = error.format_message().rstrip(".")
     context = getattr(error, "ctx", None)
     if context is None:
@@ -217,7 +217,7 @@ def _usage(error: click.ClickException) -> str:
 
 
 def _nearest_choice(error: click.ClickException) -> str:
-    """Return a question for a value that is none of the choices of an option, where one of them is near."""
+    """Return a suggestion for a value that is not a choice of an option, if a choice is similar."""
     kind = getattr(getattr(error, "param", None), "type", None)
     given = re.match(r"'(.*?)' is not one of", error.message)
     if not isinstance(kind, click.Choice) or given is None:

@@ -64,7 +64,7 @@ class Quantity(click.ParamType):
 
 
 class WaveformName(click.ParamType):
-    """The name of a waveform; what is none is refused where all waveforms are known."""
+    """The name of a waveform; unknown names are refused later, where all waveforms are known."""
 
     name = "waveform"
 
@@ -87,50 +87,52 @@ class NodeName(click.ParamType):
         return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
 
 
-#: How a recording is split, as ``ros2 bag record`` does; the command gets both under these names.
+#: Options for splitting a recording, as in ``ros2 bag record``; the command gets both under these names.
 _SPLITS = (
-    click.option("--max-bag-size", type=click.IntRange(1), metavar="BYTES", help="Begin another file of the bag then."),
+    click.option(
+        "--max-bag-size", type=click.IntRange(1), metavar="BYTES", help="Start a new file of the bag at this size."
+    ),
     click.option(
         "--max-bag-duration",
         type=click.FloatRange(0, min_open=True),
         metavar="SECONDS",
-        help="Begin another file of the bag after so long.",
+        help="Start a new file of the bag after this time.",
     ),
 )
 
 
 def split_options(command):
-    """Give a command the options of how a recording is split."""
+    """Add the options for splitting a recording to a command."""
     for option in reversed(_SPLITS):
         command = option(command)
     return command
 
 
 def splitting(configuration, max_bag_size: int | None, max_bag_duration: float | None):
-    """Return the configuration whose recorder splits as the options say."""
+    """Return the configuration with the splitting options of the recorder."""
     given = {"max_bag_size": max_bag_size, "max_bag_duration": max_bag_duration}
     given = {name: value for name, value in given.items() if value is not None}
     return configuration.override("recorder", **given) if given else configuration
 
 
-#: Parameter files that are laid over the configuration; the command gets their names as ``laid_over``.
+#: Option with overlay parameter files; the command gets their names as ``laid_over``.
 params_file_option = click.option(
     "--params-file",
     "laid_over",
     multiple=True,
     metavar="FILE",
-    help="Parameter file whose values win over those of CONFIG, as one that a node has saved; may be repeated.",
+    help="Parameter file that overrides CONFIG, such as one saved by a node; repeatable.",
 )
 
 
 def laid_under(config: str, laid_over: tuple[str, ...]):
-    """Return a configuration with the parameter files that are laid over it."""
+    """Return a configuration with overlaid parameter files."""
     from hysteresis_ros.configuration import load_configuration
 
     return load_configuration(config).under(*map(load_configuration, laid_over))
 
 
-#: Endings of figures' names: in which SI unit the figure is.
+#: Suffixes of figure names: the SI unit of the figure.
 ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
 
 
@@ -141,18 +143,20 @@ def data_options(command):
             click.option("--input", "input_", metavar="NAME[:UNIT]", help="Input column, e.g. control_V:V."),
             click.option("--output", "output_", metavar="NAME[:UNIT]", help="Output column, e.g. cap_sensor_um:um."),
             click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
-            click.option("--sample-time", type=Quantity("s"), help="Of data without a time column, such as 1ms."),
+            click.option(
+                "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."
+            ),
             click.option("--namespace", help="Which axis, when a bag holds several."),
             click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
-            click.option("--resample", metavar="SECONDS|auto", help="Bring the data to a uniform grid first."),
-            click.option("--negate", is_flag=True, help="Count the output in the other direction."),
+            click.option("--resample", metavar="SECONDS|auto", help="Resample the data to a uniform grid first."),
+            click.option("--negate", is_flag=True, help="Invert the sign of the output."),
             click.option(
-                "--all-samples", is_flag=True, help="Take every sample of long data, not what carries information."
+                "--all-samples", is_flag=True, help="Use every sample of long data, not only the informative ones."
             ),
             click.option(
                 "--skip",
                 type=click.IntRange(0),
-                help="Leave the first N samples out of the error; the model sees them.",
+                help="Exclude the first N samples from the error; the model still simulates them.",
             ),
             click.option(
                 "--offset", type=click.Choice(["kept", "free"]), default="kept", help="free: remove one constant."
@@ -160,9 +164,7 @@ def data_options(command):
             click.option(
                 "--intersample", type=click.Choice(["zoh", "linear", "bandlimited"]), help="Input between the samples."
             ),
-            click.option(
-                "--initial", type=click.Choice(["zero", "periodic", "estimate"]), help="Where the state starts."
-            ),
+            click.option("--initial", type=click.Choice(["zero", "periodic", "estimate"]), help="Initial state."),
             click.option(
                 "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them only."
             ),
@@ -173,7 +175,7 @@ def data_options(command):
 
 
 def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
-    """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done."""
+    """Return the checked data of a command; print progress, guesses and changes to stderr."""
     from hysteresis_ros.identification.reading import Columns, read_data
 
     columns = Columns(
@@ -241,8 +243,8 @@ def write_json(figures: dict, path: str | None, table: str) -> None:
 def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last.
 
-    Where the name of a figure ends in its unit, the value stands in the part of the unit that people use: ``rmse_m`` of
-    2.148e-7 is shown as ``rmse  0.2148 µm``.
+    When the name of a figure ends in its unit, the value is shown with a readable unit: ``rmse_m`` of 2.148e-7 is shown
+    as ``rmse  0.2148 µm``.
     """
     from hysteresis_ros.units import readable
 
@@ -265,7 +267,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     return "\n".join(lines + texts)
 
 
-#: Option → parameter of the waveform; of the others ``--waveform NAME=VALUE`` takes care.
+#: Option → help, for common parameters of a waveform; ``--waveform NAME=VALUE`` sets the others.
 PARAMETERS = {
     "--amplitude": "amplitude",
     "--frequency": "frequency",
@@ -277,10 +279,10 @@ PARAMETERS = {
     "--file": "path",
 }
 HELP = {
-    "--amplitude": "Its height above the offset, e.g. 70um.",
+    "--amplitude": "Height above the offset, e.g. 70um.",
     "--frequency": "E.g. 5Hz.",
-    "--offset": "Added to it, e.g. 10um.",
-    "--cycles": "Cycles, after which it rests; 0: endless.",
+    "--offset": "Offset, e.g. 10um.",
+    "--cycles": "Number of cycles before it rests; 0: endless.",
     "--polarity": "unipolar: from the offset upwards; symmetric: to both sides.",
     "--values": "Levels of steps, e.g. 2um,0,2um.",
     "--times": "When the steps begin, e.g. 0s,0.4s,0.8s.",
@@ -290,10 +292,10 @@ HELP = {
 
 @dataclass(frozen=True)
 class AskedReference:
-    """What the options say; nothing where ``kind`` is None."""
+    """Waveform options; none are given when ``kind`` is None."""
 
     kind: str | None  #: Name of the waveform.
-    given: dict[str, str]  #: Text of each parameter of it.
+    given: dict[str, str]  #: Text of each of its parameters.
 
     def values(self, gain: float | None = None) -> dict:
         """Return the parameters of the waveform, see :func:`~hysteresis_ros.references.recipes.asked_waveform`.
@@ -306,7 +308,7 @@ class AskedReference:
             return asked_waveform(str(self.kind), self.given, gain)
 
     def put_into(self, configuration):
-        """Return a configuration whose axes follow the waveform; the same one where none was asked for."""
+        """Return a configuration whose axes follow the waveform; unchanged without a waveform option."""
         from hysteresis_ros.errors import ConfigurationError
 
         if self.kind is None:
@@ -321,14 +323,14 @@ class AskedReference:
         return configuration.override("reference_generator", **values)
 
     def refuse_others(self, taken: tuple[str, ...] = ()) -> None:
-        """Refuse words about a waveform where none was asked for."""
+        """Refuse waveform options without --reference."""
         for name in self.given:
             if name not in taken:
                 raise click.UsageError(f"{_option(name)} belongs to a waveform: give --reference, e.g. triangle")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
-        """Let what is wrong with the waveform be named by its option and with the words of the command line."""
+        """Return a problem of the waveform with the name of its option and the text of the command line."""
         from hysteresis_ros.errors import ParameterError
 
         try:
@@ -373,14 +375,21 @@ def reference_options(command):
 
     options = [
         click.option(
-            "--reference", type=WaveformName(), metavar="WAVEFORM", help="Follow this: triangle, sine, steps, file …"
+            "--reference",
+            type=WaveformName(),
+            metavar="WAVEFORM",
+            help="Waveform to follow: triangle, sine, steps, file …",
         ),
         *(
             click.option(option, f"reference_{parameter}", metavar="TEXT", help=HELP[option])
             for option, parameter in PARAMETERS.items()
         ),
         click.option(
-            "--waveform", "further", multiple=True, metavar="NAME=VALUE", help="Further parameter of it; repeatable."
+            "--waveform",
+            "further",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Further parameter of the waveform; repeatable.",
         ),
     ]
     for option in reversed(options):

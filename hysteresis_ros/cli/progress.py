@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a long command does: a bar on terminals, elsewhere lines, fewer and fewer."""
+"""Progress of a long command: a bar on terminals, elsewhere lines at growing intervals."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from typing import Any
 
 import click
 
-#: Longest silence of a command that people watch [s].
+#: Maximum interval of progress messages on a terminal [s].
 SILENCE = 1.5
-#: Longest silence [s] where nobody may be watching: in files and pipes each silence is twice the one before up to this.
+#: Maximum interval of progress messages in files and pipes [s], where each interval is twice the previous one.
 LONGEST_SILENCE = 60.0
-#: Seconds after which something is long enough for a bar, and between two looks at it.
+#: Time after which a bar is shown, and its update interval [s].
 SHORT, LOOK = 0.5, 0.1
 
 
@@ -44,12 +44,12 @@ def _bar(err: bool) -> Any:
 
 
 def shown(what: str) -> contextlib.AbstractContextManager[None]:
-    """Show a bar, on terminals only, while something lasts that is short in most cases; print results after it."""
+    """Show a bar, on terminals only, during an operation that is usually short; print results after it."""
     return Progress(err=True, bars_only=True).during(what)
 
 
 class Progress:
-    """Says what is going on, and that it still does, on terminals, in files and through pipes alike."""
+    """Reports an operation and its progress on terminals, in files and through pipes."""
 
     def __init__(self, err: bool = False, silence: float = SILENCE, bars_only: bool = False, steady: bool = False):
         self._err, self._silence, self._bars_only, self._steady = err, silence, bars_only, steady
@@ -69,7 +69,7 @@ class Progress:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Show nothing while somebody is asked."""
+        """Hide the bar while the user is asked."""
         with self._lock:
             self._paused = True
             if self._bar is not None:
@@ -87,7 +87,7 @@ class Progress:
     def during(
         self, what: str, state: Callable[[], str] = str, part: Callable[[], float | None] = lambda: None
     ) -> Iterator[None]:
-        """Show that something lasts, how long it has and its state."""
+        """Show an operation with its elapsed time and state."""
         over = threading.Event()
         thread = threading.Thread(target=self._tell, args=(what, state, part, over), name="progress", daemon=True)
         thread.start()
@@ -117,7 +117,7 @@ class Progress:
                 silence = silence if self._steady else min(2.0 * silence, LONGEST_SILENCE)
 
     def _show(self, bar, what: str, state, part, over: threading.Event) -> None:
-        """Keep a bar up to date; it leaves no trace."""
+        """Update a bar, and remove it at the end."""
         with bar:
             task = bar.add_task(what, total=None, state=state())
             with self._lock:

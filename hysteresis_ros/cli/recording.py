@@ -32,15 +32,17 @@ if TYPE_CHECKING:
     "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead of the table."
 )
 @click.option("--namespace", help="Which axis, when a bag holds several.")
-@click.option("--title", help="Heading of the page; the recording's name by default.")
-@click.option("--range", "range_", metavar="FROM:TO", help="Judge this part only, e.g. 0.5s:2s.")
+@click.option("--title", help="Heading of the page; by default the name of the recording.")
+@click.option("--range", "range_", metavar="FROM:TO", help="Evaluate only this part, e.g. 0.5s:2s.")
 @click.option("--skip", metavar="TIME", help="Leave out the beginning, e.g. 0.5s.")
-@click.option("--last-periods", type=click.IntRange(1), metavar="N", help="Judge the last N periods of the reference.")
+@click.option(
+    "--last-periods", type=click.IntRange(1), metavar="N", help="Evaluate the last N periods of the reference."
+)
 def report(recordings, output, json_path, namespace, title, range_, skip, last_periods) -> None:
     """Judge recordings (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
-    Of an inchworm: each move with its steps, speed, slip and final error. Several recordings stand side by side. Prints
-    a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
+    Of an inchworm: each move with its steps, speed, slip and final error. Several recordings are shown side by side.
+    Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
     "hysteresis_ros[report]").
     """
     from hysteresis_ros.analysis.side_by_side import labels_of, report_several
@@ -90,7 +92,7 @@ def _single(run, output, title: str, json_path: str | None) -> None:
 
 
 def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
-    """Return the part of a run that is to be judged; a run that lacks it is named."""
+    """Return the part of a run to evaluate; the error names a run that lacks it."""
     from hysteresis_ros.analysis import parts
     from hysteresis_ros.errors import RecordingError
 
@@ -115,8 +117,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
 
     A lockstep run made on one machine is repeated on any other. Ends with exit code 0 when all samples are equal, 1
-    when some differ or are missing, 2 when the recording cannot be repeated. Files that parameters name are those in
-    the recording, whatever is on the disk by now.
+    when some differ or are missing, 2 when the recording cannot be repeated. Files named by parameters are read from
+    the recording, not from the disk.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.loop.repeated import recorded_axis
@@ -144,7 +146,7 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
 
 
 def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
-    """Return in one line in what a recording differs from its twin; empty: in nothing."""
+    """Return one line with the differences of a recording from its twin; empty when equal."""
     missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
     if not (found or missing or lacking):
         return ""
@@ -154,7 +156,7 @@ def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
 
 
 def equal(name: object, samples: int) -> str:
-    """Return in one line that a recording of so many samples equals its twin."""
+    """Return one line that a recording equals its twin, with the number of samples."""
     return f"{name}: {samples} samples equal the offline twin bit for bit, none missing"
 
 
@@ -184,17 +186,16 @@ def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None)
         click.echo(f"note: {note}", err=True)
 
 
-@click.command(short_help="Make a bag whole that was cut off or is damaged.")
+@click.command(short_help="Repair a bag that was cut off or is damaged.")
 @click.argument("bag", type=click.Path(path_type=pathlib.Path))
 @click.option(
     "-o", "--output", type=click.Path(path_type=pathlib.Path), help="Folder to create; BAG_repaired by default."
 )
 def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
-    """Write what is left of BAG (a folder, .mcap or .db3) into a new folder that every tool reads.
+    """Write the readable part of BAG (a folder, .mcap or .db3) to a new folder that every tool reads.
 
-    Up to the last whole message nothing is lost; index, statistics and metadata.yaml are made anew, so that ros2 bag,
-    Foxglove and rosbags open it. BAG itself stays as it is. The reports of this package read a bag that was cut off
-    without this, too.
+    All complete messages are kept; index, statistics and metadata.yaml are rebuilt, so that ros2 bag, Foxglove and
+    rosbags open it. BAG itself is not changed. The reports of this package also read a truncated bag without repair.
     """
     from hysteresis_ros.recordings import repair as repairing
 

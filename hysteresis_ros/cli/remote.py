@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis status|get|set|call|echo|setpoint``: an axis that runs, for people without the command ``ros2``."""
+"""``hysteresis status|get|set|call|echo|setpoint``: operate a running axis without the command ``ros2``."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from hysteresis_ros.cli.options import NodeName
 
 
 def steered(timeout: float = 10.0):
-    """Return a decorator that adds the options of all commands that steer a running axis.
+    """Return a decorator that adds the options of all commands to a running axis.
 
-    Units: ``timeout`` [s].
+    ``timeout`` [s] is the default of the option ``--timeout``.
     """
-    words = "Wait so long for whoever is asked [s]."
+    words = "Time to wait for the node's answer [s]."
     options = (
         click.option("--timeout", type=float, default=timeout, show_default=True, help=words),
         click.option("--namespace", default="", help="Namespace of the axis."),
@@ -39,10 +39,7 @@ def steered(timeout: float = 10.0):
 
 
 def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
-    """Do something among the nodes and leave with its exit code.
-
-    Units: ``timeout`` [s].
-    """
+    """Execute a command in the graph and exit with its code. ``timeout`` [s] limits every wait."""
     import json
     import subprocess
     import sys
@@ -61,21 +58,21 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
 
     require_ros()
-    # a process of its own: the pip wheels of ROS restart the interpreter on import
+    # a separate process, because the pip wheels of ROS restart the interpreter on import
     words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
-    # in a session of its own: Ctrl-C in a terminal reaches this process only, which then takes the other one along
+    # in a separate session: Ctrl-C in a terminal reaches this process only, which then ends the other one
     guard = partial(die_with_parent, os.getpid())
     child = subprocess.run(words, env=node_environment(), start_new_session=True, preexec_fn=guard)
     raise SystemExit(child.returncode)
 
 
-@click.command(short_help="Say who is there of each axis, how well, and where it is.")
+@click.command(short_help="Print nodes, health and position of each running axis.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, in SI.")
 @steered()
 def status(as_json, namespace, timeout):
-    """Print of each axis: its nodes, their lifecycle, rate and health, and the last setpoint, place and voltage.
+    """Print for each axis: its nodes, their lifecycle, rate and health, and the last setpoint, position and voltage.
 
-    Ends with exit code 0 when all is well, 1 when a node is missing, not active or in trouble, 2 when there is no axis.
+    Exit code 0: all nodes are healthy; 1: a node is missing, inactive or reports a problem; 2: there is no axis.
     """
     in_graph("status", namespace, timeout, as_json=as_json)
 
@@ -92,35 +89,35 @@ def get(node, names, namespace, timeout):
 @click.command(
     name="set",
     short_help="Set parameters of a running node, all or none.",
-    # a negative value is no option
+    # a negative value is not an option
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("node", type=NodeName())
 @click.argument("pairs", nargs=-1, required=True, metavar="PARAM VALUE [PARAM VALUE]...")
 @steered()
 def set_(node, pairs, namespace, timeout):
-    """Set parameters of NODE, all of them or, when it refuses one, none; values in SI or with a unit (5um)."""
+    """Set parameters of NODE, all of them, or none when it refuses one; values in SI or with a unit (5um)."""
     if len(pairs) % 2:
         raise click.UsageError(f"{pairs[-1]} has no value: write PARAM VALUE [PARAM VALUE]...")
     in_graph("set", namespace, timeout, node=node, values=dict(zip(pairs[::2], pairs[1::2], strict=True)))
 
 
-@click.command(short_help="Ask a node to start, stop, reset …, or to change its lifecycle.")
+@click.command(short_help="Call a service of a node (start, stop, reset …), or change its lifecycle.")
 @click.argument("node", type=NodeName())
 @click.argument("action")
 @steered()
 def call(node, action, namespace, timeout):
-    """Ask NODE for ACTION: a service (start, stop, reset, home, release, freeze, save …) or a lifecycle transition.
+    """Call ACTION of NODE: a service (start, stop, reset, home, release, freeze, save …) or a lifecycle transition.
 
     Transitions: configure, activate, deactivate, cleanup, shutdown.
     """
     in_graph("call", namespace, timeout, node=node, action=action)
 
 
-@click.command(short_help="Print what is said on a topic.")
+@click.command(short_help="Print the messages of a topic.")
 @click.argument("topic")
 @click.option("--once", is_flag=True, help="End after one message.")
-@click.option("--count", type=click.IntRange(1), help="End after so many messages.")
+@click.option("--count", type=click.IntRange(1), help="End after this number of messages.")
 @steered()
 def echo(topic, once, count, namespace, timeout):
     """Print the messages of TOPIC, e.g. joint_states, reference, motion_controller/state; Ctrl-C ends it."""
@@ -130,17 +127,17 @@ def echo(topic, once, count, namespace, timeout):
 
 
 @click.command(
-    short_help="Move an axis by hand.",
-    # a negative setpoint is no option
+    short_help="Send a setpoint to a running axis.",
+    # a negative setpoint is not an option
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("value")
 @steered(timeout=30.0)  # an axis that is started for the first time compiles
 def setpoint(value, namespace, timeout):
-    """Give the axis the setpoint VALUE, e.g. 5um or 5.0e-6m, and say whether its reference source takes it.
+    """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether its reference source accepts it.
 
-    Ends with exit code 2 when it is refused (out of range, axis not active or stopped), and with 1 when the source is
-    not found or does not answer: then it is not known to be taken.
+    Exit code 2: it is refused (out of range, axis not active or stopped). Exit code 1: the source is not found or does
+    not answer, and it is unknown whether the setpoint was accepted.
     """
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.units import quantity_in

@@ -23,30 +23,30 @@ from hysteresis_ros.cli.progress import shown
 @click.argument("config", type=ConfigurationName())
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
 @params_file_option
-@click.option("--duration", type=Quantity("s"), help="Length of the run [s]; the configuration's own by default.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run [s]; by default that of the configuration.")
 @click.option(
     "--setpoints",
-    help="Recording whose setpoints (of an inchworm requests and speeds too) are replayed, sample by sample.",
+    help="Recording whose setpoints (for an inchworm also requests and speeds) are replayed, sample by sample.",
 )
 @click.option(
     "--fault",
     "faults",
     multiple=True,
     metavar="NAME:START:DURATION[:VALUE]",
-    help="Make this go wrong; may be repeated.",
+    help="Inject this fault; repeatable.",
 )
-@click.option("--learned", metavar="FILE", help="Write what was learned at the end, for learning.file.")
+@click.option("--learned", metavar="FILE", help="Write the learned correction at the end, for learning.file.")
 @click.option(
     "--drift",
     type=float,
     nargs=2,
     metavar="GAIN OPENING",
-    help="By which part gain and opening of the plant's hysteresis change over the run, as 0.2 -0.1.",
+    help="Relative change of gain and loop width of the plant's hysteresis over the run, such as 0.2 -0.1.",
 )
 @reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
 def simulate(config, output, laid_over, duration, setpoints, faults, learned, drift, namespace, reference):
-    """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
+    """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.loop.reach import reach_warnings, single_axis
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.simulation import simulate as run_offline

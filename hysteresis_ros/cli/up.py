@@ -42,17 +42,19 @@ from hysteresis_ros.cli.options import (
 @split_options
 @click.option("--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default until Ctrl-C.")
 @click.option(
-    "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
+    "--rate",
+    type=click.Choice(["realtime", "lockstep", "fused"]),
+    help="Time mode; by default that of the configuration.",
 )
-@click.option("--fused", is_flag=True, help="One process whose samples one compiled thread makes, in real time.")
-@click.option("--factor", type=float, help="Real-time factor; the configuration's by default.")
-@click.option("--force", is_flag=True, help="Run fused at a rate that this machine does not hold, too.")
+@click.option("--fused", is_flag=True, help="Run the loop in one compiled thread of one process, in real time.")
+@click.option("--factor", type=float, help="Real-time factor; by default that of the configuration.")
+@click.option("--force", is_flag=True, help="Run fused even at a rate that this machine does not achieve.")
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours publishes joint_states in plant_simulator's place.",
+    help="external: a node of yours replaces plant_simulator and publishes joint_states.",
 )
 @click.option("--namespace", help="Start only the axis in this namespace.")
 @click.option("--watch", is_flag=True, help="Show each axis in the browser, as hysteresis watch does.")
@@ -66,7 +68,7 @@ from hysteresis_ros.cli.options import (
     "faults",
     multiple=True,
     metavar="NAME:START:DURATION[:VALUE]",
-    help="Make this go wrong; may be repeated.",
+    help="Inject this fault; repeatable.",
 )
 @reference_options
 @click.option(
@@ -96,9 +98,9 @@ def up(
     log_level,
     reference,
 ):
-    """Start all nodes of CONFIG and bring them down together.
+    """Start all nodes of CONFIG and stop them together.
 
-    Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
+    Exit code 0: after --duration or Ctrl-C; 1: a node has died; 2: wrong input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -144,7 +146,7 @@ def up(
 
 
 def _pages(axes):
-    """Return the pages of axes; only who asks for them loads what serves them."""
+    """Return the pages of axes; imports the server only when pages are requested."""
     from hysteresis_ros.registry import resolved
 
     options = resolved("hysteresis_ros.laboratory.watch.serving:PageOptions")()
@@ -152,7 +154,7 @@ def _pages(axes):
 
 
 def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | None:
-    """Return the time mode that was asked for."""
+    """Return the requested time mode."""
     if fused and (rate not in (None, "fused") or processes is not None):
         other = f"--rate {rate}" if processes is None else "--processes or --composed"
         raise click.UsageError(f"--fused and {other} exclude each other")
@@ -160,7 +162,7 @@ def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | N
 
 
 def _overridden(configuration, rate, factor, force, plant):
-    """Return the configuration with what the options say otherwise."""
+    """Return the configuration with the changes of the options."""
     everywhere = {"exit_at_end": True, "autostart": True}
     if rate:
         everywhere["time_mode"] = rate
@@ -173,7 +175,7 @@ def _overridden(configuration, rate, factor, force, plant):
 
 
 def _check_together(found, verify: bool, record: str | None, factor: float | None) -> None:
-    """Refuse, or warn of, options that make no sense in the axes' time modes."""
+    """Refuse options that are invalid in the time modes of the axes, or warn of them."""
     modes = {axis.plant_simulator.time_mode for axis in found}
     if verify and not (record and modes <= {"lockstep", "fused"}):
         raise click.UsageError(
@@ -184,7 +186,7 @@ def _check_together(found, verify: bool, record: str | None, factor: float | Non
 
 
 def _what_runs(axis, composed: bool) -> str:
-    """Return in a line what runs, at which rate, and for how long."""
+    """Return a line with the time mode, the rate and the length of the run."""
     plant = axis.plant_simulator
     seconds = plant.samples / plant.sample_rate
     length = f"for {seconds:g} s of the axis" if plant.samples else "until Ctrl-C"
@@ -196,12 +198,12 @@ def _what_runs(axis, composed: bool) -> str:
     return f"{how}: {plant.sample_rate:g} Hz, real-time factor {plant.real_time_factor:g}, {length}"
 
 
-#: Size of a bag [bytes] up to which it is read once more at the end of a run; of a longer one `report` says it.
+#: Maximum size of a bag that is read again at the end of a run [bytes]; for a larger one use `report`.
 LOOKED_AT = 300_000_000
 
 
 def _say_limited(graph) -> None:
-    """Say first of a recorded run that limits kept its output from what was asked, when it was more than a moment."""
+    """Warn of a recorded run whose output was limited for more than a moment."""
     from hysteresis_ros.analysis.metrics import limited_text
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.recordings.align import read_recording
@@ -212,13 +214,13 @@ def _say_limited(graph) -> None:
         try:
             limited = limited_text(read_recording(bag, axis.namespace, further=True))
         except HysteresisError:
-            continue  # what is wrong with the bag is said below, or by whoever reads it
+            continue  # errors of the bag are reported below, or when it is read
         if limited:
             click.echo(f"hysteresis: warning: {axis.namespace}{': ' if axis.namespace else ''}{limited}", err=True)
 
 
 def _say_recorded(graph) -> None:
-    """Name the bags; a recorder that died or had no room has left one that is shorter than the run: no good end."""
+    """Print the bags; one whose recorder died or ran out of space is shorter than the run, which is an error."""
     short = "; it ends before the run, and hysteresis repair makes it whole if it was cut off" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")

@@ -469,7 +469,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Tell which periods have no missed deadline, and do not follow one that has: the axis answers to it for a while."""
+    """Return which periods have no missed deadline and do not follow one that has, which still disturbs the axis."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 
