@@ -43,9 +43,9 @@ from launch_ros.substitutions import ExecutableInPackage
 PACKAGE = "hysteresis_ros"
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller")
 CONFIGURATIONS = pathlib.Path(__file__).resolve().parents[1] / "config"
-#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
+#: Maximum rate on the wall clock at which nodes that exchange messages almost always answer in time [Hz].
 MESSAGE_RATE = 300.0
-#: Seconds the others have to leave by themselves after one has left without an error, as at the end of a run.
+#: Time for the other nodes to exit after one has exited without an error, as at the end of a run [s].
 PATIENCE = 5.0
 
 ARGUMENTS = (
@@ -67,7 +67,7 @@ ARGUMENTS = (
         "plant",
         default_value="own",
         choices=["own", "external"],
-        description="external: a node of yours publishes joint_states in plant_simulator's place",
+        description="external: a node of yours replaces plant_simulator and publishes joint_states",
     ),
     DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
     DeclareLaunchArgument(
@@ -94,7 +94,7 @@ ARGUMENTS = (
         "log_level",
         default_value="info",
         choices=["debug", "info", "warn", "error", "fatal"],
-        description="what the nodes print at least",
+        description="log level of the nodes",
     ),
 )
 
@@ -200,10 +200,10 @@ def override(given: dict, config: str) -> dict:
         common["exit_at_end"] = True
         keeper["samples"] = int(given["samples"])
     if given["record"]:
-        # In lockstep the plant keeps within reach of the recorder, so that not one message is lost.
+        # In lockstep the plant waits for the recorder, so that no message is lost.
         keeper["wait_for_recorder"] = True
         recorder = {"path": given["record"], "configuration": config}
-    # whoever keeps the run: with a plant of somebody else the source of references
+    # the node that owns the run: with an external plant the reference source
     keeps = "reference_generator" if given["plant"] == "external" else "plant_simulator"
     patterns = {"/**": common, "/**/reference_generator": source, "/**/inchworm_sequencer": source}
     patterns |= {f"/**/{keeps}": {**patterns.get(f"/**/{keeps}", {}), **keeper}, "/**/recorder": recorder}
@@ -238,7 +238,7 @@ def state_publisher(config: str, namespace: str):
 
 
 def positive(text: str) -> bool:
-    """Tell whether a text is a number above zero."""
+    """Return whether a text is a number above zero."""
     try:
         return 0.0 < float(text) < float("inf")
     except ValueError:
@@ -246,7 +246,7 @@ def positive(text: str) -> bool:
 
 
 def merged(config: str, overrides: dict) -> str:
-    """Return the text of a parameter file with what the arguments set: what a recording is a run of."""
+    """Return the text of a parameter file with the values of the arguments: the configuration of a recording."""
     with open(config, encoding="utf-8") as stream:
         content = yaml.safe_load(stream) or {}
     for pattern, section in overrides.items():
@@ -256,7 +256,7 @@ def merged(config: str, overrides: dict) -> str:
 
 
 def values_of(content, name: str):
-    """Yield every value that a parameter file gives a parameter, whatever node it is for."""
+    """Yield every value of a parameter in a parameter file, for any node."""
     for key, value in content.items() if isinstance(content, dict) else ():
         if key == name:
             yield value
@@ -265,13 +265,13 @@ def values_of(content, name: str):
 
 
 def describes(config: str, name: str, value) -> bool:
-    """Tell whether the parameter file gives a parameter this value somewhere."""
+    """Return whether the parameter file gives a parameter this value for any node."""
     with open(config, encoding="utf-8") as stream:
         return value in values_of(yaml.safe_load(stream), name)
 
 
 def too_fast_for_messages(config: str, factor: str = "") -> bool:
-    """Tell whether the parameter file asks for real time at a rate that nodes with messages between them do not hold.
+    """Return whether the parameter file requests real time at a rate that is too high for nodes with messages.
 
     A driver may be one that only they can call, and without Numba nothing faster is there. A ``factor`` that is given
     counts in the place of the file's.
@@ -286,10 +286,10 @@ def too_fast_for_messages(config: str, factor: str = "") -> bool:
 
 
 def has_section(config: str, namespace: str, node: str) -> bool:
-    """Tell whether the parameter file has a section of a node for this namespace.
+    """Return whether the parameter file has a section of a node for this namespace.
 
-    An ``inchworm_sequencer`` takes the place of the reference generator, a ``displacement_camera`` comes besides.
-    Sections stand under ``/**/NODE``, or under the full name of the node, also as one mapping within the other.
+    An ``inchworm_sequencer`` replaces the reference generator; a ``displacement_camera`` is additional. Sections are
+    under ``/**/NODE``, or under the full name of the node, also as nested mappings.
     """
     full = "/".join(["", *namespace.strip("/").split("/"), node]).replace("//", "/")
 
@@ -330,7 +330,7 @@ def require_parameters(path: pathlib.Path) -> None:
     Raises
     ------
     ValueError
-        It says why, and what is allowed.
+        The message states why, and what is allowed.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -343,10 +343,10 @@ def require_parameters(path: pathlib.Path) -> None:
 
 
 def farewell(name: str, running: set, dispensable: bool = False):
-    """Return what is done when the process ``name`` leaves: none of an axis goes on without the others.
+    """Return the actions when the process ``name`` exits: no node of an axis runs without the others.
 
-    A recorder in real time is ``dispensable``: when it dies nothing is recorded any more, and the axis goes on. One
-    that refuses to begin (exit code 2) ends the axis.
+    A recorder in real time is ``dispensable``: when it dies, recording ends and the axis continues. A recorder that
+    fails to start (exit code 2) ends the axis.
     """
 
     def on_exit(event, context):

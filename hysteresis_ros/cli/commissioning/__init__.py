@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Commissioning: from a new parameter file to a closed loop that was judged, stage by stage; no ROS.
+"""Commissioning: from a new parameter file to a verified closed loop, stage by stage; imports no ROS.
 
 Read ``stages`` first (their order and what each moves), then ``situation`` (what every stage knows), and the stages
 themselves: ``measuring`` (open loop), ``fitting`` (model and controller), ``closed_loop``. ``bench`` runs an axis for

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where the axis of a stage runs: offline, or through its nodes; imports no ROS itself."""
+"""Benches that run the axis of a stage: offline, or through its nodes; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hysteresis_ros.nodes.launcher import Graph, require_ros
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
 
-#: Why an axis has stopped itself, and what to do.
+#: Causes of a trip of the axis, and remedies.
 TRIPPED = {
     WITHOUT_VOLTAGE: "too many voltages came late: this machine does not hold the rate; lower sample_rate, leave a "
     "core free, or use a compiled driver (docs/hardware.md)",
@@ -130,7 +130,7 @@ class GraphBench(Bench):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
             options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
             if not self._external:
-                # nobody steers this graph: a running axis of the user must not hear its commands
+                # isolated: a running axis of the user must not receive the commands of this graph
                 options["environment"] = stack.enter_context(Domain()).environment
             with Graph([in_time(axis)], **options) as graph:
                 graph.wait()

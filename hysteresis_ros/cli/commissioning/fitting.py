@@ -39,7 +39,7 @@ SAMPLES_A_CYCLE = 100
 #: Of the models that were tried besides the best, so many stand for the stage when controllers are judged, if their
 #: errors on blocks held out are below the best one's by this factor.
 OTHERS, AS_LIKELY = 2, 3.0
-#: They are, without a trial.
+#: Models that count as such without a trial.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
 #: Stages that move in open loop before anything is designed.
 MOVED = ("gain", "resonance", "hysteresis", "creep")
@@ -154,7 +154,7 @@ def _other_file(situation: Situation, name: str):
 
 
 def _loops(found: Identified) -> list[Picture]:
-    # before, nobody knows the past
+    # before that the history is unknown
     known = slice(found.validation.skipped, None)
     voltage, measured, modelled = found.data.input[known], found.data.output[known], found.predicted[known]
     both = [line("measured", voltage, MICRO * measured), line("model", voltage, MICRO * modelled)]

@@ -38,7 +38,7 @@ CREEP_PART = 0.8
 
 
 def listening(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return the voltage [V] under which the sensor is listened to: the safe one."""
+    """Return the voltage [V] at which the sensor noise is measured: the safe one."""
     return hold(safe, plan.noise_duration, rate)
 
 
@@ -103,7 +103,7 @@ MICRO = 1e6
 
 
 def _name_unit(value: float, expected: float) -> str:
-    """Return a remark about a factor that looks like a unit's."""
+    """Return a remark about a factor that looks like a wrong unit."""
     factor = abs(value / expected)
     for power in (1e3, 1e6, 1e9):
         for ratio in (power, 1.0 / power):
@@ -257,7 +257,7 @@ def _delay(found: FrequencyResponse, peak: int) -> float:
 
 
 def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the decaying cycles: stroke, and how far the loop is open."""
+    """Judge the decaying cycles: stroke, and width of the hysteresis loop."""
     voltage, measured = recording["voltage"], recording["measured"]
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     stroke = float(np.ptp(measured))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The parameter file of an axis of which nothing is known yet: open loop, no inverse, small limits, slow."""
+"""The parameter file of an unknown axis: open loop, no inverse, small limits, slow."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ $driver
 
 @dataclass(frozen=True)
 class NewAxis:
-    """What a person says of a new axis."""
+    """The user's data of a new axis."""
 
     stroke: float  #: Displacement over the range of voltage [m].
     minimum: float  #: minimum, maximum: Range of voltage [V].
@@ -85,7 +85,7 @@ class NewAxis:
     sample_rate: float  #: [Hz]
     driver: str = ""  #: Name or path of a driver; empty: the simulated plant.
     driver_options: tuple[str, ...] = ()  #: ``NAME=VALUE`` each.
-    external: bool = False  #: A node of the user's own stands in the plant's place.
+    external: bool = False  #: Whether a node of the user replaces the plant.
     joint: str = "stage"  #: Name in ``joint_states``.
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What every stage of a commissioning knows: the axis, the plan of what may be moved, the outcomes of earlier stages.
+"""Common data of the stages of a commissioning: the axis, the plan of allowed movements, earlier outcomes.
 
 The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences
 and pictures for a page) is kept as JSON in the folder of the commissioning, beside the recordings.
@@ -36,16 +36,16 @@ from hysteresis_ros.references.recipes import driven, write_samples
 
 
 class CommissioningError(HysteresisError):
-    """Something looks wrong: nothing goes on before a person has looked."""
+    """A result is implausible; commissioning stops until the user has checked it."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage found."""
+    """Outcome of a stage."""
 
-    lines: list[str]  #: What a person is told.
+    lines: list[str]  #: Sentences for the user.
     figures: dict = field(default_factory=dict)  #: By names with units.
     pictures: list[Picture] = field(default_factory=list)
     seconds: float = 0.0  #: How long the axis was driven.
@@ -64,7 +64,7 @@ class Outcome:
 
 
 def verdict(ratio: float, most: float) -> str:
-    """Return in words whether something is as it was predicted."""
+    """Return a text that compares a ratio of result to prediction with its limit."""
     return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"
 
 
@@ -74,7 +74,7 @@ SECTION = "/commissioning"
 
 @dataclass(frozen=True)
 class Plan(Parameters):
-    """What a commissioning may move and how."""
+    """Allowed movements of a commissioning."""
 
     minimum: float = parameter(description="lowest voltage that it may put out", unit="V", low=-1e4, high=1e4)
     maximum: float = parameter(description="highest voltage that it may put out", unit="V", low=-1e4, high=1e4)
@@ -159,7 +159,7 @@ STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "co
 
 
 class Folder:
-    """What is kept between the stages of a commissioning."""
+    """Folder with the data kept between the stages of a commissioning."""
 
     def __init__(self, path, text: str, bench: str, resumed: bool):
         self.path = pathlib.Path(path)
@@ -202,7 +202,7 @@ class Folder:
         write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)
 
     def outcome(self, stage: str) -> Outcome | None:
-        """Return what a stage found; None when it is not done."""
+        """Return the outcome of a stage; None when it is not done."""
         path = self.path / f"{stage}.json"
         try:
             return Outcome.from_mapping(self._read(path)) if path.exists() else None
@@ -210,16 +210,16 @@ class Folder:
             raise ConfigurationError(f"{path}: is no outcome; do the stage again: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
-        """Keep what a stage found: it is done."""
+        """Store the outcome of a stage, which is then done."""
         self._write(f"{stage}.json", asdict(outcome))
 
     def forget(self, stages: Iterable[str]) -> None:
-        """Let stages count as not done."""
+        """Mark stages as not done."""
         for stage in stages:
             (self.path / f"{stage}.json").unlink(missing_ok=True)
 
     def record(self, stage: str, recording: Recording) -> None:
-        """Keep the recording of a stage."""
+        """Store the recording of a stage."""
         save_run(recording, self.path / f"{stage}.npz")
 
     def recording(self, stage: str) -> Recording:
@@ -238,7 +238,7 @@ NOTHING = 1e-4
 
 @dataclass
 class Situation:
-    """What every stage knows."""
+    """Common data of all stages."""
 
     configuration: Configuration  #: The parameter file, with what the command line says of the plant.
     axis: AxisParameters
@@ -246,7 +246,7 @@ class Situation:
     folder: Folder
     model: str = "auto"  #: model, controller: What to identify and to design, or ``auto``.
     controller: str = "auto"
-    #: Other models that a controller has to bear as well; by default what is nearly as good.
+    #: Other models that a controller must also tolerate; by default those with almost the same error.
     against: tuple[str, ...] | None = None
     #: Called as ``progress(number, text)`` by what takes long.
     progress: Callable[[int, str], None] = lambda number, text: None
@@ -295,13 +295,13 @@ class Situation:
         # the gain that is expected: what the axis may measure follows from it
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
-        if "noise" in self.found:  # before, nobody knows where the sensor's zero is
+        if "noise" in self.found:  # before that stage the sensor's zero is unknown
             values |= {"preload.A1": self.figure("noise", "sensor_zero_m"), "overtravel": OVERTRAVEL * self.plan.stroke}
         return values
 
     @property
     def has_device(self) -> bool:
-        """Whether something else than the simulated plant of the file moves."""
+        """Whether a real device moves, not the simulated plant of the file."""
         plant = self.axis.plant_simulator
         return bool(plant.driver) or plant.external_plant
 

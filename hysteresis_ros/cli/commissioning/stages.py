@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of a commissioning in their order, and their sequence: what is done is passed over, the rest is run."""
+"""The stages of a commissioning in their order, and their sequence: finished stages are skipped."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Computation:
-    """A stage in which nothing moves."""
+    """A stage without movement."""
 
     title: str  #: A few words.
     compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: what was found.
@@ -139,17 +139,17 @@ STAGES: dict[str, Stage | Computation] = {
 
 
 class Attendant(Protocol):
-    """Who is asked before anything moves, and told what was found."""
+    """Gives permission before a movement, and receives the outcomes."""
 
     def may_move(self, stage: str, words: str) -> bool:
-        """Tell what is about to move and return whether it may."""
+        """Announce a movement and return whether it is allowed."""
 
     def told(self, stage: str, outcome: Outcome, done_before: bool) -> None:
-        """Hear what a stage found."""
+        """Receive the outcome of a stage."""
 
 
 class NotAllowedError(CommissioningError):
-    """Nobody allowed the next movement."""
+    """The next movement was not allowed."""
 
 
 def require_stages(stages: Iterable[str]) -> None:
@@ -161,7 +161,7 @@ def require_stages(stages: Iterable[str]) -> None:
 
 
 def commission(situation: Situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = ()) -> bool:
-    """Do the stages in their order, without those that are done."""
+    """Run the stages in their order, without finished ones."""
     asked = set(stages)
     names = list(STAGES)
     for place, name in enumerate(names):
@@ -175,7 +175,7 @@ def commission(situation: Situation, bench: Bench, attendant: Attendant, stages:
         missing = [other for other in names[:place] if other not in situation.found]
         if missing:
             raise CommissioningError(f"{name} needs what {', '.join(missing)} find; do them first, or all in a row")
-        # what was found later rested on what is done anew
+        # later outcomes depend on the repeated stage
         situation.folder.forget(names[place:])
         outcome = _done(situation, bench, attendant, name)
         situation.folder.keep(name, outcome)
