@@ -38,7 +38,7 @@ NOT_OURS = {
     r"all the same": ("nevertheless; identical", 21),
     r"makes samples": ("runs the loop", 2),
     r"free weights": ("non-parametric density", 3),
-    r"mishaps?": ("fault case", 188),
+    r"mishaps?": ("fault case", 202),
     r"rivals?": ("competing model, competing publisher", 38),
 }
 

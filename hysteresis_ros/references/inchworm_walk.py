@@ -11,7 +11,8 @@
 
 A cycle is the gait's six processes; its phase goes from 0 to 1 from the middle of one return to the middle of the next.
 The path of the slider is a straight line over the phase while it is carried and stands while the extender returns. To
-the extender's motion a correction is added that is learned over the phase (:mod:`hysteresis_ros.references.inchworm_walk`): what
+the extender's motion a correction is added that is learned over the phase
+(:mod:`hysteresis_ros.references.inchworm_walk`): what
 depends on where the motor is in its cycle repeats there at any speed.
 """
 

@@ -524,7 +524,7 @@ def parse_variations(
         raise refused(vary, "", "give a list of such words, or a mapping from NODE.PARAMETER to its range")
     if isinstance(vary, Mapping):
         for target, over in vary.items():
-            given.append((target, over if isinstance(over, (str, Range)) else Levels(over)))
+            given.append((target, over if isinstance(over, (str, Range)) else Levels(tuple(over))))
     else:
         for text in vary:
             target, mark, words = text.partition("=")
@@ -532,8 +532,8 @@ def parse_variations(
                 raise refused(text, "", "write NODE.PARAMETER=RANGE, as motion_controller.pid.Kp=0.1:2:log20")
             given.append((target, words))
     found: list[Variation] = []
-    for target, words in given:
-        found += [_variation(name, words, axis) for name in _whole_plant(target.strip(), axis)]
+    for target, asked in given:
+        found += [_variation(name, asked, axis) for name in _whole_plant(target.strip(), axis)]
     labels = [one.label for one in found]
     twice = [label for label in labels if labels.count(label) > 1]
     if twice:
