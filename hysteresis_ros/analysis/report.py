@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -198,7 +199,7 @@ def _samples_per_voltage(recording: Recording) -> int:
     if not recording.has("voltage"):
         return 1
     changes = np.flatnonzero(np.diff(recording["voltage"]) != 0.0)
-    return int(np.gcd.reduce(np.diff(changes))) if changes.size > 2 else 1
+    return math.gcd(*np.diff(changes).tolist()) if changes.size > 2 else 1
 
 
 def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:

@@ -102,7 +102,7 @@ def response_run(
     middle = _size("--offset", asked.offset, unit, gain, ends, 0.5, ends[0])
     samples, plan = excitation(asked.experiment, rate, shape)
     moved = middle + peak * samples
-    low, high = float(moved.min()), float(moved.max())
+    low, high = float(np.min(moved)), float(np.max(moved))
     if not peak > 0.0 or low < ends[0] or high > ends[1]:
         what = "reference" if asked.loop == "closed" else place
         raise ConfigurationError(

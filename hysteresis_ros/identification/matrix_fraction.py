@@ -144,7 +144,7 @@ def identify_matrix_fraction(
         raise FitError(f"order = {order}: must be within 1 … {highest}, what degree {degree} and the lines allow")
     orders = np.arange(1, highest + 1)
     best = [min((c for c in candidates if len(c.models) >= n), key=_misfit_with(int(n))) for n in orders]
-    misfit = np.array([candidate.misfits[n - 1] for n, candidate in zip(orders, best, strict=True)])
+    misfit = np.array([candidate.misfits[int(n) - 1] for n, candidate in zip(orders, best, strict=True)])
     size = response_misfit(None, data, deviation)
     enough = misfit <= max((1.0 + tolerance) * misfit.min(), ROUNDING * size)
     suggested = int(orders[np.argmax(enough)])

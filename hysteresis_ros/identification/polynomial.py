@@ -261,7 +261,7 @@ def _weights(matrix, wanted, criterion):
     if criterion == "maximum":
         for _ in range(REWEIGHTINGS):
             size = np.abs(residual)
-            weight *= LEAST_WEIGHT * size.max() + size
+            weight *= LEAST_WEIGHT * np.max(size) + size
             weight /= weight.max()
             weighted = weight[:, None] * u
             residual = u @ np.linalg.solve(u.T @ weighted, weighted.T @ wanted) - wanted
