@@ -77,7 +77,9 @@ def find_holds(reference) -> list[Hold]:
     moving = np.diff(reference) != 0.0
     edges = np.concatenate(([0], np.flatnonzero(moving | np.isnan(np.diff(reference))) + 1, [reference.size]))
     long = np.flatnonzero(np.diff(edges) >= HOLD_SAMPLES)
-    return [Hold(int(edges[i]), int(edges[i + 1]), float(reference[int(edges[i])])) for i in long]
+    return [
+        Hold(start, end, float(reference[start])) for start, end in edges[np.stack([long, long + 1], axis=1)].tolist()
+    ]
 
 
 def scan_start(reference, displacement) -> int:

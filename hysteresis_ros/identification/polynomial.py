@@ -262,7 +262,7 @@ def _weights(matrix, wanted, criterion):
         for _ in range(REWEIGHTINGS):
             size = np.abs(residual)
             weight *= LEAST_WEIGHT * np.max(size) + size
-            weight /= weight.max()
+            weight /= np.max(weight)
             weighted = weight[:, None] * u
             residual = u @ np.linalg.solve(u.T @ weighted, weighted.T @ wanted) - wanted
     return np.sqrt(weight), criterion
