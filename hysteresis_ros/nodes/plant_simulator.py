@@ -367,7 +367,8 @@ class PlantSimulatorNode(AxisNode):
             with self.lock:
                 if not self.runner.missing_partners():
                     self.part.start()
-                    self.runner.go_on()
+                    if not self.part.tripped:
+                        self.runner.go_on()
                     self.log_change("start")
         elif self.running:
             self.fused.go_on()

@@ -98,7 +98,7 @@ WRONG = {
     "no actuator's rate": ((*STAGE[:4], "--rate", "2000kHz"), "--rate: 2e+06 Hz: actuators have"),
     "messages": ((*STAGE, "--plant", "external"), "take a sample rate of 300 Hz"),
     "driver": ((*STAGE, "--driver", "simulatd"), "did you mean simulated?"),
-    "no driver there": ((*STAGE, "--driver", "./nothing.py"), "nothing.py is not there"),
+    "no driver there": ((*STAGE, "--driver", "./nothing.py"), "nothing.py does not exist"),
     "options alone": ((*STAGE, "--driver-option", "a=1"), "belongs to --driver"),
     "two plants": ((*STAGE, "--driver", "simulated", "--plant", "external"), "exclude each other"),
     "rate": ((*STAGE[:4], "--rate", "0Hz"), "--rate: 0 Hz"),

@@ -40,7 +40,7 @@ def refusal(*words) -> str:
     [
         (["simulat", "kim2009"], "did you mean simulate?"),
         (["identfy"], "did you mean identify?"),
-        (["xyzzy"], "there are demo, new"),
+        (["xyzzy"], "there are up, simulate"),
         (["--versoin"], "'--version'"),
         (["simulate", "kim2009", "--durati", "1"], "'--duration'"),
         (["compare", "kim2009", "--mismach", "1"], "'--mismatch'"),

@@ -242,7 +242,7 @@ def test_an_interrupt_ends_the_command_and_all_who_work_for_it():
 def printed_rows(title: str) -> dict[tuple[str, str], list[str]]:
     """Return the cells behind the names of the rows of a table in the documentation."""
     text = DOCUMENT.read_text(encoding="utf-8")
-    lines = text[text.index(title) :].splitlines()
+    lines = text[text.index(f"\n{title}\n") + 1 :].splitlines()
     heading = next(line for line in lines if "controller" in line)
     first, second = heading.index("controller"), heading.index("compensator")
     found = {}

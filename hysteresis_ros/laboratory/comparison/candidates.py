@@ -117,11 +117,11 @@ class Known:
         return single_axis(self.configuration)
 
     def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
-        """Return the axis with a candidate's parameters."""
+        """Return the axis with a candidate's parameters, at a task or at rest: steps of its file do not matter."""
         found = self.configuration.override("motion_controller", **candidate.motion_controller)
         found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
         if task is None:
-            return single_axis(found)
+            return single_axis(found.override("reference_generator", waveform__type="hold"))
         found = found.override("reference_generator", **task.overrides())
         if not candidate.learning:
             return single_axis(found)
