@@ -145,7 +145,7 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
         plant.home()
     plant.halt()
     run(plant, [60.0])
-    with pytest.raises(ParameterError, match="home is the place at safe_voltage"):  # stopped, and not there yet
+    with pytest.raises(ParameterError, match="home is the position at safe_voltage"):  # stopped, and not there yet
         plant.home()
     run(plant, [60.0] * 400)
     plant.start()

@@ -149,7 +149,7 @@ def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer,
     assert not references
     stage(processes, 150.0)
     until(lambda: references, what="the beginning")
-    until(lambda: "sample_rate is 100 Hz" in up.output, what="the other rate said")
+    until(lambda: "for sample_rate 100 Hz" in up.output, what="the other rate said")
     assert up.leave(signal.SIGINT)[0] == 0
 
 

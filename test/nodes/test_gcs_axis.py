@@ -98,7 +98,7 @@ def test_an_axis_whose_controller_says_a_wrong_line_is_safe_and_says_which(runni
     assert (
         any(reason in said() for reason in reasons)
         and "another program has" not in said()
-        and "by another program" not in said()
+        and "servo switched" not in said()
         and "still" not in said()
     )
     assert amplifier.open_value == 0.0
