@@ -268,7 +268,7 @@ WRONG = [
     ("drop:0:1:1.5", "VALUE must be within 0 … 1"),
     ("late:0:1:0", "VALUE must be within 1 … 10000 samples"),
     ("late:0:1:2.5", "VALUE must be within 1 … 10000 samples"),
-    ("lost_grip:0:1", "only for an inchworm motor"),
+    ("lost_grip:0:1", "only an inchworm motor has it"),
 ]
 
 
@@ -325,7 +325,7 @@ def test_faults_stand_in_a_configuration_once_for_all_nodes():
     [
         ("motion_controller", {"faults": ["stale:0:1"]}, "motion_controller: faults", "give it once, under '/**'"),
         ("every", {"faults": ["frosen:0:1"]}, "faults", "did you mean frozen?"),
-        ("every", {"faults": ["lost_grip:0:1"]}, "faults", "only for an inchworm motor"),
+        ("every", {"faults": ["lost_grip:0:1"]}, "faults", "only an inchworm motor has it"),
         ("every", {"faults": ["stale:0:0.0001"]}, "faults", "shorter than a sample"),
     ],
 )

@@ -115,7 +115,7 @@ def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allow
     led.masters.release()
     pass_time(led, 0.1)
     led.master.take(2.0, THEIRS)
-    assert led.taken[-1] == 2.0 and "/voltage is taken from /stranger now" in led.node.told[0]
+    assert led.taken[-1] == 2.0 and "/voltage is now accepted from /stranger" in led.node.told[0]
     assert "allowed by ~/reset" in led.node.told[0] and not led.node.replaced
     led.master.take(1.0, OURS)  # now it is the second one
     assert led.taken[-1] == 2.0
