@@ -321,7 +321,7 @@ def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(insi
         return 52.0 in seen
 
     until(followed, what="the other one's voltage, long before the time-out")
-    assert not {50.0, 51.0} & set(seen)
+    assert 50.0 not in seen  # the last 51.0 may have been under way when it was allowed
 
 
 def test_a_node_does_not_go_to_work_where_somebody_leads(inside, observer, monkeypatch):
