@@ -324,7 +324,7 @@ def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting(monkeypa
     heard, left = [], {}
 
     def node(name, listens_for, waiting):
-        runner = SimpleNamespace(part=int, go_safe=int, exact=False)
+        runner = SimpleNamespace(leave=int, go_safe=int, exact=False)
         at_exit = {"listens_at_exit": True, "listens_for": listens_for}
         made = SimpleNamespace(active=True, is_fused=True, runner=runner, **at_exit)
         made.wait_acknowledged = lambda deadline: None
