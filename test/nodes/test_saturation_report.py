@@ -49,7 +49,7 @@ def test_commands_that_are_not_carried_out_are_reported(inside, observer, change
 
     until(lambda: (send(11.0e-6), "command saturated" in said())[1], what="saturation to be reported")
     words = said().split()
-    wanted, carried_out = float(words[3]), float(words[7])
+    wanted, carried_out = float(words[3]), float(words[6])
     assert wanted > carried_out > 4.0 and carried_out < 6.0, said()
     assert diagnostics(reports, "/motion_controller")[0] == 1
     assert int(diagnostics(reports, "/motion_controller")[2]["saturated_commands"]) > 0
@@ -67,5 +67,5 @@ def test_an_answer_to_an_earlier_command_is_no_shortfall_and_a_cut_one_is():
         shortfall.carried_out(1e-6 * max(k - 3, 0))
     assert shortfall.count == 0 and not shortfall.report()
     shortfall.carried_out(25e-6)
-    assert shortfall.count == 1 and "wanted 19 µm, carried out 25 µm" in shortfall.report()
+    assert shortfall.count == 1 and "commanded 19 µm, achieved 25 µm" in shortfall.report()
     assert not shortfall.report()
