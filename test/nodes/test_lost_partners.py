@@ -194,7 +194,7 @@ def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain, pause
     try:
         command = stranger.talk(Float64, "/command")
         stranger.node.create_timer(0.02, lambda: command.publish(Float64(data=THEIRS)))
-        until(lambda: "nothing of" in graph.nodes["hysteresis_compensator"].output, what="the stranger refused")
+        until(lambda: "refused from" in graph.nodes["hysteresis_compensator"].output, what="the stranger refused")
         graph.at_work()
         since = len(graph.states)
         graph.nodes["motion_controller"].send(signal.SIGSTOP)
