@@ -50,6 +50,7 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
         _take_changes=lambda: None,
         _samples=written,
         recording=written,
+        _opened=written,
         bag=written,
         _lost=0,
         _fused_plant=plant,
