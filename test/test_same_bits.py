@@ -122,6 +122,9 @@ UNORDERED = re.compile(
 )
 #: Files that judge, with what they may use for it.
 JUDGES = {
+    # the error of a singular matrix has NumPy's name; how fast a reference may be is refused or printed
+    "models/linear_algebra.py": {"np.linalg"},
+    "loop/reach.py": {"cmath", "import cmath"},
     "control/state_feedback.py": {"np.linalg", "@"},
     # a search whose result is written in four digits; margins and printed modes
     "designs/damping.py": {"np.linalg", "np.exp", "np.sinh"},

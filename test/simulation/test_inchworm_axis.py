@@ -137,7 +137,12 @@ def test_the_schedule_of_the_configuration_is_the_default_run():
         ("motion_controller", {"use_origin": False}, "use_origin", "must be true"),
         ("inchworm_sequencer", {"gait__clamp_settling": 5e-4}, "gait.clamp_settling", "must be ≥ 0.000782 s"),
         ("inchworm_sequencer", {"gait__grip_voltage": 130.0}, "gait.grip_voltage", "0 … 120 V"),
-        ("inchworm_sequencer", {"gait__highest_extension": 12e-6}, "gait.highest_extension", "beyond the range of the compensator"),
+        (
+            "inchworm_sequencer",
+            {"gait__highest_extension": 12e-6},
+            "gait.highest_extension",
+            "beyond the range of the compensator",
+        ),
         ("inchworm_sequencer", {"maximum": 2e-2}, "inchworm_sequencer: maximum", "-0.01 … 0.01 m"),
         ("inchworm_sequencer", {"gait__walking_speed": 1e-3}, "gait.walking_speed", "reaches 0.000307692 m/s"),
     ],
