@@ -16,6 +16,7 @@ searched; for each trial the weights ≥ 0 and the constants follow by linear le
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from copy import copy
 
 import numpy as np
@@ -29,7 +30,7 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters
 SEARCH_STRENGTH = 1e-2
 
 
-class PlayFit:
+class PlayFit(ABC):
     """A model of plays on one set of data."""
 
     #: Numbers of the shape that are searched: name, start, and ends of the range.
@@ -41,17 +42,13 @@ class PlayFit:
         self.data = data
         self.numbers: dict[str, float] = {}
 
+    @abstractmethod
     def columns(self, shape: dict[str, float]) -> np.ndarray:
         """Return the regressors for a shape, shape (N, m), in the order of the weights, zero at rest."""
-        raise NotImplementedError
 
+    @abstractmethod
     def parameters(self) -> HysteresisParameters:
         """Return the numbers as parameters of the block."""
-        raise NotImplementedError
-
-    def like(self, data: Condensed) -> PlayFit:
-        """Return the same structure for other data, not fitted yet."""
-        raise NotImplementedError
 
     def solve(self, part, shape) -> np.ndarray:
         """Return the residual [m] of the weights for one trial of the search."""

@@ -24,6 +24,7 @@ import functools
 import math
 import numbers
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -53,16 +54,16 @@ SPREADS = ("uniform", "loguniform", "normal")
 WAYS = "write 0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), loguniform(A,B), normal(MEAN,DEVIATION)"
 
 
-class Range:
+class Range(ABC):
     """What a parameter varies over, in SI units or in parts of the configured value."""
 
+    @abstractmethod
     def over(self, row: ParameterRow) -> Levels | Spread:
         """Return the levels or the distribution of a parameter; ValueError says why it cannot have them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def words(self, unit: str = "") -> str:
         """Return how ``--vary`` writes the range of a parameter with this SI unit."""
-        raise NotImplementedError
 
     def __str__(self) -> str:
         return self.words()
