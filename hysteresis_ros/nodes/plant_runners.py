@@ -27,11 +27,13 @@ from hysteresis_ros.nodes.realtime import (
     HEARD,
     HERE,
     LEAST_MISSED,
+    LONGEST_CHECK,
     LOST,
     PLANT,
     PRESENCES,
     STARTED,
     STARTING,
+    AwakeTime,
     RealTime,
 )
 from hysteresis_ros.nodes.spin import QUIET
@@ -198,9 +200,11 @@ class RealTimePlant(RealTime):
         # the thread writes one, the executor the other
         self._asked = 0
         self._given: dict[str, int] = {}
+        self._heard: dict[str, float] = {}  #: Awake time of the last voltage of each topic [s].
         self._unaligned = False
         self._settling = self._unsettled = 0
         super().__init__(node)
+        self._awake_time = AwakeTime(min(max(LONGEST_CHECK, 2.0 * self.period), 0.5 * self._loss_time))
 
     def connect(self) -> None:
         """Subscribe to the presence of the nodes."""
@@ -223,6 +227,7 @@ class RealTimePlant(RealTime):
                 if who in self._gone:
                     self._gone.discard(who)
                     self._coming.add(who)
+                    self._await_voltages()
                 self.settle()
         elif state in (LOST, HEARD) and node.active and node.running and reporter != node.kind:
             if state == LOST:
@@ -241,18 +246,23 @@ class RealTimePlant(RealTime):
 
     def missing_partners(self) -> str:
         """Return the lost nodes without which the axis cannot continue; empty when none is lost."""
-        now = time.monotonic()
+        now = self._awake_time.at(time.monotonic())
         stopped = self.node.inputs if self.node.part.silent else ()
         silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}
         return " and ".join(sorted({*self._lost.values(), *silent}))
 
+    @property
+    def _loss_time(self) -> float:
+        """Time of silence after which a partner is lost [s]."""
+        return max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
+
     def _is_silent(self, input_, now: float) -> bool:
-        """Return whether the voltages of an active node have been missing for the time-out."""
-        limit = max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
+        """Return whether the voltages of an active node have been missing for the time-out, at an awake time [s]."""
+        limit = self._loss_time
         if input_.received - input_.first < STARTING:
             limit = max(limit, STARTING)
         at_work = input_.count >= (1 if input_.partner in self._known else AT_WORK)
-        return at_work and now - input_.received > limit
+        return at_work and now - self._heard.get(input_.topic, now) > limit
 
     def replaced(self, topic: str, name: str) -> None:
         """Another process of a node sends voltages: the one before is lost unless it has said that it stops."""
@@ -266,11 +276,18 @@ class RealTimePlant(RealTime):
                 with node.lock:
                     node.lose(name or partner)
 
+    def _await_voltages(self) -> None:
+        """Count silence from now, as of partners that have just begun: without this node none could send voltages."""
+        now = time.monotonic()
+        for input_ in self.node.inputs:
+            input_.first = now
+            self._heard[input_.topic] = self._awake_time.at(now)
+
     def _look_for_losses(self) -> None:
         """Stop the axis when voltages have stopped unannounced; called with the lock held."""
         node, part = self.node, self.node.part
+        now = self._awake_time.look(time.monotonic())
         if part.silent and not self._gone and not node.leaving and not self._lost:
-            now = time.monotonic()
             silent = [input_.partner for input_ in node.inputs if self._is_silent(input_, now)]
             if silent and not part.lost:
                 node.lose(silent[0])
@@ -357,6 +374,8 @@ class RealTimePlant(RealTime):
         self._coming.discard(input_.partner)
         given = self._given[input_.topic] = min(self._given.get(input_.topic, 0) + 1, self._asked)
         node.receive(input_, message.data)
+        if math.isfinite(message.data):
+            self._heard[input_.topic] = self._awake_time.at(time.monotonic())
         if input_.received:
             self._answers[self._answered % ANSWERS] = input_.received - self._published[given % PUBLISHED]
             self._answered += 1

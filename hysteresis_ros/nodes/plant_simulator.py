@@ -118,7 +118,7 @@ class VoltageInput:
         """Begin anew."""
         self.value = math.nan
         self.received = 0.0
-        #: Number of voltages so far, and the time of the first one [s].
+        #: Number of voltages so far, and the time of the first one since the loop was last opened [s].
         self.count, self.first = 0, 0.0
         self.full_name = self.topic
 

@@ -15,8 +15,9 @@ by the next measurement is late: the sample is answered without it, and its mess
 input that is late repeatedly is not awaited until it returns.
 
 A partner of which nothing comes for the time-out of the node that needs it, and for a few samples, is *lost*, unless
-it has said that it stops. The node keeps its own part safe, and says so to the plant, which stops the axis, latched: it
-goes on when the partner is back and a person calls ``~/start``. That is so whichever node is lost, and at any rate. In
+it has said that it stops; a halt of the node's own process is no silence of others (:class:`AwakeTime`). The node keeps
+its own part safe, and says so to the plant, which stops the axis, latched: it goes on when the partner is back and a
+person calls ``~/start``. That is so whichever node is lost, and at any rate. In
 the first seconds of a partner, in which a busy machine leaves gaps, its silence has to last as long as these; a partner
 that comes back as another process without having said that it stops was lost at any time.
 """
@@ -36,6 +37,9 @@ from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 
 #: Interval of the check of an input that may have stopped [s].
 WATCHDOG_PERIOD = 0.01
+
+#: Longest interval between two checks that counts whole as time in which a partner was silent [s].
+LONGEST_CHECK = 2.0 * WATCHDOG_PERIOD
 
 #: Presence messages: a node reports that it is active or stopped (``here NODE``, ``gone NODE``), and that a partner is
 #: lost or back (``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``; NAME is the partner's full name).
@@ -78,6 +82,28 @@ WAITED = 0.5
 
 #: Maximum number of samples counted in one check of a stopped input.
 MOST_MISSED = 20000
+
+
+class AwakeTime:
+    """Time [s] in which this process ran: what it was halted or starved for is nothing that a partner was silent for.
+
+    :meth:`look` is called at each check of the inputs; of a longer interval than ``longest`` [s] between two checks no
+    more than that counts, so a partner whose messages still wait in a queue is not lost.
+    """
+
+    def __init__(self, longest: float):
+        self._longest = longest
+        self._looked = (0.0, time.monotonic())  # one value, because two threads read it
+
+    def at(self, moment: float) -> float:
+        """Return the awake time at a moment of the monotonic clock, which is not before the last check."""
+        awake, looked = self._looked
+        return awake + min(moment - looked, self._longest)
+
+    def look(self, now: float) -> float:
+        """Count the time since the last check, and return the awake time."""
+        self._looked = (self.at(now), now)
+        return self._looked[0]
 
 
 class Follower:
@@ -234,6 +260,7 @@ class RealTimeResponder(RealTime):
         self._pairing = Pairing()
         self._last_stamp = -1
         self._counted = self._last = self._looked = self._heard = time.monotonic()
+        self._awake_time = AwakeTime(min(LONGEST_CHECK, 0.5 * self.loss_time))
         self._backlog = 0
         self.silent = False
 
@@ -416,7 +443,7 @@ class RealTimeResponder(RealTime):
 
     def _note(self, place: int, partner: str) -> None:
         """Record the arrival of the measurement (0) or of an input (1 + its index)."""
-        now = self._heard_at[place] = time.monotonic()
+        now = self._heard_at[place] = self._awake_time.at(time.monotonic())
         self._first_at[place] = self._first_at[place] or now
         self._heard_count[place] += 1
         if partner in self._lost:
@@ -424,13 +451,13 @@ class RealTimeResponder(RealTime):
         self._coming.discard(partner)
 
     def _note_measurement(self) -> None:
-        now = time.monotonic()
+        now = self._awake_time.at(time.monotonic())
         if now - self._heard_at[0] > PAUSED * self.loss_time:
             self._flowing = now
         self._note(0, PLANT)
 
     def _missing(self, now: float) -> dict[str, str]:
-        """Return the lost partners: kind → full name, or kind when the name is not known."""
+        """Return the lost partners at an awake time [s]: kind → full name, or kind when the name is not known."""
         node, excused = self.node, self._gone | self._coming
         heard, counts = self._heard_at, self._heard_count
 
@@ -524,13 +551,14 @@ class RealTimeResponder(RealTime):
         now = time.monotonic()
         if self._stood_still(now):
             self._backlog, self._heard = node.parameters.queue_depth, now
+        awake = self._awake_time.look(now)
         if now - self._looked > SUSPENDED * WATCHDOG_PERIOD:
-            self._awake = now
+            self._awake = awake
         self._looked = now
         if not node.active or node.sample == 0:
             return
         self._count_missed(now)
-        self._look_for_losses(now)
+        self._look_for_losses(awake)
 
     def _count_missed(self, now: float) -> None:
         """Count the samples without a trigger."""

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-import gc
+import ctypes
 import time
 from collections import deque
 
@@ -67,7 +67,11 @@ def late_axis(inside):
 
 
 def settled(plant):
-    until(lambda: abs(plant.row[DISPLACEMENT] - SETPOINT) < 2e-8 and plant.sample > 40, what="the axis at its setpoint")
+    def there():
+        assert not plant.part.lost, f"{plant.part.lost} is lost"
+        return abs(plant.row[DISPLACEMENT] - SETPOINT) < 2e-8 and plant.sample > 40
+
+    until(there, what="the axis at its setpoint")
 
 
 def more(plant, samples: int) -> None:
@@ -171,15 +175,24 @@ def test_lateness_from_the_very_beginning_is_noticed(inside):
     until(lambda: plant.part.tripped, what="the trip")
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="open: alone it passes; after other tests in one process the axis is not back at its setpoint within 60 s",
-)
+@pytest.mark.parametrize("pause", [0.03, 0.07])
+def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
+    """A collection of garbage in a large process takes this long: messages wait in queues, and no partner is lost."""
+    plant, *_ = late_axis(voltage_timeout=0.05, late_limit=-1)
+    settled(plant)
+    time.sleep(2.5)  # the time in which partners that have just begun are excused
+    for _ in range(6):
+        ctypes.PyDLL(None).usleep(int(1e6 * pause))  # it holds the lock of the interpreter
+        more(plant, 20)
+        assert not plant.part.lost and not plant.part.tripped
+    settled(plant)
+
+
 def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observer):
     # a busy machine may be late now and then; what is asked is that leaving adds nothing to it
-    gc.collect()  # nodes of tests before
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=100)
     settled(plant)
+    more(plant, 300)  # beyond the time in which partners that have just begun are excused
     for name in NODES[1:]:
         assert observer.transition(f"/{name}", "deactivate")
         more(plant, 30)

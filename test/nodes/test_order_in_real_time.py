@@ -23,7 +23,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, write_axis  # noqa: E402
 
 from hysteresis_ros.nodes import realtime  # noqa: E402
-from hysteresis_ros.nodes.realtime import GIVE_UP, SUSPICION, Follower, RealTimeResponder  # noqa: E402
+from hysteresis_ros.nodes.realtime import GIVE_UP, SUSPICION, AwakeTime, Follower, RealTimeResponder  # noqa: E402
 from hysteresis_ros.nodes.responder import Input  # noqa: E402
 
 SAMPLES = 200
@@ -79,6 +79,20 @@ def off(recorded, twin, shift: int) -> float:
 
 
 # -- messages that do not come as they should, without DDS ----------------------------------------------------------
+
+
+def test_awake_time_leaves_out_what_the_process_was_halted_for(monkeypatch):
+    moment = 100.0
+    monkeypatch.setattr(realtime.time, "monotonic", lambda: moment)
+    awake = AwakeTime(longest=0.02)
+    for _ in range(10):
+        moment += 0.01
+        assert awake.look(moment) == pytest.approx(moment - 100.0)
+    heard = awake.at(moment)
+    # halted for a second: before the next check and at it no more than the longest interval has passed
+    assert awake.at(moment + 1.0) - heard == pytest.approx(0.02)
+    assert awake.look(moment + 1.0) - heard == pytest.approx(0.02)
+    assert awake.at(moment + 1.005) - heard == pytest.approx(0.025)
 
 
 def test_a_message_waits_for_its_measurement_and_a_measurement_for_its_message():
