@@ -47,7 +47,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     "--offset", metavar="TEXT", help="Operating point, e.g. 40V or 30um; without unit a fraction of the range.  [0.5]"
 )
 @click.option("--low", metavar="FREQUENCY", help="Lowest frequency, e.g. 2Hz.")
-@click.option("--high", metavar="FREQUENCY", help="Highest frequency; 0.4 of the sample rate by default.")
+@click.option("--high", metavar="FREQUENCY", help="Highest frequency; 0.48 of the sample rate by default.")
 @click.option(
     "--period", metavar="TIME", help="Period of a multisine, of the blocks of a stepped sine, of the segments of noise."
 )

@@ -36,7 +36,7 @@ GROUP = 4
 #: Samples of a period by default, and of a sine of a stepped one at least.
 PERIOD, STEP = 2000, 200
 #: Highest frequency by default, as a part of the sample rate.
-HIGHEST = 0.4
+HIGHEST = 0.48
 #: Lines that a multisine has at least, samples a cycle of a stepped sine, segments of noise by default.
 LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
 #: Samples that no recording has.

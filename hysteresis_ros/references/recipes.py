@@ -85,8 +85,11 @@ WHOLE_CYCLES, DECAYING_CYCLES, DECAY_CYCLES = 2, 20, 5.0
 LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
 #: Small excitations take this part of the range (peak), large ones all of it.
 SMALL = 0.1
-#: Frequencies stay below this part of the sample rate.
+#: Frequencies that are asked for stay below this part of the sample rate.
 HIGHEST = 0.2
+#: Multisine and chirp excite up to this part of the sample rate: above what a recording holds, a design has to assume a
+#: resonance, which costs a feedback with gain there its bandwidth.
+EXCITED = 0.48
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,7 @@ def _multisine(asked: _Asked) -> Excitation:
         "offset": asked.middle,
         "amplitude": asked.small,
         "frequency": line,
-        "multisine.last_harmonic": max(int(2.0 * HIGHEST * asked.sample_rate / line), 1),
+        "multisine.last_harmonic": max(int(EXCITED * asked.sample_rate / line), 1),
     }
     return Excitation(waveform, asked.duration or 6.0 / line)
 
@@ -173,7 +176,7 @@ def _chirp(asked: _Asked) -> Excitation:
         "offset": asked.middle,
         "amplitude": asked.small,
         "frequency": asked.frequency or 4.0 / length,
-        "chirp.final_frequency": 2.0 * HIGHEST * asked.sample_rate,
+        "chirp.final_frequency": EXCITED * asked.sample_rate,
         "chirp.duration": length,
         "chirp.sweep": "logarithmic",
     }

@@ -21,7 +21,7 @@ from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outco
 from hysteresis_ros.identification.frequency_response import FrequencyResponse, multisine_response
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
-from hysteresis_ros.references.recipes import HIGHEST, REST, SMALL, WAY, hold, recipe, there_and_back, way
+from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, recipe, there_and_back, way
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
@@ -207,7 +207,7 @@ def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
     voltage, measured = recording["voltage"][steady], recording["measured"][steady]
     whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
     # above there is nothing but what limits and noise make of the voltage
-    found = whole.band(whole.frequency[0], 2.0 * HIGHEST * situation.rate)
+    found = whole.band(whole.frequency[0], EXCITED * situation.rate)
     size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
     if np.median(noise / size) > 0.5:
         raise CommissioningError(
