@@ -11,7 +11,8 @@
 
 Read :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
 (:mod:`.declaration`). The inchworm's setpoints go through :mod:`.inchworm_sequencer`, whose steps and walk stand in
-files of their own. :mod:`.recipes` has the excitations of identifications.
+files of their own. :mod:`.recipes` has the excitations of identifications, :mod:`.scan` and ``scans/`` the paths of
+several axes over a plane.
 
 The package itself has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.

@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import pathlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,7 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     if reader is None:
         raise refused("path", path, "unknown kind of file; allowed: .csv, .npz, .npy")
     try:
-        time, values = reader(source, column)
+        time, (values,) = reader(source, [column])
     except KeyError as error:
         raise refused("column", column, str(error.args[0])) from None
     except (OSError, ValueError, csv.Error) as error:
@@ -128,19 +129,42 @@ def _name_and_unit(text: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (text.strip(), None)
 
 
-def _read_csv(source: pathlib.Path, column: str):
+def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarray | None, list[np.ndarray]]:
+    """Return the column ``time`` [s] of a CSV or NPZ, None where there is none, and columns of lengths [m].
+
+    Parameters
+    ----------
+    source : Path
+        Its suffix says what it is.
+    columns : sequence of str
+        Names without units, which the header of a CSV gives.
+
+    Raises
+    ------
+    KeyError
+        A column is missing, or its unit.
+    ValueError
+        The content is not numbers in columns of one length.
+    """
+    return (_read_npz if source.suffix.lower() == ".npz" else _read_csv)(source, columns)
+
+
+def _read_csv(source: pathlib.Path, columns: Sequence[str]):
     with source.open(newline="", encoding="utf-8-sig") as stream:
         rows = csv.reader(line for line in stream if line.strip() and not line.startswith("#"))
         header = [_name_and_unit(text) for text in next(rows, [])]
         names = [name for name, _ in header]
-        if column not in names:
-            raise KeyError(f"{source} has no such column; its header has {', '.join(names) or 'nothing'}")
-        unit = header[names.index(column)][1]
-        if unit not in LENGTH_UNITS:
-            raise KeyError(
-                f"its header in {source} must name the unit, e.g. {column} [m]; allowed: {', '.join(LENGTH_UNITS)}"
-            )
-        wanted = [(names.index(column), LENGTH_UNITS[unit])]
+        wanted = []
+        for column in columns:
+            if column not in names:
+                named = "such column" if len(columns) == 1 else f"column {column}"
+                raise KeyError(f"{source} has no {named}; its header has {', '.join(names) or 'nothing'}")
+            unit = header[names.index(column)][1]
+            if unit not in LENGTH_UNITS:
+                raise KeyError(
+                    f"its header in {source} must name the unit, e.g. {column} [m]; allowed: {', '.join(LENGTH_UNITS)}"
+                )
+            wanted.append((names.index(column), LENGTH_UNITS[unit]))
         if "time" in names:
             unit = header[names.index("time")][1]
             if unit not in TIME_UNITS:
@@ -152,22 +176,26 @@ def _read_csv(source: pathlib.Path, column: str):
                 raise ValueError(f"data row {number} has {len(row)} fields, the header {len(header)}")
             for target, (index, factor) in zip(data, wanted, strict=True):
                 target.append(float(row[index]) * factor)
-    return (np.array(data[1]) if len(data) > 1 else None), np.array(data[0], dtype=float)
+    found = [np.array(values, dtype=float) for values in data]
+    return (found.pop() if "time" in names else None), found
 
 
-def _read_npz(source: pathlib.Path, column: str):
+def _read_npz(source: pathlib.Path, columns: Sequence[str]):
     arrays = read_arrays(source)
-    if column not in arrays:
-        raise KeyError(f"{source} has no such array; it has {', '.join(arrays) or 'nothing'}")
+    for column in columns:
+        if column not in arrays:
+            named = "such array" if len(columns) == 1 else f"array {column}"
+            raise KeyError(f"{source} has no {named}; it has {', '.join(arrays) or 'nothing'}")
     time = _real(arrays["time"]) if "time" in arrays else None
-    values = _real(arrays[column])
-    if time is not None and time.shape != values.shape:
-        raise ValueError(f"time has shape {time.shape} and {column} {values.shape}; they must be equal")
-    return time, values
+    found = [_real(arrays[column]) for column in columns]
+    for column, values in zip(columns, found, strict=True):
+        if time is not None and time.shape != values.shape:
+            raise ValueError(f"time has shape {time.shape} and {column} {values.shape}; they must be equal")
+    return time, found
 
 
-def _read_npy(source: pathlib.Path, column: str):
-    return None, _real(read_array(source))
+def _read_npy(source: pathlib.Path, columns: Sequence[str]):
+    return None, [_real(read_array(source))]
 
 
 def _real(array: np.ndarray) -> np.ndarray:

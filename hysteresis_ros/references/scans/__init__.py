@@ -1,0 +1,80 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Scans of a plane: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+
+The folder holds nothing else. What a scan declares is described in :mod:`hysteresis_ros.references.scan`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hysteresis_ros.configuration import ParameterRow
+from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
+from hysteresis_ros.references.scan import Scan, ScanShape
+from hysteresis_ros.registry import discover
+
+#: The scans by name. Other packages add theirs by an entry point: ``zigzag = my_package.zigzag:SCAN``.
+SCANS: dict[str, ScanShape] = discover(__name__, "SCAN", ScanShape, "hysteresis_ros.scans")
+
+
+def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
+    """Return a scan, with its parameters checked.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`SCANS`.
+    values : mapping of str to object
+        Its parameters in SI; what is left out has its default.
+
+    Returns
+    -------
+    Scan
+
+    Raises
+    ------
+    ParameterError
+        There is no such scan, or a parameter is unknown, missing or out of range.
+    """
+    return shape_of(kind).parameters.from_mapping(values)
+
+
+def shape_of(kind: str) -> ScanShape:
+    """Return what is declared of a scan.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`SCANS`.
+
+    Raises
+    ------
+    ParameterError
+        There is no such scan.
+    """
+    if kind not in SCANS:
+        allowed = f"there is no such scan; there are {', '.join(SCANS)}{did_you_mean(kind, SCANS)}"
+        raise ParameterError([Problem("scan", kind, allowed)])
+    return SCANS[kind]
+
+
+def rows_of(kind: str) -> dict[str, ParameterRow]:
+    """Return the parameters of a scan by name, its own first.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`SCANS`.
+    """
+    shared = {row.name for row in Scan.table()}
+    rows = shape_of(kind).parameters.table()
+    return {row.name: row for row in sorted(rows, key=lambda row: row.name in shared)}

@@ -1,0 +1,139 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Cycloid: circles whose middle drifts along u, in one frame there and in the next one back.
+
+The middle goes at a constant velocity and turns smoothly around the beginnings of frames
+(:mod:`hysteresis_ros.references.pieces`); it swings beyond the ends by as much as the turn needs. One tone and the slow
+drift make up the path. Trajectories of this kind: Yong, Moheimani and Petersen 2010
+(doi 10.1088/0957-4484/21/36/365503).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hysteresis_ros.configuration import parameter
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.references.pieces import LAWS, Builder, Pieces
+from hysteresis_ros.references.scan import Passes, Scan, ScanShape
+
+
+@dataclass(frozen=True)
+class Cycloid(Scan):
+    """Loops over a rectangle.
+
+    Parameters
+    ----------
+    width : float
+        Along u, circles included, without the swing of the turns [m].
+    diameter : float
+        Of the circles, which is the other side [m].
+    lines : int
+        Circles of a frame.
+    turn : float
+        Part of a frame in which the drift turns.
+    turn_law : str
+        Of the turn.
+    """
+
+    width: float = parameter(description="along u, circles included", unit="m", low=1e-12, high=1.0)
+    diameter: float = parameter(description="of the circles", unit="m", low=1e-12, high=1.0)
+    lines: int = parameter(128, description="circles of a frame", low=2, high=100_000)
+    turn: float = parameter(0.05, description="part of a frame in which the drift turns", low=0.001, high=0.95)
+    turn_law: str = parameter("minimum_jerk", description="law of the turn", choices=LAWS)
+
+    def check(self) -> Iterable[Problem]:
+        """Yield entries that exclude each other."""
+        yield from super().check()
+        if self.width <= self.diameter:
+            yield Problem("width", self.width, f"m: must be more than the diameter of the circles, {self.diameter:g} m")
+
+    @property
+    def frames_per_period(self) -> int:
+        """Number of frames after which the path repeats."""
+        return 2
+
+    @property
+    def size(self) -> float:
+        """Length of the longer side [m]."""
+        return self.width
+
+    @property
+    def gap(self) -> float:
+        """Distance of one circle from the next [m]."""
+        return (self.width - self.diameter) / ((1.0 - self.turn) * self.lines)
+
+    @property
+    def constant_share(self) -> float:
+        """Part of the time of a frame in which the middle drifts at a constant velocity."""
+        return 1.0 - self.turn
+
+    @property
+    def frequency(self) -> float:
+        """Circles per second [Hz]."""
+        return self.lines * self.rate
+
+    @cached_property
+    def _drift(self) -> Pieces:
+        """The middle over two frames, from the end of a turn on."""
+        span = self.width - self.diameter
+        velocity = span / (1.0 - self.turn)
+        made = Builder(-0.5 * span, self.turn_law)
+        made.line(1.0 - self.turn, velocity)
+        made.position = 0.5 * span
+        made.turn(self.turn, velocity)
+        made.line(1.0 - self.turn, -velocity)
+        made.position = -0.5 * span
+        made.turn(self.turn, -velocity)
+        return made.done()
+
+    def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+
+        Parameters
+        ----------
+        frames : ndarray, shape (N,)
+        order : int, optional
+        """
+        speed = 2.0 * math.pi * self.lines
+        circle = 0.5 * self.diameter * (1j * speed) ** order * np.exp(1j * speed * frames)
+        return np.array([circle.real + self._drift(np.mod(frames - 0.5 * self.turn, 2.0), order)[0], circle.imag])
+
+    def plane_range(self, matrix: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds of combinations of u and v, or of their derivatives, shapes (A,).
+
+        Parameters
+        ----------
+        matrix : ndarray, shape (A, 2)
+        order : int
+        """
+        circle = 0.5 * self.diameter * (2.0 * math.pi * self.lines) ** order * np.hypot(*matrix.T)
+        low, high = self._drift.range(matrix[:, :1], order)
+        if order == 3 and self.turn_law == "parabolic":
+            jumps = np.where(matrix[:, 0] != 0.0, np.inf, 0.0)
+            return -circle - jumps, circle + jumps
+        return low - circle, high + circle
+
+    @cached_property
+    def passes(self) -> Passes:
+        """The passes of a period: circles; the second frame has the lines of the first in reverse."""
+        number = np.arange(2 * self.lines)
+        ahead = number < self.lines
+        line = np.where(ahead, number, 2 * self.lines - 1 - number)
+        each = np.full(number.size, 1.0 / self.lines)
+        return Passes(number / self.lines, each, line, np.where(ahead, 1, -1))
+
+
+SCAN = ScanShape("cycloid", Cycloid, "circles whose middle drifts")
