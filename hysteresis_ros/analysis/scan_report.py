@@ -1,0 +1,352 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""How well a plane was scanned: figures, the map of the error, line by line, trace against retrace, and their page.
+
+Errors are reference - displacement. Where data are taken (:class:`hysteresis_ros.references.scan.Passes`) they count;
+turns and flyback have a figure of their own. Along is the direction of the lines, across the other one in the plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hysteresis_ros.analysis.page import render_page, require_page, write_page
+from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
+from hysteresis_ros.analysis.tables import shown_row
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.references.scan import Clock, Scan
+from hysteresis_ros.units import readable
+
+#: Most bins of the map along the longer side, and points of a path in a picture.
+BINS, PATH_POINTS = 64, 20_000
+_MICRO = 1e6
+#: Rows of the table: name, words, unit, factor.
+ROWS = (
+    ("rms_error_m", "RMS error in the plane", "µm", 1e6),
+    ("rms_error_percent", "RMS error in the plane", "% of size", 1.0),
+    ("max_error_m", "Largest error in the plane", "µm", 1e6),
+    ("max_error_percent", "Largest error in the plane", "% of size", 1.0),
+    ("along_error_m", "RMS error along the lines", "µm", 1e6),
+    ("across_error_m", "RMS error across the lines", "µm", 1e6),
+    ("coupling_error_m", "Coupling: RMS across a line, about its mean", "µm", 1e6),
+    ("coupling_error_percent", "Coupling", "% of size", 1.0),
+    ("trace_retrace_m", "Trace - retrace along the lines, RMS over pixels", "µm", 1e6),
+    ("worst_line_m", "RMS error of the worst line", "µm", 1e6),
+    ("normal_error_m", "RMS error of the third axis", "µm", 1e6),
+    ("turn_error_m", "RMS error in turns and flyback", "µm", 1e6),
+    ("size_m", "Size", "µm", 1e6),
+    ("gap_m", "Largest distance of neighbouring lines", "µm", 1e6),
+    ("constant_share_percent", "Data at a constant velocity", "% of time", 1.0),
+    ("frames", "Frames", "", 1.0),
+    ("samples", "Samples that count", "", 1.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanRun:
+    """A scan that was run."""
+
+    scan: Scan
+    time: np.ndarray  #: shape (N,); Since the scan began, increasing [s].
+    reference: np.ndarray  #: shape (axes, N) [m]
+    displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
+
+    def __post_init__(self):
+        """Refuse shapes that do not fit, and a run without a sample that counts."""
+        expected = (self.scan.axes, np.size(self.time))
+        for name in ("reference", "displacement"):
+            given = np.shape(getattr(self, name))
+            if given != expected:
+                raise RecordingError(f"{name} has shape {given}, must be {expected}: axes of the scan, samples")
+        if not np.any(self.counted):
+            raise RecordingError("no sample of the run lies on a line of the scan and has a displacement")
+
+    @cached_property
+    def clock(self) -> Clock:
+        """Line, pixel and frame of each sample."""
+        return self.scan.clock(self.time)
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Reference - displacement, shape (axes, N) [m]."""
+        return self.reference - self.displacement
+
+    @cached_property
+    def in_plane(self) -> np.ndarray:
+        """Error along and across the lines, shape (2, N) [m]."""
+        return self.scan.matrix[:2].T @ self.error[:2]
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Magnitude of the error in the plane, shape (N,) [m]."""
+        return np.hypot(*self.error[:2])
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """Samples at which all is known, shape (N,)."""
+        return np.all(np.isfinite(self.error), axis=0)
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Samples whose error counts: those on lines, shape (N,)."""
+        return self.measured & (self.clock.line >= 0)
+
+
+@dataclass(frozen=True, eq=False)
+class LineErrors:
+    """Errors pass by pass, in the order of time."""
+
+    frame: np.ndarray  #: frame, line, direction: shape (P,)
+    line: np.ndarray
+    direction: np.ndarray
+    rms: np.ndarray  #: shape (P,); In the plane [m].
+    across: np.ndarray  #: shape (P,); RMS across the line about its mean [m].
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Mean errors along the lines at each pixel, over all lines and frames; NaN: no sample there."""
+
+    trace: np.ndarray  #: trace, retrace: shape (pixels,) [m]
+    retrace: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorMap:
+    """Errors over the plane, in bins by the reference; NaN where there is no sample."""
+
+    x: np.ndarray  #: x, y: shape (columns + 1,), (rows + 1,); Edges of the bins [m].
+    y: np.ndarray
+    count: np.ndarray  #: shape (rows, columns); Samples of each bin.
+    mean: np.ndarray  #: shape (2, rows, columns); Of x and y [m].
+    rms: np.ndarray  #: shape (rows, columns); Of the magnitude [m].
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def line_errors(run: ScanRun) -> LineErrors:
+    """Return the errors of each pass over the plane."""
+    clock, on = run.clock, run.counted
+    keys = np.stack([clock.frame[on], clock.line[on], clock.direction[on]])
+    changes = np.flatnonzero(np.any(np.diff(keys, axis=1) != 0, axis=0)) + 1
+    starts = np.concatenate([[0], changes])
+    number = np.diff(np.append(starts, keys.shape[1]))
+    across = run.in_plane[1, on]
+    mean = np.add.reduceat(across, starts) / number
+    spread = np.add.reduceat((across - np.repeat(mean, number)) ** 2, starts) / number
+    rms = np.sqrt(np.add.reduceat(run.size[on] ** 2, starts) / number)
+    return LineErrors(*keys[:, starts], rms, np.sqrt(spread))
+
+
+def profile(run: ScanRun) -> Profile:
+    """Return the mean error along the lines, traces and retraces apart."""
+    clock, along, found = run.clock, run.in_plane[0], []
+    for direction in (1, -1):
+        on = run.counted & (clock.direction == direction)
+        number = np.bincount(clock.pixel[on], minlength=run.scan.pixels)
+        total = np.bincount(clock.pixel[on], along[on], minlength=run.scan.pixels)
+        found.append(np.divide(total, number, out=np.full(number.size, np.nan), where=number > 0))
+    return Profile(*found)
+
+
+def error_map(run: ScanRun, bins: int | None = None) -> ErrorMap:
+    """Return the map of the error in the plane; by default with bins that neighbouring lines do not leave empty."""
+    on = run.counted
+    places, errors = run.reference[:2, on], run.error[:2, on]
+    low, high = places.min(axis=1), places.max(axis=1)
+    span = np.maximum(high - low, 1e-12)
+    if bins is None:
+        gap = run.scan.gap if np.isfinite(run.scan.gap) else 0.0
+        bins = int(np.clip(min(BINS, span.max() / max(gap, span.max() / BINS), np.sqrt(on.sum() / 4.0)), 1, BINS))
+    counts = np.maximum(np.rint(bins * span / span.max()).astype(int), 1)
+    edges = [low[i] + span[i] * np.arange(counts[i] + 1) / counts[i] for i in range(2)]
+    cell = [np.clip(((places[i] - low[i]) / span[i] * counts[i]).astype(int), 0, counts[i] - 1) for i in range(2)]
+    flat, shape = cell[1] * counts[0] + cell[0], (counts[1], counts[0])
+    number = np.bincount(flat, minlength=counts.prod())
+
+    def averaged(values):
+        total = np.bincount(flat, values, minlength=number.size)
+        return np.divide(total, number, out=np.full(number.size, np.nan), where=number > 0).reshape(shape)
+
+    mean = np.array([averaged(values) for values in errors])
+    rms = np.sqrt(averaged(np.sum(errors**2, axis=0)))
+    return ErrorMap(edges[0], edges[1], number.reshape(shape), mean, rms)
+
+
+def retraced(run: ScanRun) -> bool:
+    """Tell whether traces and retraces go over the same places, so that they can be compared."""
+    return run.scan.slow_axis and bool(np.any(run.scan.passes.direction < 0))
+
+
+def scan_figures(run: ScanRun) -> dict:
+    """Return the figures of a scan, see :data:`ROWS`; None: not of this kind of scan.
+
+    Coupling is the error of the axis that does not scan: across a line, about its mean over the line, because an offset
+    of the whole line is an error of that axis itself.
+    """
+    scan, on = run.scan, run.counted
+    lines, sides = line_errors(run), profile(run)
+    turning = run.measured & (run.clock.line < 0)
+    coupling = None
+    if scan.slow_axis:
+        samples = np.diff(np.append(np.flatnonzero(_begins(run)), on.sum()))
+        coupling = float(np.sqrt(np.average(lines.across**2, weights=samples)))
+    difference = sides.trace - sides.retrace
+    largest = float(np.max(run.size[on]))
+    rms = _rms(run.size[on])
+    return {
+        "rms_error_m": rms,
+        "rms_error_percent": 100.0 * rms / scan.size,
+        "max_error_m": largest,
+        "max_error_percent": 100.0 * largest / scan.size,
+        "along_error_m": _rms(run.in_plane[0, on]) if scan.slow_axis else None,
+        "across_error_m": _rms(run.in_plane[1, on]) if scan.slow_axis else None,
+        "coupling_error_m": coupling,
+        "coupling_error_percent": None if coupling is None else 100.0 * coupling / scan.size,
+        "trace_retrace_m": float(np.sqrt(np.nanmean(difference**2))) if retraced(run) else None,
+        "worst_line_m": float(np.max(lines.rms)),
+        "normal_error_m": _rms(run.error[2, on]) if scan.axes == 3 else None,
+        "turn_error_m": _rms(run.size[turning]) if np.any(turning) else None,
+        "size_m": scan.size,
+        "gap_m": scan.gap if np.isfinite(scan.gap) else None,
+        "constant_share_percent": 100.0 * scan.constant_share if scan.constant_share else None,
+        "frames": float((run.time[-1] - run.time[0]) * scan.rate),
+        "samples": int(on.sum()),
+    }
+
+
+def _begins(run: ScanRun) -> np.ndarray:
+    """Return which of the samples that count are the first of their pass."""
+    clock, on = run.clock, run.counted
+    keys = np.stack([clock.frame[on], clock.line[on], clock.direction[on]])
+    return np.concatenate([[True], np.any(np.diff(keys, axis=1) != 0, axis=0)])
+
+
+def path_figure(run: ScanRun):
+    """Return the figure of the path in the plane, coloured by the error."""
+    figure, (axis,) = new_figure(6.4)
+    from matplotlib.collections import LineCollection
+
+    there = np.flatnonzero(run.measured)
+    step = -(-there.size // PATH_POINTS)
+    starts = np.arange(0, there.size, step)
+    # the largest error of each stretch, so that none is lost
+    sizes = np.maximum.reduceat(run.size[there], starts)
+    unit, factor = length_unit(float(np.max(sizes)))
+    points = run.displacement[:2, there[starts]].T * _MICRO
+    lines = LineCollection(np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", linewidths=1.1)
+    lines.set_array(sizes[:-1] * factor)
+    axis.add_collection(lines)
+    axis.autoscale_view()
+    axis.set_aspect("equal")
+    axis.set(xlabel="x [µm]", ylabel="y [µm]")
+    figure.colorbar(lines, ax=axis, label=f"error in the plane [{unit}]")
+    return figure
+
+
+def map_figure(run: ScanRun):
+    """Return the figure of the error map: RMS, and mean of x and y."""
+    found = error_map(run)
+    figure, axes = new_figure(4.4, 3)
+    edges = [found.x * _MICRO, found.y * _MICRO]
+    unit, factor = length_unit(float(np.nanmax(found.rms)))
+    # single samples in bins on the edge do not set the colours of all
+    steepest = max(float(np.nanpercentile(np.abs(found.mean), 99.0)), 1e-15) * factor
+    panels = [("RMS error", found.rms, dict(cmap="viridis", vmin=0.0))]
+    panels += [
+        (f"mean error of {name}", mean, dict(cmap="RdBu_r", vmin=-steepest, vmax=steepest))
+        for name, mean in zip("xy", found.mean, strict=True)
+    ]
+    for axis, (label, values, style) in zip(axes, panels, strict=True):
+        axis.grid(False)
+        drawn = axis.pcolormesh(*edges, values * factor, **style)
+        axis.set_aspect("equal")
+        axis.set(xlabel="x [µm]", ylabel="y [µm]" if axis is axes[0] else "")
+        axis.set_title(label, fontsize=10)
+        figure.colorbar(
+            drawn,
+            ax=axis,
+            orientation="horizontal",
+            label=f"[{unit}]",
+            extend="neither" if "vmax" not in style else "both",
+        )
+    return figure
+
+
+def lines_figure(run: ScanRun):
+    """Return the figure of the RMS error of each line: the mean over the frames, and from the least to the largest."""
+    lines = line_errors(run)
+    figure, (axis,) = new_figure(3.2)
+    unit, factor = length_unit(float(np.max(lines.rms)))
+    for direction, label, colour in ((1, "trace", "reference"), (-1, "retrace", "displacement")):
+        on = lines.direction == direction
+        if not np.any(on):
+            continue
+        numbers = np.unique(lines.line[on])
+        each = [lines.rms[on & (lines.line == number)] * factor for number in numbers]
+        colour = COLOURS[colour][0]
+        axis.plot(numbers, [np.mean(values) for values in each], ".-", color=colour, linewidth=1.0, label=label)
+        bounds = [[np.min(values) for values in each], [np.max(values) for values in each]]
+        axis.fill_between(numbers, *bounds, color=colour, alpha=0.2, linewidth=0)
+    top = 1.1 * factor * float(np.max(lines.rms))
+    axis.set(xlabel="line", ylabel=f"RMS error in the plane [{unit}]", ylim=(0.0, top or 1.0))
+    add_legend(axis)
+    return figure
+
+
+def trace_figure(run: ScanRun):
+    """Return the figure of the mean error along the lines, traces against retraces."""
+    found, scan = profile(run), run.scan
+    figure, (axis,) = new_figure(3.2)
+    place = ((np.arange(scan.pixels) + 0.5) / scan.pixels - 0.5) * getattr(scan, "width", scan.size) * _MICRO
+    both = np.concatenate([found.trace, found.retrace])
+    unit, factor = length_unit(float(np.nanmax(np.abs(both))))
+    for label, values, colour in (
+        ("trace", found.trace, "reference"),
+        ("retrace", found.retrace, "displacement"),
+        ("trace - retrace", found.trace - found.retrace, "estimated"),
+    ):
+        axis.plot(place, values * factor, color=COLOURS[colour][0], linewidth=1.2, label=label)
+    axis.set(xlabel="place along the line [µm]", ylabel=f"mean error along the line [{unit}]")
+    add_legend(axis)
+    return figure
+
+
+def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:
+    """Yield the captions and figures that there are of a scan."""
+    yield "Path in the plane, coloured by the error", path_figure(run)
+    yield "Map of the error in the plane", map_figure(run)
+    yield "RMS error line by line", lines_figure(run)
+    if retraced(run):
+        yield "Mean error along the lines, trace against retrace", trace_figure(run)
+
+
+def write_scan_report(path, run: ScanRun, title: str) -> None:
+    """Write the page of a scan: one HTML file that needs nothing beside it."""
+    require_page(path)
+    figures = scan_figures(run)
+    rows = [shown_row(label, figures[name], unit, factor) for name, label, unit, factor in ROWS]
+    html = render_page(
+        "identification.html.j2",
+        title=title,
+        summary=f"RMS error in the plane {readable(figures['rms_error_m'], 'm')}, "
+        f"{figures['rms_error_percent']:.3g} % of {readable(run.scan.size, 'm')}, at {run.scan.rate:.4g} frames/s",
+        warnings=[],
+        rows=[row for row, (name, *_) in zip(rows, ROWS, strict=True) if figures[name] is not None],
+        plots=[dict(caption=caption, source=data_uri(figure)) for caption, figure in scan_plots(run)],
+        assumptions=(),
+    )
+    write_page(path, html)

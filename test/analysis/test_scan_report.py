@@ -1,0 +1,157 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The report of a scan: figures against closed forms, the map of a known field, trace and retrace of a delay."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.analysis.scan_report import (
+    ScanRun,
+    error_map,
+    line_errors,
+    profile,
+    scan_figures,
+    scan_plots,
+    write_scan_report,
+)
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.references.scans import scan_of
+
+RASTER = dict(width=80e-6, depth=60e-6, lines=16, flyback=4, frame_rate=2.0, rotation=0.4, centre_x=50e-6, pixels=64)
+MADE = {
+    "raster": RASTER,
+    "spiral": dict(diameter=80e-6, turns=12, frame_rate=2.0),
+    "lissajous": dict(width=80e-6, depth=60e-6, lines=15, frame_rate=2.0),
+}
+
+
+def ran(kind: str = "raster", error=None, **more) -> ScanRun:
+    """A run of two frames whose error is what a function of time and reference returns."""
+    scan = scan_of(kind, MADE[kind] | more)
+    time = (np.arange(40_000) + 0.5) * (2.0 * scan.frame_time / 40_000)
+    reference = scan.position(time)
+    return ScanRun(scan, time, reference, reference - (0.0 if error is None else error(time, reference)))
+
+
+def in_axes(scan, along, across):
+    return scan.matrix[:2] @ np.array([along, across])
+
+
+def test_trace_and_retrace_of_a_pure_delay_are_two_delays_apart():
+    scan = scan_of("raster", RASTER)
+    delay = 20e-6
+    run = ran(error=lambda time, reference: reference - scan.position(time - delay))
+    found = profile(run)
+    shift = scan.line_velocity * delay
+    inner = slice(4, -4)  # within a delay of its beginning a line still follows the turn
+    assert np.allclose(found.trace[inner], shift, rtol=1e-9) and np.allclose(found.retrace[inner], -shift, rtol=1e-9)
+    figures = scan_figures(run)
+    assert figures["trace_retrace_m"] == pytest.approx(2.0 * shift, rel=1e-3)
+    assert figures["rms_error_m"] == pytest.approx(shift, rel=1e-3)
+    assert figures["rms_error_percent"] == pytest.approx(100.0 * shift / 80e-6, rel=1e-3)
+    assert figures["across_error_m"] < 1e-2 * shift and figures["coupling_error_m"] < 1e-2 * shift
+
+
+def test_coupling_is_what_the_line_leaves_across_itself():
+    """0.1 % of u in v is coupling; an offset from line to line is not."""
+    scan = scan_of("raster", RASTER)
+
+    def error(time, reference):
+        u, v = scan.in_plane(reference)
+        return in_axes(scan, np.zeros_like(u), 1e-3 * u + 0.01 * v + 30e-9)
+
+    figures = scan_figures(ran(error=error))
+    expected = 1e-3 * 80e-6 / np.sqrt(12.0)
+    assert figures["coupling_error_m"] == pytest.approx(expected, rel=1e-3)
+    assert figures["coupling_error_percent"] == pytest.approx(100.0 * expected / 80e-6, rel=1e-3)
+    assert figures["across_error_m"] > 2.0 * expected and figures["along_error_m"] == pytest.approx(0.0, abs=1e-18)
+    assert scan_figures(ran("spiral"))["coupling_error_m"] is None, "both axes scan"
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_the_map_shows_a_known_field(kind):
+    def field(x, y):
+        return np.array([1e-3 * (x - 40e-6), 2e-9 * np.cos(y / 20e-6)])
+
+    run = ran(kind, lambda time, reference: field(*reference), pixels=200)
+    found = error_map(run, 20)
+    middles = np.meshgrid(0.5 * (found.x[1:] + found.x[:-1]), 0.5 * (found.y[1:] + found.y[:-1]))
+    there = found.count > 20
+    assert there.sum() > 100 and found.count.sum() == run.counted.sum()
+    expected = field(*middles)
+    # within a bin the field changes by its slope times half of the bin
+    assert np.max(np.abs(found.mean[0] - expected[0])[there]) < 1e-3 * np.diff(found.x)[0]
+    assert np.max(np.abs(found.mean[1] - expected[1])[there]) < 2e-9 * np.diff(found.y)[0] / 20e-6
+    assert np.all(found.rms[there] >= np.hypot(*found.mean)[there] * (1.0 - 1e-12))
+    assert np.all(np.isnan(found.rms[found.count == 0]))
+    total = np.nansum(found.rms**2 * found.count) / found.count.sum()
+    assert np.sqrt(total) == pytest.approx(scan_figures(run)["rms_error_m"], rel=1e-12)
+
+
+def test_lines_are_judged_one_by_one():
+    scan = scan_of("raster", RASTER)
+
+    def error(time, reference):
+        clock = scan.clock(time)
+        size = np.where((clock.line == 5) & (clock.direction < 0), 7e-9, 1e-9)
+        return in_axes(scan, np.where(clock.line < 0, 1e-6, size), 0.0 * size)
+
+    run = ran(error=error)
+    lines = line_errors(run)
+    assert lines.rms.size == 2 * 2 * 16 and np.array_equal(lines.line[:6], [0, 0, 1, 1, 2, 2])
+    worse = (lines.line == 5) & (lines.direction == -1)
+    assert np.allclose(lines.rms[worse], 7e-9) and np.allclose(lines.rms[~worse], 1e-9) and worse.sum() == 2
+    figures = scan_figures(run)
+    assert figures["worst_line_m"] == pytest.approx(7e-9) and figures["turn_error_m"] == pytest.approx(1e-6)
+    assert figures["rms_error_m"] == pytest.approx(np.sqrt((31.0 + 49.0) / 32.0) * 1e-9, rel=1e-3)
+
+
+def test_missing_samples_do_not_count_and_the_third_axis_is_apart():
+    def error(time, reference):
+        found = np.full_like(reference, 2e-9)
+        found[2] = 5e-9
+        found[0, 1000:3000] = np.nan
+        return found
+
+    run = ran(error=error, axes=3, slope_x=0.01)
+    figures = scan_figures(run)
+    assert figures["normal_error_m"] == pytest.approx(5e-9)
+    assert figures["rms_error_m"] == pytest.approx(np.sqrt(8.0) * 1e-9)
+    assert figures["samples"] == np.count_nonzero(run.clock.line[np.r_[:1000, 3000:40_000]] >= 0)
+    scan = run.scan
+    with pytest.raises(RecordingError, match=r"displacement has shape \(2, 5\), must be \(3, 5\)"):
+        ScanRun(scan, np.zeros(5), np.zeros((3, 5)), np.zeros((2, 5)))
+    with pytest.raises(RecordingError, match="no sample"):
+        ScanRun(scan, np.zeros(5), np.zeros((3, 5)), np.full((3, 5), np.nan))
+
+
+@pytest.mark.parametrize("kind, count", [("raster", 4), ("spiral", 3)])
+def test_the_page_has_every_figure_and_needs_nothing_beside_it(kind, count, tmp_path):
+    def error(time, reference):
+        return 3e-9 * np.sin(time * 1e3 + reference * 1e5)
+
+    run = ran(kind, error)
+    figures = [figure for _, figure in scan_plots(run)]
+    labels = {axis.get_xlabel() for figure in figures for axis in figure.axes}
+    assert (
+        len(figures) == count
+        and {"x [µm]", "line"} <= labels
+        and {"place along the line [µm]"} <= labels | {"place along the line [µm]" if kind == "spiral" else ""}
+    )
+    write_scan_report(tmp_path / "scan.html", run, "A scan & its errors")
+    text = (tmp_path / "scan.html").read_text(encoding="utf-8")
+    assert text.count("<figure>") == count and text.count("data:image/png") == count
+    assert "A scan &amp; its errors" in text and "% of size" in text and "nm" in text
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
+    assert ("Coupling" in text) == (kind == "raster")
