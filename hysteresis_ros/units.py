@@ -39,6 +39,9 @@ UNITS = {
     "µm/s": ("m/s", 1e6),
     "μm/s": ("m/s", 1e6),
     "nm/s": ("m/s", 1e9),
+    "mm/s^2": ("m/s^2", 1e3),
+    "m/s^3": ("m/s^3", 1.0),
+    "mm/s^3": ("m/s^3", 1e3),
     "min": ("s", 1 / 60),
     "ns": ("s", 1e9),
     "cm": ("m", 1e2),
@@ -76,6 +79,9 @@ WORDS = {
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
 }
 
+#: Powers as they are typed for those that are printed.
+_POWERS = {ord("²"): "^2", ord("³"): "^3"}
+
 #: Values below this are shown in the next smaller unit: 12.3 nm instead of 0.0123 µm.
 FINE = 0.1
 
@@ -90,7 +96,7 @@ def conversion(unit: str) -> tuple[str, float] | None:
 
     ``10um/V`` is a sensitivity: the column is in V, and 1 V is 10 µm.
     """
-    unit = unit.strip()
+    unit = unit.strip().translate(_POWERS)
     unit = WORDS.get(unit.lower(), unit)
     if unit in UNITS:
         return UNITS[unit]
@@ -113,7 +119,7 @@ def quantity(text: str) -> tuple[float, str]:
     if not parts["unit"]:
         return value, ""
     found = conversion(parts["unit"])
-    if found is None or "/" in parts["unit"] and parts["unit"] not in UNITS:
+    if found is None or "/" in parts["unit"] and parts["unit"].translate(_POWERS) not in UNITS:
         raise ValueError(f"unknown unit '{parts['unit']}'{did_you_mean(parts['unit'], UNITS)}")
     return value / found[1], found[0]
 
@@ -130,7 +136,7 @@ def quantity_in(text: str, unit: str) -> float:
         # the two that are closest to a typical displacement, 10 µm
         likely = sorted(("m", "mm", "um", "nm"), key=lambda name: abs(math.log10(abs(value) / UNITS[name][1] / 1e-5)))
         raise ValueError(f"of which unit? Write {bare}{likely[0]} or {bare}{likely[1]}")
-    if given not in ("", unit or "1"):
+    if given not in ("", unit.translate(_POWERS) or "1"):
         raise ValueError(f"is in {given}, must be {f'in {unit}' if unit else 'a number without a unit'}")
     return value
 

@@ -25,11 +25,14 @@ from hysteresis_ros.analysis.page import render_page, require_page, write_page
 from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
 from hysteresis_ros.analysis.tables import shown_row
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.references.scan import Clock, Scan
+from hysteresis_ros.files import replacing
+from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
 #: Most bins of the map along the longer side, and points of a path in a picture.
 BINS, PATH_POINTS = 64, 20_000
+#: Passes of which a picture of a scan shows the velocities.
+SHOWN = 6
 _MICRO = 1e6
 #: Rows of the table: name, words, unit, factor.
 ROWS = (
@@ -260,7 +263,8 @@ def path_figure(run: ScanRun):
 def map_figure(run: ScanRun):
     """Return the figure of the error map: RMS, and mean of x and y."""
     found = error_map(run)
-    figure, axes = new_figure(4.4, 3)
+    ratio = (found.y[-1] - found.y[0]) / (found.x[-1] - found.x[0])
+    figure, axes = new_figure(float(np.clip(1.6 + 2.5 * ratio, 2.5, 6.0)), 3)
     edges = [found.x * _MICRO, found.y * _MICRO]
     unit, factor = length_unit(float(np.nanmax(found.rms)))
     # single samples in bins on the edge do not set the colours of all
@@ -323,6 +327,44 @@ def trace_figure(run: ScanRun):
     axis.set(xlabel="place along the line [µm]", ylabel=f"mean error along the line [{unit}]")
     add_legend(axis)
     return figure
+
+
+def scan_picture(scan: Scan):
+    """Return the figure of a scan by itself: the path of a period, and velocities over a few lines of the middle."""
+    figure, (left, right) = new_figure(4.4, 2)
+    time = np.linspace(0.0, scan.period, PATH_POINTS)
+    x, y = scan.position(time)[:2] * _MICRO
+    direction = scan.clock(time).direction
+    # a retrace lies under its trace, and is wider
+    for value, label, colour, width in (
+        (0, "turns", "setpoint", 0.9),
+        (-1, "retrace", "displacement", 2.2),
+        (1, "trace", "reference", 0.8),
+    ):
+        on = direction == value
+        if np.any(on):
+            near = on | np.roll(on, 1)
+            style = dict(color=COLOURS[colour][0], linewidth=width, label=label, alpha=0.6 if value < 0 else 1.0)
+            left.plot(np.where(near, x, np.nan), np.where(near, y, np.nan), **style)
+    left.set_aspect("equal", adjustable="datalim")
+    left.set(xlabel="x [µm]", ylabel="y [µm]")
+    add_legend(left)
+    begins = scan.passes.begin[scan.passes.begin < 1.0]
+    few = begins[max(begins.size // 2 - SHOWN, 0) :][: SHOWN + 1]
+    span = (few[0], few[-1]) if few.size > SHOWN else (0.0, 1.0)
+    time = np.linspace(*span, PATH_POINTS // 4) * scan.frame_time
+    colours = ("reference", "displacement", "estimated")
+    for name, velocity, colour in zip(AXES, scan.velocity(time), colours, strict=False):
+        right.plot(time * 1e3, velocity * 1e3, color=COLOURS[colour][0], linewidth=1.1, label=name)
+    right.set(xlabel="time [ms]", ylabel="velocity [mm/s]")
+    add_legend(right)
+    return figure
+
+
+def write_picture(path, figure) -> None:
+    """Write a figure as PNG."""
+    with replacing(path, RecordingError) as beside:
+        figure.savefig(beside, format="png")
 
 
 def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:

@@ -80,6 +80,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "hysteresis_ros.cli.design:design",
             "Design a controller, damping or learning for an identified axis.",
         ),
+        "scan": (
+            "hysteresis_ros.cli.scan:scan",
+            "Compute a scan of a plane: peaks, frame rate within limits, harmonics, path.",
+        ),
         "parameters": (
             "hysteresis_ros.cli.describe:parameters",
             "List the parameters of the nodes with unit, range and default.",

@@ -206,7 +206,7 @@ def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
     scaled = steep * durations[:, None] ** np.arange(steep.shape[1])
     high = np.flatnonzero(np.any(scaled[:, 3:] != 0.0, axis=1)) if steep.shape[1] > 3 else np.zeros(0, dtype=int)
     a, b, c = (scaled[:, power] if power < steep.shape[1] else np.zeros(count) for power in (2, 1, 0))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # the stable form of the two roots of a s² + b s + c
         middle = -0.5 * (b + np.where(b >= 0.0, 1.0, -1.0) * np.sqrt(b * b - 4.0 * a * c))
         roots = np.stack([middle / a, c / middle], axis=1)

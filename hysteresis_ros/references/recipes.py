@@ -333,7 +333,7 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
             problems.append(Problem(PREFIX + name, text, allowed))
             continue
         try:
-            values[full] = _value(rows[full], text, gain)
+            values[full] = parameter_value(rows[full], text, gain)
         except ValueError as error:
             problems.append(Problem(PREFIX + full, text, str(error)))
     problems = problems or _missing(kind, values, rows)
@@ -383,8 +383,23 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
     return [Problem(PREFIX + name, None, f"missing; {kind} needs a {rows[name].allowed()}") for name in missing]
 
 
-def _value(row: ParameterRow, text: str, gain: float | None):
-    """Return the text of a parameter in its type."""
+def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> Any:
+    """Return the text of a parameter in its type.
+
+    Parameters
+    ----------
+    row : ParameterRow
+        Of the parameter.
+    text : str
+        A number with its unit or in SI, several between commas for an array, a choice, or a path.
+    gain : float, optional
+        Of an axis in open loop without inverse [m/V]: lengths may be given as voltages then.
+
+    Raises
+    ------
+    ValueError
+        The text is not what the parameter must be; the message says what is.
+    """
     if row.type is str:
         # nodes run elsewhere
         value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text

@@ -576,9 +576,11 @@ def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
         slack = ROUNDING * (highest[axis] - lowest[axis])
         for value, excess in ((lowest[axis], low[axis] - lowest[axis]), (highest[axis], highest[axis] - high[axis])):
             if excess > slack:
+                lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
+                upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
                 text = (
-                    f"m reached by the path with its turns, {excess:.4g} m out of range, allowed: {low[axis]:g} … "
-                    f"{high[axis]:g} m; make the scan smaller, or move its centre"
+                    f"m reached by the path with its turns, {excess:.4g} m out of range, allowed: "
+                    f"{' and '.join(filter(None, (lower, upper)))}; make the scan smaller, or move its centre"
                 )
                 yield Problem(f"position of {AXES[axis]}", float(value), text)
 

@@ -72,10 +72,14 @@ def path_file(folder, closed: bool, kind: str = "csv"):
     return str(folder / f"path.{kind}")
 
 
+def file_of(folder, closed: bool) -> dict:
+    return dict(path=path_file(folder, closed), way_back=0.0 if closed else 0.1)
+
+
 @pytest.fixture(params=[*ALL, "file closed", "file"])
 def scan(request, tmp_path):
     if request.param.startswith("file"):
-        return scan_of("file", dict(path=path_file(tmp_path, "closed" in request.param), **SHARED, **TILTED))
+        return scan_of("file", file_of(tmp_path, "closed" in request.param) | SHARED | TILTED)
     return made(request.param, **TILTED)
 
 
@@ -206,7 +210,7 @@ def test_the_range_names_axis_excess_and_what_is_allowed():
     scan = made("raster", rotation=0.0)
     check_limits(scan, ScanLimits(low=(0.0, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(
-        ParameterError, match="position of x = 3.7.*: m reached .* 6.25e-06 m out of range, allowed: 1e-05"
+        ParameterError, match="position of x = 3.7.*: m reached .* 6.25e-06 m out of range, allowed: ≥ 1e-05"
     ):
         check_limits(scan, ScanLimits(low=(1e-5, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(ParameterError, match="position of y") as refused:
@@ -380,7 +384,7 @@ def test_tones_are_where_the_laws_say():
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])
 def test_a_path_of_a_file_goes_through_its_points(tmp_path, kind):
-    more = {} if kind == "csv" else {"sample_rate": 100.0}
+    more = dict(way_back=0.1) | ({} if kind == "csv" else dict(sample_rate=100.0))
     scan = scan_of("file", dict(path=path_file(tmp_path, False, kind), **more))
     angle = np.linspace(0.0, 1.6 * math.pi, 60)
     time = 0.5 * (angle + 0.2 * np.sin(angle)) / angle[-1] if kind == "csv" else np.arange(60) / 100.0
@@ -391,6 +395,22 @@ def test_a_path_of_a_file_goes_through_its_points(tmp_path, kind):
     slower = scan_of("file", dict(path=scan.path, frame_rate=0.5, **more))
     assert np.allclose(slower.position(time * 2.0 / scan.frame_time), expected, rtol=0.0, atol=1e-13)
     assert np.allclose(slower.peak(2), scan.peak(2) * (0.5 * scan.frame_time) ** 2)
+
+
+def test_a_path_that_a_scan_wrote_is_that_scan(tmp_path):
+    """A whole period of samples closes by itself, a step after the last one."""
+    scan = scan_of("lissajous", dict(width=80e-6, depth=50e-6, lines=6))
+    time = np.arange(4000) * (scan.period / 4000)
+    x, y = scan.position(time)
+    np.savez(tmp_path / "path.npz", time=time, x=x, y=y)
+    again = scan_of("file", dict(path=str(tmp_path / "path.npz")))
+    assert again.period == pytest.approx(scan.period)
+    between = dense(scan, 7001)
+    assert np.allclose(again.position(between), scan.position(between), rtol=0.0, atol=1e-6 * scan.size)
+    assert np.allclose(again.peak(2), scan.peak(2), rtol=1e-3)
+    np.savez(tmp_path / "half.npz", time=time[:3000], x=x[:3000], y=y[:3000])
+    with pytest.raises(ParameterError, match=r"way_back = 0.0: the last point is .* m from the first; give the part"):
+        scan_of("file", dict(path=str(tmp_path / "half.npz")))
 
 
 @pytest.mark.parametrize(

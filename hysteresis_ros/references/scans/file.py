@@ -10,8 +10,9 @@
 """A path from a file: a smooth curve through its points, which closes by a way back to the first one.
 
 Between the points each coordinate is a cubic spline over the time, with a continuous velocity and acceleration also
-where a frame follows another. Where the last point is not the first one, a way back of minimum jerk is added:
-the polynomial of fifth degree that continues position and velocity of both ends, with no acceleration there.
+where a frame follows another. A path whose last point is the first one, or a step before it, closes by itself. Any
+other needs a way back, for which a part of the frame is given: the polynomial of fifth degree that continues position
+and velocity of both ends, with no acceleration there.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from hysteresis_ros.references.waveforms.file import read_columns
 
 #: Fewest and most points of a file.
 LEAST, MOST = 4, 1_000_000
+#: Most steps from the last point to the first in a path that closes by itself: steps differ along the path.
+NEAR = 2.0
 #: Points that are closer than that part of the size are one.
 TOGETHER = 1e-9
 
@@ -50,7 +53,7 @@ class File(Scan):
     sample_rate : float
         Points per second, where the file has no time [Hz].
     way_back : float
-        Part of the frame that the way back to the first point takes, where the last one is another.
+        Part of the frame that the way back to the first point takes; 0: the path closes by itself.
     """
 
     frame_rate: float = parameter(
@@ -61,7 +64,7 @@ class File(Scan):
         0.0, description="points per second, where the file has no time", unit="Hz", low=0.0, high=1e9
     )
     way_back: float = parameter(
-        0.1, description="part of the frame for the way from the last point to the first", low=0.001, high=0.9
+        0.0, description="part of the frame for the way back to the first point; 0: the path closes", low=0.0, high=0.9
     )
 
     def check(self) -> Iterable[Problem]:
@@ -107,6 +110,14 @@ class File(Scan):
         if np.max(np.abs(points[:, -1] - points[:, 0])) <= TOGETHER * size:
             points[:, -1] = points[:, 0]
             return time, points, float(time[-1])
+        steps = np.hypot(*np.diff(points, axis=1))
+        away = float(np.hypot(*(points[:, -1] - points[:, 0])))
+        if self.way_back == 0.0:
+            if away > NEAR * float(np.max(steps)):
+                text = f"the last point is {away:.4g} m from the first; give the part of the frame for the way back"
+                raise self._refused("way_back", f"{text}, e.g. 0.1")
+            time = np.append(time, 2.0 * time[-1] - time[-2])
+            return time, np.append(points, points[:, :1], axis=1), float(time[-1])
         # the way back, point by point as dense as the file
         end = float(time[-1])
         lasts = end * self.way_back / (1.0 - self.way_back)
