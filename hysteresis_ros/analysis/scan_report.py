@@ -151,7 +151,8 @@ def line_errors(run: ScanRun) -> LineErrors:
     mean = np.add.reduceat(across, starts) / number
     spread = np.add.reduceat((across - np.repeat(mean, number)) ** 2, starts) / number
     rms = np.sqrt(np.add.reduceat(run.size[on] ** 2, starts) / number)
-    return LineErrors(*keys[:, starts], rms, np.sqrt(spread))
+    frame, line, direction = keys[:, starts]
+    return LineErrors(frame, line, direction, rms, np.sqrt(spread))
 
 
 def profile(run: ScanRun) -> Profile:
@@ -250,7 +251,7 @@ def path_figure(run: ScanRun):
     sizes = np.maximum.reduceat(run.size[there], starts)
     unit, factor = length_unit(float(np.max(sizes)))
     points = run.displacement[:2, there[starts]].T * _MICRO
-    lines = LineCollection(np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", linewidths=1.1)
+    lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis", linewidths=1.1)
     lines.set_array(sizes[:-1] * factor)
     axis.add_collection(lines)
     axis.autoscale_view()
@@ -351,8 +352,8 @@ def scan_picture(scan: Scan):
     add_legend(left)
     begins = scan.passes.begin[scan.passes.begin < 1.0]
     few = begins[max(begins.size // 2 - SHOWN, 0) :][: SHOWN + 1]
-    span = (few[0], few[-1]) if few.size > SHOWN else (0.0, 1.0)
-    time = np.linspace(*span, PATH_POINTS // 4) * scan.frame_time
+    first, last = (float(few[0]), float(few[-1])) if few.size > SHOWN else (0.0, 1.0)
+    time = np.linspace(first, last, PATH_POINTS // 4) * scan.frame_time
     colours = ("reference", "displacement", "estimated")
     for name, velocity, colour in zip(AXES, scan.velocity(time), colours, strict=False):
         right.plot(time * 1e3, velocity * 1e3, color=COLOURS[colour][0], linewidth=1.1, label=name)

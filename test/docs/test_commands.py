@@ -40,6 +40,7 @@ SNIPPETS = {
     "README": "two recordings of one's own; the same lines are in api.md",
     "identification": "recordings of one's own; the same calls are in api.md",
     "hardware": "a driver of one's own: examples/driver_skeleton.py is run by test/nodes/test_external_plant.py",
+    "scans": "test/references/test_scans.py",
     "epics": "ophyd and bluesky are not installed",
 }
 

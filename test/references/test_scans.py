@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+import pathlib
 import re
 
 import numpy as np
@@ -456,3 +457,12 @@ def test_wrong_parameters_are_named(kind, values, message):
 def test_harmonics_need_a_number():
     with pytest.raises(ParameterError, match="count = 0: must be ≥ 1"):
         harmonics(made("rosette"), 0)
+
+
+def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = pathlib.Path(__file__).resolve().parents[2] / "docs" / "scans.md"
+    names: dict = {}
+    for snippet in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        exec(compile(snippet, "docs/scans.md", "exec"), names)
+    assert names["tones"].frequencies.size == 12 and (tmp_path / "scan.html").stat().st_size > 10_000

@@ -76,11 +76,6 @@ class Cycloid(Scan):
         return (self.width - self.diameter) / ((1.0 - self.turn) * self.lines)
 
     @property
-    def constant_share(self) -> float:
-        """Part of the time of a frame in which the middle drifts at a constant velocity."""
-        return 1.0 - self.turn
-
-    @property
     def frequency(self) -> float:
         """Circles per second [Hz]."""
         return self.lines * self.rate

@@ -47,6 +47,8 @@ class File(Scan):
 
     Parameters
     ----------
+    frame_rate : float
+        Frames per second [Hz]; 0: as fast as the file says.
     path : str
         CSV whose header names units (``time [s], x [um], y [um]``), or NPZ with arrays ``time`` [s], ``x`` and ``y``
         [m].
