@@ -271,6 +271,17 @@ def test_a_spiral_of_constant_linear_velocity_is_one():
     assert np.max(scan.peak(2)) < 0.5 * np.max(unlimited.peak(2))
 
 
+@pytest.mark.parametrize("name", ["spiral clv", "spiral clv with a small core"])
+def test_the_core_and_the_rim_of_a_spiral_join_smoothly(name):
+    """The timing has three continuous derivatives; at the rim the jerk of the turn begins with a jump."""
+    scan = made(name)
+    core, rim = scan._elapsed(np.array([scan._inner, scan._outer])) * scan.frame_time
+    for at, orders in ((core, 4), (rim, 3), (scan.period - core, 4), (scan.period - rim, 3), (scan.period, 4)):
+        for order in range(orders):
+            before, after = (scan.derivative([at + sign * 1e-9 * scan.period], order) for sign in (-1.0, 1.0))
+            assert np.max(np.abs(after - before)) < 1e-4 * np.max(scan.peak(order)), (at, order)
+
+
 @pytest.mark.parametrize("law", ["cav", "clv"])
 def test_the_arms_of_a_spiral_are_as_far_apart_as_stated(law):
     scan = scan_of("spiral", dict(diameter=80e-6, turns=20, law=law, pixels=64))
