@@ -30,6 +30,8 @@ import numpy as np
 LAWS = ("minimum_jerk", "parabolic")
 #: Two instants that are closer than that are one, as a part of the whole duration.
 TOGETHER = 1e-12
+#: A term that is smaller than that part of the largest one is rounding, as of the cosine of a right angle.
+NOTHING = 1e-14
 #: Largest degree of a polynomial here.
 DEGREE = 5
 
@@ -204,6 +206,7 @@ def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
     count = len(steep)
     ends = np.stack([np.zeros(count), durations], axis=1)
     scaled = steep * durations[:, None] ** np.arange(steep.shape[1])
+    scaled[np.abs(scaled) < NOTHING * np.max(np.abs(scaled), axis=1, initial=0.0, keepdims=True)] = 0.0
     high = np.flatnonzero(np.any(scaled[:, 3:] != 0.0, axis=1)) if steep.shape[1] > 3 else np.zeros(0, dtype=int)
     a, b, c = (scaled[:, power] if power < steep.shape[1] else np.zeros(count) for power in (2, 1, 0))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -244,6 +244,16 @@ def test_a_raster_is_at_constant_velocity_for_the_part_it_states(name):
         assert all(np.ptp(v[on & (clock.line == line)]) == 0.0 for line in range(scan.lines))
 
 
+@pytest.mark.parametrize("rotation", [5e-324, 2e-308, 1e-17, 0.5 * math.pi])
+def test_a_rotation_of_almost_nothing_changes_nothing(rotation):
+    """The smaller part of the other coordinate must not make the roots of the larger one overflow."""
+    peaks = [made("raster", rotation=rotation).peak(order) for order in (1, 2, 3)]
+    straight = [made("raster", rotation=0.0).peak(order) for order in (1, 2, 3)]
+    assert np.allclose(peaks, np.flip(straight, axis=1) if rotation > 1.0 else straight, rtol=1e-12)
+    cycloid = made("cycloid", rotation=rotation, turn_law="parabolic").peak(3)
+    assert np.isfinite(cycloid).tolist() == ([True, False] if rotation > 1.0 else [False, rotation < 1e-14])
+
+
 def test_turns_have_the_peaks_of_their_laws():
     """Minimum jerk: 3 V/T and 12 V/T², 5/16 V T beyond the ends; parabolic: 2 V/T, V T/4."""
     for law, steepest, beyond in (("minimum_jerk", 3.0, 5.0 / 16.0), ("parabolic", 2.0, 0.25)):

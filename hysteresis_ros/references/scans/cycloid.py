@@ -26,7 +26,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.references.pieces import LAWS, Builder, Pieces
+from hysteresis_ros.references.pieces import LAWS, NOTHING, Builder, Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
 
@@ -117,7 +117,7 @@ class Cycloid(Scan):
         circle = 0.5 * self.diameter * (2.0 * math.pi * self.lines) ** order * np.hypot(*matrix.T)
         low, high = self._drift.range(matrix[:, :1], order)
         if order == 3 and self.turn_law == "parabolic":
-            jumps = np.where(matrix[:, 0] != 0.0, np.inf, 0.0)
+            jumps = np.where(np.abs(matrix[:, 0]) > NOTHING, np.inf, 0.0)
             return -circle - jumps, circle + jumps
         return low - circle, high + circle
 
