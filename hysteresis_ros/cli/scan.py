@@ -77,7 +77,9 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
         made = scan_of(kind, values)
         best = largest_frame_rate(made, allowed)
         if fastest:
-            if not 0.0 < best < math.inf:
+            if best == 0.0:
+                check_limits(made, allowed)
+            if best == math.inf:
                 raise ConfigurationError("--fastest: there is no largest frame rate; give --limit velocity=10mm/s, say")
             made = scan_of(kind, values | {"frame_rate": best})
         check_limits(made, allowed)

@@ -111,6 +111,7 @@ def test_the_path_is_written_and_read_again(tmp_path, suffix):
         ([*RASTER, "--limit", "velocity=1mm/s,2mm/s,3mm/s"], "3 values for 2 axes"),
         ([*RASTER, "--limit", "high=20um"], "position of x"),
         ([*RASTER, "--fastest"], "there is no largest frame rate"),
+        ([*RASTER, "turn_law=parabolic", "--limit", "jerk=1e6", "--fastest"], "the acceleration jumps"),
         ([*RASTER, "-o", "path.csv"], "--rate 20kHz"),
         ([*RASTER, "-o", "path.txt", "--rate", "1kHz"], "write .csv or .npz"),
         ([*RASTER, "--rate", "1kHz"], "give -o path.csv"),
