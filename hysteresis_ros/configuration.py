@@ -100,8 +100,8 @@ class ParameterRow:
         items = converted if isinstance(converted, tuple) else (converted,)
         longest = max((len(item) for item in items if isinstance(item, str)), default=0)
         if len(items) > MOST_ITEMS or longest > LONGEST_TEXT:
-            allowed = f"too long, allowed: {MOST_ITEMS} elements, of {LONGEST_TEXT} characters each"
-            raise ParameterError([Problem(self.name, value, allowed)])
+            remedy = f"too long, allowed: {MOST_ITEMS} elements, of {LONGEST_TEXT} characters each"
+            raise ParameterError([Problem(self.name, value, remedy)])
         for item in items:
             if isinstance(item, float) and not math.isfinite(item):
                 raise ParameterError([Problem(self.name, value, f"must be finite, allowed: {self.allowed()}")])
@@ -282,7 +282,7 @@ class Parameters:
                 row = next(row for row in self.table() if row.name == item.name)
                 found.append(Problem(prefix + item.name, None, f"missing; give a {row.allowed()}"))
         if not found:
-            found += [Problem(prefix + p.name, p.value, p.allowed) for p in self.check()]
+            found += [Problem(prefix + p.name, p.value, p.remedy) for p in self.check()]
         return found
 
     def check(self):

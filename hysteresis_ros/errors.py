@@ -40,10 +40,10 @@ class Problem:
 
     name: str  #: Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
     value: object  #: Given value.
-    allowed: str  #: What is allowed, and what to do.
+    remedy: str  #: What is allowed, and what to do.
 
     def __str__(self) -> str:
-        return f"{self.name} = {shortened(self.value)}: {self.allowed}"
+        return f"{self.name} = {shortened(self.value)}: {self.remedy}"
 
 
 def shortened(value: object) -> str:

@@ -348,10 +348,10 @@ class AskedReference:
             return problem
         name = name.removeprefix("waveform.")
         if name == "type":
-            return Problem("--reference", self.kind, problem.allowed)
+            return Problem("--reference", self.kind, problem.remedy)
         own = name.removeprefix(f"{self.kind}.")
         text = next((self.given[word] for word in (name, own) if word in self.given), problem.value)
-        return Problem(_option(own), text, problem.allowed)
+        return Problem(_option(own), text, problem.remedy)
 
 
 def _option(name: str) -> str:

@@ -308,10 +308,8 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
     on_circle = zeros[np.abs(np.abs(zeros) - 1.0) < CIRCLE_MARGIN]
     if on_circle.size and not near.size:
         found = ", ".join(f"{zero:.6g}" for zero in on_circle)
-        allowed = (
-            f"model.dynamics has zeros on the unit circle ({found}): no bounded inverse exists; use static or none"
-        )
-        raise ParameterError([Problem("feedforward.type", "inverse_dynamics", allowed)])
+        remedy = f"model.dynamics has zeros on the unit circle ({found}): no bounded inverse exists; use static or none"
+        raise ParameterError([Problem("feedforward.type", "inverse_dynamics", remedy)])
     sizes, identity = np.abs(poles), np.eye(len(A))
     edge = max(1.0, float(np.max(np.abs(near), initial=0.0)))
     outside = _beyond(inner, sizes, edge)
@@ -510,11 +508,11 @@ def designed_preview(dynamics: LinearParameters) -> int:
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:
-        allowed = (
+        remedy = (
             f"needs {preview} samples of preview, more than {LONGEST_PREVIEW}: model.dynamics has zeros next to the "
             "unit circle, too near to what is followed to be left out; use static or none"
         )
-        raise ParameterError([Problem("feedforward.type", "inverse_dynamics", allowed)])
+        raise ParameterError([Problem("feedforward.type", "inverse_dynamics", remedy)])
     return preview
 
 

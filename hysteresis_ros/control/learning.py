@@ -136,8 +136,8 @@ class LearningParameters(Parameters):
         for name in ("error_filter", "robustness_filter"):
             taps = getattr(self, name)
             if not 1 <= len(taps) <= MOST_TAPS:
-                allowed = f"must be 1 … {MOST_TAPS} taps; `hysteresis design --learning {self.type}` finds them"
-                yield Problem(name, taps, allowed)
+                remedy = f"must be 1 … {MOST_TAPS} taps; `hysteresis design --learning {self.type}` finds them"
+                yield Problem(name, taps, remedy)
 
 
 def period_samples(period: float, sample_rate: float, name: str = "learning.period") -> int:
@@ -161,13 +161,13 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     count = round(samples)
     if abs(samples - count) > WHOLE * max(samples, 1.0):
         low, high = (whole / sample_rate for whole in (int(samples), int(samples) + 1))
-        allowed = (
+        remedy = (
             f"is {samples:.6g} samples; must be a whole number of them: the nearest at {sample_rate:g} Hz are "
             f"{low:.9g} s ({1.0 / low:.9g} Hz) and {high:.9g} s ({1.0 / high:.9g} Hz)"
             if low
             else f"is shorter than a sample at {sample_rate:g} Hz"
         )
-        raise ParameterError([Problem(name, period, allowed)])
+        raise ParameterError([Problem(name, period, remedy)])
     if not 2 <= count <= LONGEST:
         raise ParameterError([Problem(name, period, f"is {count} samples; must be 2 … {LONGEST}")])
     return count
@@ -214,14 +214,14 @@ class Learned:
         wanted = period_samples(period, 1.0 / sample_time)
         if len(self.correction) != wanted or abs(self.sample_time - sample_time) > 1e-6 * sample_time:
             have = f"{len(self.correction)} samples of {self.sample_time:g} s"
-            allowed = (
+            remedy = (
                 f"holds {have}; the axis has {wanted} of {sample_time:g} s: learn anew, or give the axis of the file"
             )
-            raise ParameterError([Problem("learning.file", f"period {self.period:g} s", allowed)])
+            raise ParameterError([Problem("learning.file", f"period {self.period:g} s", remedy)])
         largest = float(np.max(np.abs(self.correction)))
         if largest > maximum:
-            allowed = f"must be at most learning.maximum = {maximum:g} m"
-            raise ParameterError([Problem("learning.file", f"a correction of {largest:g} m", allowed)])
+            remedy = f"must be at most learning.maximum = {maximum:g} m"
+            raise ParameterError([Problem("learning.file", f"a correction of {largest:g} m", remedy)])
 
 
 def write_learned(path, learned: Learned, configuration: str = "") -> None:
@@ -468,8 +468,8 @@ class Learning(Block):
         half = len(parameters.robustness_filter) - 1
         for name, ahead in (("lead", parameters.lead), ("robustness_filter", half)):
             if ahead >= period:
-                allowed = f"looks {ahead} samples ahead; must be less than the period of {period} samples"
-                raise ParameterError([Problem(f"learning.{name}", getattr(parameters, name), allowed)])
+                remedy = f"looks {ahead} samples ahead; must be less than the period of {period} samples"
+                raise ParameterError([Problem(f"learning.{name}", getattr(parameters, name), remedy)])
         head = np.zeros(FILTERS)
         head[PERIOD], head[LEAD] = period, parameters.lead
         head[TAPS], head[HALF] = len(parameters.error_filter), half
@@ -551,8 +551,8 @@ class Learning(Block):
 
     def _require_use(self) -> None:
         if not self.parameters.in_use:
-            allowed = "nothing learns; let `hysteresis design --learning` write its filters"
-            raise ParameterError([Problem("learning.type", self.parameters.type, allowed)])
+            remedy = "nothing learns; let `hysteresis design --learning` write its filters"
+            raise ParameterError([Problem("learning.type", self.parameters.type, remedy)])
 
     @property
     def mode(self) -> int:
@@ -582,8 +582,8 @@ class Learning(Block):
         x = self.x.copy()
         reference = self._last_period(x, 2)
         if not np.all(np.isfinite(reference)):
-            allowed = f"no whole period of {self.parameters.period:g} s has been followed yet; wait for one"
-            raise ParameterError([Problem("learning", "nothing learned", allowed)])
+            remedy = f"no whole period of {self.parameters.period:g} s has been followed yet; wait for one"
+            raise ParameterError([Problem("learning", "nothing learned", remedy)])
         return Learned(self.parameters.period, self.sample_time, self._last_period(x, 0), reference)
 
     def _last_period(self, x: np.ndarray, ring: int) -> np.ndarray:

@@ -337,11 +337,11 @@ def _pole_for(task: DesignTask, with_pole) -> float:
         )
     least = reached(slow)
     if bandwidth < least * (1.0 - TOLERANCE):
-        allowed = (
+        remedy = (
             f"this controller reaches no less than {least:.4g} Hz on its model: inside the boundary layer eta and "
             "beta/delta add to the reaching law; lower them, or ask for more"
         )
-        state_feedback.refuse("bandwidth", bandwidth, allowed)
+        state_feedback.refuse("bandwidth", bandwidth, remedy)
     while slow - fast > PRECISION * (1.0 - slow):
         middle = 0.5 * (fast + slow)
         if reached(middle) < bandwidth:

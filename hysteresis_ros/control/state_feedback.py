@@ -37,7 +37,7 @@ from hysteresis_ros.models.linear_algebra import polynomial, product, riccati, s
 RANK_TOLERANCE = 1e-10
 
 
-def refuse(name: str, value, allowed: str) -> NoReturn:
+def refuse(name: str, value, remedy: str) -> NoReturn:
     """Raise the ParameterError of a design that cannot be made.
 
     Raises
@@ -45,7 +45,7 @@ def refuse(name: str, value, allowed: str) -> NoReturn:
     ParameterError
         Always, with the name of the parameter, its value and what is allowed.
     """
-    raise ParameterError([Problem(name, value, allowed)])
+    raise ParameterError([Problem(name, value, remedy)])
 
 
 def _equilibrated(matrix):

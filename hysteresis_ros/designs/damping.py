@@ -72,8 +72,8 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForcePar
     """
     there = [mode for mode in modes(dynamics.matrices.poles.astype(complex), sample_time) if mode[1] < DAMPED]
     if not there:
-        allowed = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
-        state_feedback.refuse("model.dynamics.A", dynamics.A, allowed)
+        remedy = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
+        state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
     gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
     return Mode(*there[0], gain, 0.0 if force is None else force.whole * gain)
 
@@ -110,11 +110,11 @@ def design_damping(
         if found is not None:
             return found
     found_at = f"{mode.frequency:.4g} Hz"
-    allowed = (
+    remedy = (
         f"no {kind} damps the resonance at {found_at} on all plants so that a PID in front of it keeps M_s ≤ 2; take "
         "another kind, a higher sample rate or less delay"
     )
-    return state_feedback.refuse("model.dynamics.A", dynamics.A, allowed)
+    return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
 
 
 class _Search:

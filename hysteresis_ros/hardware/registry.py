@@ -129,10 +129,10 @@ def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters
                 raise ValueError
             values[name] = _value_of(rows.get(name), text)
         except ValueError:
-            allowed = "write NAME=VALUE"
+            remedy = "write NAME=VALUE"
             if name in rows:
-                allowed += f" with a {rows[name].allowed()}"
-            problems.append(Problem("driver_options", option, allowed))
+                remedy += f" with a {rows[name].allowed()}"
+            problems.append(Problem("driver_options", option, remedy))
     if problems:
         raise ParameterError(problems)
     return declared.parameters.from_mapping(values, prefix="driver_options: ")

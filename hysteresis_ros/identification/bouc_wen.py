@@ -167,7 +167,7 @@ class _Normalised:
 
 def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
     """Return warnings: outside the valid class, a search that was cut off, numbers without support."""
-    warnings = [problem.allowed for problem in parameters.problems()]
+    warnings = [problem.remedy for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:
         warnings.append(f"not converged after {search.runs[search.best].iterations} iterations: the best point so far")

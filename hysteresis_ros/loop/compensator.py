@@ -258,8 +258,8 @@ class CompensatorPart:
 
     def _adapted(self) -> Adaptation:
         if self.adaptation is None:
-            allowed = "adaptation is off: start the node with adaptation.type: recursive"
-            raise ParameterError([Problem("adaptation.type", "none", allowed)])
+            remedy = "adaptation is off: start the node with adaptation.type: recursive"
+            raise ParameterError([Problem("adaptation.type", "none", remedy)])
         return self.adaptation
 
     def freeze(self) -> None:

@@ -417,8 +417,8 @@ class ControllerPart:
     def _require_force(self, block: ControllerParameters) -> None:
         """Refuse a force damping when no force is measured."""
         if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
-            allowed = f"missing force joint '{self.parameters.force_joint}': no force is measured; take irc or ppf"
-            raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
+            remedy = f"missing force joint '{self.parameters.force_joint}': no force is measured; take irc or ppf"
+            raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
         """Refuse another damping when an observer or an inverse of the dynamics has the order of the present one."""
@@ -426,11 +426,11 @@ class ControllerPart:
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"
         if fixed and given != present and block.damping.type != damping:
-            allowed = (
+            remedy = (
                 f"gives the damped plant {given} states, observer and feedforward have {present}: keep {damping}, or "
                 "clean up and configure again"
             )
-            raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
+            raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _retune_controller(self, block: ControllerParameters) -> None:
         before, state = self.controller.parameters, self.controller.state

@@ -458,14 +458,14 @@ class DrivenPlant(Plant):
         """Define the present position of the actuator as home."""
         sensor, safe = self.parameters.calibration.sensor, self.parameters.safe_voltage
         if sensor.reference != "relative":
-            allowed = "is an absolute sensor; only a relative sensor is homed"
-            raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, allowed)])
+            remedy = "is an absolute sensor; only a relative sensor is homed"
+            raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, remedy)])
         if not self.tripped or self.held() != safe:
-            allowed = (
+            remedy = (
                 f"home is the position at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
             )
-            allowed += "there, then home it"
-            raise ParameterError([Problem("voltage", self.held(), allowed)])
+            remedy += "there, then home it"
+            raise ParameterError([Problem("voltage", self.held(), remedy)])
         self.sensor.begin_homing()
 
     @property
@@ -483,14 +483,14 @@ class DrivenPlant(Plant):
         before, after = self.parameters.driver_parameters, parameters.driver_parameters
         for name, value in after.to_mapping().items():
             if not name.startswith("limits.") and value != before.to_mapping().get(name):
-                allowed = f"the driver {parameters.driver} is open: deactivate and clean up the node first"
-                raise ParameterError([Problem(name, value, allowed)])
+                remedy = f"the driver {parameters.driver} is open: deactivate and clean up the node first"
+                raise ParameterError([Problem(name, value, remedy)])
         low, high = self._range
         for name in ("minimum", "maximum"):
             if not low <= self.amplifier.value(getattr(parameters.limits, name)) <= high:
                 unit = parameters.calibration.amplifier.unit
-                allowed = f"must lie within the device's range of {low:g} … {high:g} {unit}"
-                raise ParameterError([Problem(f"limits.{name}", getattr(parameters.limits, name), allowed)])
+                remedy = f"must lie within the device's range of {low:g} … {high:g} {unit}"
+                raise ParameterError([Problem(f"limits.{name}", getattr(parameters.limits, name), remedy)])
         self.limits.retune(_without_grid(parameters.limits))
         super().retune(parameters)
 

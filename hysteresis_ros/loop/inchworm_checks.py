@@ -34,8 +34,8 @@ def inchworm_problems(plant, parts):
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
-        allowed = "needs a measurement of the actuator itself, a motor measures its slider: take none"
-        yield Problem("hysteresis_compensator: adaptation.type", adaptation.type, allowed)
+        remedy = "needs a measurement of the actuator itself, a motor measures its slider: take none"
+        yield Problem("hysteresis_compensator: adaptation.type", adaptation.type, remedy)
     sequencer = parts["inchworm_sequencer"]
     gait, motor = sequencer.gait, plant.inchworm
     lowest, highest = reachable_commands(parts["hysteresis_compensator"], 1.0 / plant.sample_rate)
@@ -44,26 +44,26 @@ def inchworm_problems(plant, parts):
         ("highest_extension", gait.highest_extension + gait.fine_margin),
     ):
         if not lowest <= value <= highest:
-            allowed = f"with fine_margin beyond the range of the compensator, {lowest:.4g} … {highest:.4g} m"
-            yield Problem(f"inchworm_sequencer: gait.{name}", getattr(gait, name), allowed)
+            remedy = f"with fine_margin beyond the range of the compensator, {lowest:.4g} … {highest:.4g} m"
+            yield Problem(f"inchworm_sequencer: gait.{name}", getattr(gait, name), remedy)
     yield from motor.holding_problems(gait.grip_voltage, gait.grip_voltage, prefix="plant_simulator: inchworm.")
     for name in ("front_clamp", "rear_clamp"):
         clamp = getattr(motor, name)
         settling = clamp.lag.settling_time()
         if gait.clamp_settling < settling:
-            allowed = f"shorter than the settling of the plant's {name}: must be ≥ {settling:.3g} s"
-            yield Problem("inchworm_sequencer: gait.clamp_settling", gait.clamp_settling, allowed)
+            remedy = f"shorter than the settling of the plant's {name}: must be ≥ {settling:.3g} s"
+            yield Problem("inchworm_sequencer: gait.clamp_settling", gait.clamp_settling, remedy)
         low, high = clamp.limits.minimum, clamp.limits.maximum
         for which in ("grip_voltage", "release_voltage", "initial_voltage"):
             value = getattr(gait, which)
             if not low <= value <= high:
-                allowed = f"outside the limits of the plant's {name}: {low:g} … {high:g} V"
-                yield Problem(f"inchworm_sequencer: gait.{which}", value, allowed)
+                remedy = f"outside the limits of the plant's {name}: {low:g} … {high:g} V"
+                yield Problem(f"inchworm_sequencer: gait.{which}", value, remedy)
     travel = motor.slider.minimum, motor.slider.maximum
     for which, value in (("minimum", sequencer.minimum), ("maximum", sequencer.maximum)):
         if not travel[0] <= value <= travel[1]:
-            allowed = f"beyond the end stops of the plant's slider: {travel[0]:g} … {travel[1]:g} m"
-            yield Problem(f"inchworm_sequencer: {which}", value, allowed)
+            remedy = f"beyond the end stops of the plant's slider: {travel[0]:g} … {travel[1]:g} m"
+            yield Problem(f"inchworm_sequencer: {which}", value, remedy)
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:

@@ -117,11 +117,11 @@ class NodeParameters(Parameters):
         """Yield what does not fit together."""
         yield from super().check()
         if self.measurement_reliability != "reliable" and self.time_mode == "lockstep":
-            allowed = "must be reliable in lockstep, where each sample is answered: give time_mode: realtime"
-            yield Problem("measurement_reliability", self.measurement_reliability, allowed)
+            remedy = "must be reliable in lockstep, where each sample is answered: give time_mode: realtime"
+            yield Problem("measurement_reliability", self.measurement_reliability, remedy)
         if self.external_plant and self.time_mode != "realtime":
-            allowed = "a plant of your own does not wait for anybody: give time_mode: realtime"
-            yield Problem("external_plant", self.external_plant, allowed)
+            remedy = "a plant of your own does not wait for anybody: give time_mode: realtime"
+            yield Problem("external_plant", self.external_plant, remedy)
 
 
 def part(parameters: Parameters, cls):
@@ -276,8 +276,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 
     def _driver_problems(self):
         if self.driver in DRIVERS and self.driver_options:
-            allowed = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
-            yield Problem("driver_options", self.driver_options, allowed)
+            remedy = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
+            yield Problem("driver_options", self.driver_options, remedy)
         try:
             self.driver_parameters.validated()
         except DriverError as error:
@@ -297,34 +297,34 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.external_plant:
             yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
         if self.time_mode == "lockstep":
-            allowed = (
+            remedy = (
                 "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
             )
-            yield Problem("driver", self.driver, allowed)
+            yield Problem("driver", self.driver, remedy)
         if self.time_mode == "fused" and not self.driver_is_compiled:
-            allowed = (
+            remedy = (
                 "is written in Python, which would wait for its lock in each sample: give time_mode: realtime, or a "
                 "driver with a compiled form (docs/hardware.md)"
             )
-            yield Problem("driver", self.driver, allowed)
+            yield Problem("driver", self.driver, remedy)
         if self.real_time_factor != 1.0:
             yield Problem(
                 "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
             )
         if self.type != "actuator":
-            allowed = (
+            remedy = (
                 "drives one actuator (type: actuator); an inchworm motor needs a node of its own, see docs/hardware.md"
             )
-            yield Problem("driver", self.driver, allowed)
+            yield Problem("driver", self.driver, remedy)
 
     def check(self):
         """Yield what does not fit together."""
         yield from super().check()
         if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
-            allowed = (
+            remedy = (
                 f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"
             )
-            yield Problem("safe_voltage", self.safe_voltage, allowed)
+            yield Problem("safe_voltage", self.safe_voltage, remedy)
         if self.driver:
             yield from self._driver_problems()
             yield from self._amplifier_problems()
@@ -332,19 +332,19 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         elif self.driver_options:
             yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
         if self.type == "camera" and self.time_mode == "fused":
-            allowed = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
-            yield Problem("time_mode", self.time_mode, allowed)
+            remedy = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
+            yield Problem("time_mode", self.time_mode, remedy)
         if self.force_sensor.there and self.type != "actuator":
-            allowed = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
-            yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, allowed)
+            remedy = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
+            yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, remedy)
         if self.joint == self.force_joint:
             yield Problem("force_joint", self.force_joint, "must be another name than joint")
         if self.type == "inchworm":
             yield from seed_problems(self)
             others = JOINT_NAMES[1:]
             if self.joint in others:
-                allowed = f"must be the slider's name, other than {', '.join(others)}; write joint: slider under '/**'"
-                yield Problem("joint", self.joint, allowed)
+                remedy = f"must be the slider's name, other than {', '.join(others)}; write joint: slider under '/**'"
+                yield Problem("joint", self.joint, remedy)
 
 
 @dataclass(frozen=True)
@@ -448,8 +448,8 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         yield from super().check()
         low, high = self.command_range
         if low < high and not low <= self.safe_command <= high:
-            allowed = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
-            yield Problem("safe_command", self.safe_command, allowed)
+            remedy = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
+            yield Problem("safe_command", self.safe_command, remedy)
 
 
 @dataclass(frozen=True)
@@ -575,23 +575,23 @@ def _inchworm_mismatches(plant, parts) -> list[Problem]:
     """Return what does not fit between the plant's type, the sequencer and the controller."""
     sequencer = parts["inchworm_sequencer"]
     if (plant.type == "inchworm") != (sequencer is not None):
-        allowed = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
-        return [Problem("plant_simulator: type", plant.type, allowed)]
+        remedy = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
+        return [Problem("plant_simulator: type", plant.type, remedy)]
     problems = []
     if parts["motion_controller"].use_origin != (sequencer is not None):
-        allowed = "must be true with an inchworm_sequencer and false without one"
-        problems.append(Problem("motion_controller: use_origin", not sequencer, allowed))
+        remedy = "must be true with an inchworm_sequencer and false without one"
+        problems.append(Problem("motion_controller: use_origin", not sequencer, remedy))
     return problems + list(inchworm_problems(plant, parts) if sequencer else ())
 
 
 def _camera_mismatches(plant, camera) -> list[Problem]:
     """Return what does not fit between the plant's type and who looks at its images."""
     if plant.type == "camera" and not plant.external_plant and camera is None:
-        allowed = "publishes images: a section displacement_camera has to say how the tip is found in them"
-        return [Problem("plant_simulator: type", plant.type, allowed)]
+        remedy = "publishes images: a section displacement_camera has to say how the tip is found in them"
+        return [Problem("plant_simulator: type", plant.type, remedy)]
     if camera is not None and plant.type != "camera" and not plant.external_plant:
-        allowed = "publishes joint_states itself: leave displacement_camera out, or give type: camera"
-        return [Problem("plant_simulator: type", plant.type, allowed)]
+        remedy = "publishes joint_states itself: leave displacement_camera out, or give type: camera"
+        return [Problem("plant_simulator: type", plant.type, remedy)]
     return []
 
 
@@ -599,23 +599,23 @@ def _adaptation_problems(controller, compensator):
     """Yield a Problem where the inverse would take what the controller knows of the dynamics for hysteresis."""
     adaptation = compensator.adaptation
     if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
-        allowed = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
-        yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, allowed)
+        remedy = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
+        yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, remedy)
     zero = controller.model.preload.offset
     if adaptation.type != "none" and adaptation.offset == "measured" and adaptation.zero != zero:
-        allowed = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
-        yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, allowed)
+        remedy = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
+        yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, remedy)
 
 
 def _force_problems(plant, controller):
     """Yield a Problem where a damping needs a force that this axis does not measure."""
     simulated = not plant.driver and not plant.external_plant
     if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
-        allowed = (
+        remedy = (
             f"missing force joint '{plant.force_joint}': nothing measures the force in the stack; give plant_simulator "
             "a force_sensor (stack_stiffness, flexure_stiffness), or a driver that has one, or take irc or ppf"
         )
-        yield Problem("motion_controller: damping.type", controller.damping.type, allowed)
+        yield Problem("motion_controller: damping.type", controller.damping.type, remedy)
 
 
 #: Time-outs of the nodes, what happens after them, and where the output then goes.
@@ -712,8 +712,8 @@ class AxisParameters:
             for shared in ("sample_rate", "time_mode", "joint", "force_joint", "faults", "external_plant"):
                 value, awaited = getattr(found[name], shared), getattr(plant, shared)
                 if value != awaited:
-                    allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
-                    problems.append(Problem(f"{name}: {shared}", value, allowed))
+                    remedy = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
+                    problems.append(Problem(f"{name}: {shared}", value, remedy))
         sample_time = 1.0 / plant.sample_rate
         for name, dynamics, place in (
             ("plant_simulator", plant.dynamics, "dynamics"),

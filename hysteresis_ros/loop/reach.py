@@ -70,7 +70,7 @@ def check_reach(axis: AxisParameters) -> None:
     try:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
     except ParameterError as error:
-        named = [Problem(f"reference_generator: {p.name}", p.value, p.allowed) for p in error.problems]
+        named = [Problem(f"reference_generator: {p.name}", p.value, p.remedy) for p in error.problems]
         raise ParameterError(named) from None
     problems = [*_bare_steps(axis, given), *_beyond_stroke(axis, given, generator)]
     if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
@@ -98,7 +98,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
             )
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
-        found += [f"{p.name} = {p.value}: {p.allowed}" for p in _too_fast(axis, given, generator, TOLERANCE)]
+        found += [f"{p.name} = {p.value}: {p.remedy}" for p in _too_fast(axis, given, generator, TOLERANCE)]
     return tuple(found)
 
 
@@ -108,12 +108,12 @@ def _bare_steps(axis, given: ReferenceParameters):
     if not inverts or not given.waveform.shape.jumps or (approach.steps and not approach.unlimited):
         return
     add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
-    allowed = (
+    remedy = (
         "jumps, and feedforward.type inverse_dynamics saturates the voltage at a jump: "
         f"{add}set approach.steps: true, so that the steps keep the limits of the approach, or take "
         "feedforward.type static or none"
     )
-    yield Problem("reference_generator: waveform.type", given.waveform.type, allowed)
+    yield Problem("reference_generator: waveform.type", given.waveform.type, remedy)
 
 
 def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerator):
@@ -122,18 +122,18 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
     limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
     reached = f"{_range(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
     if not low - slack <= around <= high + slack:
-        allowed = f"{_micro(around)} is out of reach: the compensator's model reaches {reached}"
-        yield Problem("reference_generator: initial_setpoint", around, allowed)
+        remedy = f"{_micro(around)} is out of reach: the compensator's model reaches {reached}"
+        yield Problem("reference_generator: initial_setpoint", around, remedy)
         return
     waveform = generator.waveform
     for value in (around + waveform.lowest, around + waveform.highest):
         if not low - slack <= value <= high + slack:
             name = given.waveform.shape.extent
-            allowed = (
+            remedy = (
                 f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
                 f"of reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
             )
-            yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], allowed)
+            yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], remedy)
             return
 
 
@@ -145,11 +145,11 @@ def _too_late(axis, given: ReferenceParameters):
     highest = rate / (6.0 * degree)
     if given.waveform.frequency > highest:
         late = "a sample" if degree == 1 else f"{degree} samples"
-        allowed = (
+        remedy = (
             f"must be ≤ {highest:.6g} Hz: the model answers {late} late, and beyond that the error is larger than the "
             "waveform; lower it, raise sample_rate, or give feedforward.type: inverse_dynamics with preview"
         )
-        yield Problem("reference_generator: waveform.frequency", given.waveform.frequency, allowed)
+        yield Problem("reference_generator: waveform.frequency", given.waveform.frequency, remedy)
 
 
 def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, margin: float):
@@ -165,11 +165,11 @@ def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, m
     room = min(middle - low, high - middle) + slack
     if half > passed * room:
         needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
-        allowed = (
+        remedy = (
             f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % there: the {waveform.type} needs "
             f"commands of {needed}, reachable are {_range(low, high)}; lower frequency or amplitude"
         )
-        yield Problem("reference_generator: waveform.frequency", waveform.frequency, allowed)
+        yield Problem("reference_generator: waveform.frequency", waveform.frequency, remedy)
 
 
 def _micro(value: float) -> str:

@@ -414,8 +414,8 @@ class AdaptationParameters(Parameters):
             return
         name, model = hysteresis.type, hysteresis.model
         if model.weighted is None:
-            allowed = f"{name} is not linear in its weights; take a model that is ({', '.join(adaptable())}), or none"
-            yield Problem("adaptation.type", self.type, allowed)
+            remedy = f"{name} is not linear in its weights; take a model that is ({', '.join(adaptable())}), or none"
+            yield Problem("adaptation.type", self.type, remedy)
             return
         if inverse not in ("exact", "general", "picard_steps"):
             yield Problem("adaptation.type", self.type, f"the inverse {inverse} does not use the weights; take exact")
@@ -426,8 +426,8 @@ class AdaptationParameters(Parameters):
         if self.factors and len(self.factors) != count:
             yield Problem("adaptation.factors", self.factors, f"must be as many as {name} has weights, {count}")
         elif any(not 1.0 / self.range <= factor <= self.range for factor in self.factors):
-            allowed = f"must lie within 1/range … range = {1.0 / self.range:g} … {self.range:g}"
-            yield Problem("adaptation.factors", self.factors, allowed)
+            remedy = f"must lie within 1/range … range = {1.0 / self.range:g} … {self.range:g}"
+            yield Problem("adaptation.factors", self.factors, remedy)
 
 
 class Adaptation(Chain):

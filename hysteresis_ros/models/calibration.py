@@ -115,8 +115,8 @@ class SensorCalibrationParameters(LineParameters):
         """Yield what is inconsistent."""
         yield from super().check()
         if self.unit != "m" and self.scale == 1.0:
-            allowed = f"is 1 m per {self.unit}: give the displacement that one {self.unit} of the sensor stands for"
-            yield Problem("scale", self.scale, allowed)
+            remedy = f"is 1 m per {self.unit}: give the displacement that one {self.unit} of the sensor stands for"
+            yield Problem("scale", self.scale, remedy)
         if self.bounded and not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum = {self.maximum:g} {self.unit}")
         elif len(self.polynomial) > 2 and not self.bounded:
@@ -183,11 +183,11 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
         slopes = np.nan_to_num(slope(places), nan=-np.inf)
     worst = int(np.argmin(slopes))
     if not slopes[worst] > 0.0:
-        allowed = (
+        remedy = (
             f"must rise everywhere from {low:g} to {high:g} {unit}, and has the slope {slopes[worst]:.3g} at "
             f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; a direction is what sign is for"
         )
-        yield Problem("polynomial", coefficients, allowed)
+        yield Problem("polynomial", coefficients, remedy)
 
 
 def _turns(slope: Any, low: float, high: float) -> list[float]:
@@ -331,4 +331,4 @@ class AmplifierCalibration:
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))
         if found:
-            raise ParameterError([Problem(prefix + item.name, item.value, item.allowed) for item in found])
+            raise ParameterError([Problem(prefix + item.name, item.value, item.remedy) for item in found])

@@ -161,24 +161,24 @@ class ClampParameters(Parameters):
     def check(self):
         """Yield what does not fit: friction that grows by sliding, clamps that never grip or never open."""
         if self.kinetic_friction > self.static_friction:
-            allowed = f"must not be above static_friction = {self.static_friction:g}"
-            yield Problem("kinetic_friction", self.kinetic_friction, allowed)
+            remedy = f"must not be above static_friction = {self.static_friction:g}"
+            yield Problem("kinetic_friction", self.kinetic_friction, remedy)
         if self.kick != 0.0 and not self.compliance > 0.0:
             yield Problem("kick", self.kick, "needs a contact that gives way: set compliance, e.g. 2e-8 m/N")
         low, high = self.limits.minimum, self.limits.maximum
         if not low <= self.initial_voltage <= high:
-            allowed = f"must lie within limits.minimum … limits.maximum = {low:g} … {high:g} V"
-            yield Problem("initial_voltage", self.initial_voltage, allowed)
+            remedy = f"must lie within limits.minimum … limits.maximum = {low:g} … {high:g} V"
+            yield Problem("initial_voltage", self.initial_voltage, remedy)
         stroke, residual = self._displacements((high, low))
         if stroke <= self.gap:
-            allowed = f"the clamp never grips: at limits.maximum = {high:g} V it reaches {stroke:.4g} m; narrow the gap"
-            yield Problem("gap", self.gap, allowed)
+            remedy = f"the clamp never grips: at limits.maximum = {high:g} V it reaches {stroke:.4g} m; narrow the gap"
+            yield Problem("gap", self.gap, remedy)
         elif residual >= self.gap:
-            allowed = (
+            remedy = (
                 f"the clamp never opens: back at limits.minimum = {low:g} V after {high:g} V it stays at "
                 f"{residual:.4g} m; widen the gap"
             )
-            yield Problem("gap", self.gap, allowed)
+            yield Problem("gap", self.gap, remedy)
 
     def _displacements(self, voltages) -> list[float]:
         """Return the displacement [m] at rest under each of the voltages [V], gone through one after the other."""
@@ -300,8 +300,8 @@ class Clamp(Chain):
         """Raise ParameterError when ``parameters`` cannot be taken while running."""
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         if parameters.lag.type != self.parameters.lag.type:
-            allowed = f"is fixed while running: keep {self.parameters.lag.type}"
-            raise ParameterError([Problem("lag.type", parameters.lag.type, allowed)])
+            remedy = f"is fixed while running: keep {self.parameters.lag.type}"
+            raise ParameterError([Problem("lag.type", parameters.lag.type, remedy)])
 
     def retune(self, parameters: ClampParameters) -> None:
         """Take new parameters of the same structure while running; the displacement goes on from where it is.

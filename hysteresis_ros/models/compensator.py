@@ -82,8 +82,8 @@ class CompensatorParameters(Parameters):
         """Yield a Problem when the safe voltage is out of range or the inverse does not fit the model."""
         low, high = self.limits.minimum, self.limits.maximum
         if not low <= self.safe_voltage <= high:
-            allowed = f"must lie within limits.minimum … limits.maximum ({low:g} … {high:g} V)"
-            yield Problem("safe_voltage", self.safe_voltage, allowed)
+            remedy = f"must lie within limits.minimum … limits.maximum ({low:g} … {high:g} V)"
+            yield Problem("safe_voltage", self.safe_voltage, remedy)
         yield from self.inverse.fits(self.hysteresis)
 
 

@@ -55,8 +55,8 @@ class LogarithmicCreepParameters(Parameters):
     def check(self):
         """Yield a Problem when the time range is empty or the law leaves nothing for the step itself."""
         if self.longest_time <= self.reference_time:
-            allowed = f"must be above reference_time = {self.reference_time:g} s"
-            yield Problem("longest_time", self.longest_time, allowed)
+            remedy = f"must be above reference_time = {self.reference_time:g} s"
+            yield Problem("longest_time", self.longest_time, remedy)
 
     def operators(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the feedthrough d, the weights a and the time constants τ [s]."""
@@ -112,8 +112,8 @@ class CreepParameters(Parameters):
         """Yield a Problem when too little of the step comes at once for an inverse."""
         feedthrough, weights, _ = self.resolved()
         if feedthrough <= 0.0:
-            allowed = f"leaves {feedthrough:.3g} of the step at once; lower the rate or the time range"
-            yield Problem("logarithmic.rate", self.logarithmic.rate, allowed)
+            remedy = f"leaves {feedthrough:.3g} of the step at once; lower the rate or the time range"
+            yield Problem("logarithmic.rate", self.logarithmic.rate, remedy)
         elif feedthrough + min(np.cumsum(weights), default=0.0) <= 0.0:
             yield Problem("operators.weights", self.operators.weights, "takes back the whole step; lower the weights")
 

@@ -353,11 +353,11 @@ class SliderParameters(Parameters):
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} m)")
         elif not self.minimum <= self.start <= self.maximum:
-            allowed = f"must lie within the travel minimum … maximum = {self.minimum:g} … {self.maximum:g} m"
-            yield Problem("start", self.start, allowed)
+            remedy = f"must lie within the travel minimum … maximum = {self.minimum:g} … {self.maximum:g} m"
+            yield Problem("start", self.start, remedy)
         if self.substeps == 0 and not self.damping > 0.0:
-            allowed = "steps converge to the damping of the joint: needs slider.damping above 0, e.g. 0.03"
-            yield Problem("substeps", self.substeps, allowed)
+            remedy = "steps converge to the damping of the joint: needs slider.damping above 0, e.g. 0.03"
+            yield Problem("substeps", self.substeps, remedy)
 
 
 @dataclass(frozen=True)
@@ -455,5 +455,5 @@ class Slider(Block):
             ("maximum", position <= parameters.maximum),
         ):
             if not inside:
-                allowed = f"must leave the slider, now at {position:g} m, inside the travel"
-                raise ParameterError([Problem(f"inchworm.slider.{name}", getattr(parameters, name), allowed)])
+                remedy = f"must leave the slider, now at {position:g} m, inside the travel"
+                raise ParameterError([Problem(f"inchworm.slider.{name}", getattr(parameters, name), remedy)])

@@ -102,8 +102,8 @@ class InchwormParameters(Parameters):
         elif not compliant[0]:
             for name, rest in (("damping", 0.0), ("substeps", 1)):
                 if getattr(self.slider, name) != rest:
-                    allowed = f"is for contacts that give way: set compliance of both clamps, or leave it at {rest}"
-                    yield Problem(f"slider.{name}", getattr(self.slider, name), allowed)
+                    remedy = f"is for contacts that give way: set compliance of both clamps, or leave it at {rest}"
+                    yield Problem(f"slider.{name}", getattr(self.slider, name), remedy)
 
     @property
     def contacts(self) -> Contacts:
@@ -136,11 +136,11 @@ class InchwormParameters(Parameters):
             clamp = getattr(self, name)
             holds = clamp.holding_force(voltage)
             if holds <= load:
-                allowed = (
+                remedy = (
                     f"cannot hold the load of {load:.4g} N: at {voltage:g} V static friction holds {holds:.4g} N; "
                     "raise the grip voltage, the stiffness or the friction, or lower the load"
                 )
-                yield Problem(f"{prefix}{name}.stiffness", clamp.stiffness, allowed)
+                yield Problem(f"{prefix}{name}.stiffness", clamp.stiffness, remedy)
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ def seed_problems(parameters):
     for name, part in sensors.items():
         if part.noise > 0.0:
             if part.seed in seen:
-                allowed = f"must differ from {seen[part.seed]}.seed: equal seeds give equal noise"
-                yield Problem(f"{name}.seed", part.seed, allowed)
+                remedy = f"must differ from {seen[part.seed]}.seed: equal seeds give equal noise"
+                yield Problem(f"{name}.seed", part.seed, remedy)
             seen.setdefault(part.seed, name)
 
 
@@ -345,7 +345,7 @@ class Inchworm(Chain):
             try:
                 getattr(self, name).check_retune(getattr(motor, name))
             except ParameterError as error:
-                found = [Problem(f"inchworm.{name}.{item.name}", item.value, item.allowed) for item in error.problems]
+                found = [Problem(f"inchworm.{name}.{item.name}", item.value, item.remedy) for item in error.problems]
                 raise ParameterError(found) from None
         self.slider.check_travel(motor.slider)
         self.extender.retune(_extender(parameters))  # the last that may refuse

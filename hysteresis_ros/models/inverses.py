@@ -235,15 +235,15 @@ class InverseParameters(Parameters):
         """
         kind, model, block = self.type, hysteresis.type, hysteresis.model.block
         brought = BROUGHT.get(kind)
-        allowed = ""
+        remedy = ""
         if kind == "exact" and block.inverse is None:
-            allowed = f"{model} has no closed-form inverse; use general"
+            remedy = f"{model} has no closed-form inverse; use general"
         if brought is not None and brought.inverse.follows_model and brought.model != model:
-            allowed = f"is the inverse of {brought.model} only, the model is {model}; use general"
+            remedy = f"is the inverse of {brought.model} only, the model is {model}; use general"
         if kind != "none" and not block.invertible:
-            allowed = f"{model} has dynamics inside, no inverse fits it; use none, or another model"
-        if allowed:
-            yield Problem("inverse.type", kind, allowed)
+            remedy = f"{model} has dynamics inside, no inverse fits it; use none, or another model"
+        if remedy:
+            yield Problem("inverse.type", kind, remedy)
 
     def require_same(self, present: InverseParameters) -> None:
         """Raise ParameterError when type or sizes are not the ``present`` ones: they cannot change while running."""

@@ -310,12 +310,12 @@ class LinearParameters(Parameters):
         if not self.order or not self.sample_time:
             return
         if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
-            allowed = (
+            remedy = (
                 f"the matrices are for this sample time, the axis runs at {sample_time:.9g} s (sample_rate "
                 f"{1.0 / sample_time:.9g} Hz): set sample_rate to {1.0 / self.sample_time:.9g} Hz, or give matrices "
                 "for the sample time of the axis"
             )
-            raise ParameterError([Problem(name, self.sample_time, allowed)])
+            raise ParameterError([Problem(name, self.sample_time, remedy)])
 
     def check(self):
         """Yield what is wrong: sizes, an unstable A, a DC gain not to be normalised, a delay without sample time."""
@@ -323,8 +323,8 @@ class LinearParameters(Parameters):
         if self.delay and not self.sample_time:
             yield Problem("delay", self.delay, "needs sample_time, in whose samples it is counted; state it")
         elif self.delay > LONGEST_DELAY * self.sample_time:
-            allowed = f"must be at most {LONGEST_DELAY} samples, {LONGEST_DELAY * self.sample_time:g} s"
-            yield Problem("delay", self.delay, allowed)
+            remedy = f"must be at most {LONGEST_DELAY} samples, {LONGEST_DELAY * self.sample_time:g} s"
+            yield Problem("delay", self.delay, remedy)
         if n * n != len(self.A):
             yield Problem("A", self.A, "must be n·n numbers, the rows of a square matrix one after the other")
             return
@@ -428,9 +428,9 @@ class LinearDynamics(Block):
         """
         given, present = parameters.validated(), self.parameters
         if len(given.A) != len(present.A):
-            allowed = f"must have {len(present.B)} rows as before; another order needs a new configuration"
-            raise ParameterError([Problem("A", parameters.A, allowed)])
+            remedy = f"must have {len(present.B)} rows as before; another order needs a new configuration"
+            raise ParameterError([Problem("A", parameters.A, remedy)])
         if given.order != present.order:
-            allowed = f"must take as many samples as {present.delay:g} s before; another needs a new configuration"
-            raise ParameterError([Problem("delay", given.delay, allowed)])
+            remedy = f"must take as many samples as {present.delay:g} s before; another needs a new configuration"
+            raise ParameterError([Problem("delay", given.delay, remedy)])
         super().retune(parameters)

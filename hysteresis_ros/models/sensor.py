@@ -180,8 +180,8 @@ class ForceParameters(Parameters):
     def check(self):
         """Yield that a stage has no flexure."""
         if self.stack_stiffness and not self.flexure_stiffness:
-            allowed = "must be above 0: a stack that pushes against nothing has no force at rest"
-            yield Problem("flexure_stiffness", self.flexure_stiffness, allowed)
+            remedy = "must be above 0: a stack that pushes against nothing has no force at rest"
+            yield Problem("flexure_stiffness", self.flexure_stiffness, remedy)
 
     @property
     def there(self) -> bool:
@@ -205,8 +205,8 @@ class ForceParameters(Parameters):
         ParameterError
         """
         if self.there != present.there:
-            allowed = f"must stay {'above' if present.there else 'at'} 0 while running: clean up and configure anew"
-            raise ParameterError([Problem("force_sensor.stack_stiffness", self.stack_stiffness, allowed)])
+            remedy = f"must stay {'above' if present.there else 'at'} 0 while running: clean up and configure anew"
+            raise ParameterError([Problem("force_sensor.stack_stiffness", self.stack_stiffness, remedy)])
 
     def slow_part(self, sample_time: float) -> float:
         """Return which part of the force the high-pass has taken off a sample later.

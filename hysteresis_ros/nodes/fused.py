@@ -337,8 +337,8 @@ class Fused(RealTime):
 
     def __init__(self, node):
         if node.fused is None:
-            allowed = "needs the whole axis in one process: run hysteresis_axis, or hysteresis up CONFIG --fused"
-            raise ParameterError([Problem("time_mode", node.parameters.time_mode, allowed)])
+            remedy = "needs the whole axis in one process: run hysteresis_axis, or hysteresis up CONFIG --fused"
+            raise ParameterError([Problem("time_mode", node.parameters.time_mode, remedy)])
         super().__init__(node)
         #: Publisher of all samples; for the node of the plant only.
         self.samples: SampleStream | None = None

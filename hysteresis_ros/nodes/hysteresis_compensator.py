@@ -166,8 +166,8 @@ class HysteresisCompensatorNode(Responder):
 
         text, given = adapted_text(self.get_fully_qualified_name(), self.part), self.parameters.adaptation.save_file
         if not given:
-            allowed = "names no file; give one at configuration, because only that file is written"
-            raise ParameterError([Problem("adaptation.save_file", given, allowed)])
+            remedy = "names no file; give one at configuration, because only that file is written"
+            raise ParameterError([Problem("adaptation.save_file", given, remedy)])
         path = pathlib.Path(given).absolute()
         write_file(path, text)
         return self._answer_service(response, f"{path} written")

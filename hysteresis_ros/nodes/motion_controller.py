@@ -313,8 +313,8 @@ class MotionControllerNode(Responder):
         path = self.parameters.learning.save_file if self.parameters is not None else ""
         if self.parameters is not None:
             if not path:
-                allowed = "names no file; give one at configuration, because only that file is written"
-                raise ParameterError([Problem("learning.save_file", path, allowed)])
+                remedy = "names no file; give one at configuration, because only that file is written"
+                raise ParameterError([Problem("learning.save_file", path, remedy)])
             self.part.save(path, self.get_fully_qualified_name())
         return self._answer_service(response, f"written to {path}")
 

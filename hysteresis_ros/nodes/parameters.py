@@ -83,8 +83,8 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
     Symbolic links and ``..`` are resolved first.
     """
     if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
-        allowed = "names code, or options of it: only the parameter file or the command line of the node may set it"
-        return Problem(row.name, value, allowed)
+        remedy = "names code, or options of it: only the parameter file or the command line of the node may set it"
+        return Problem(row.name, value, remedy)
     if row.place != "files" or not isinstance(value, str) or not value:
         return None
     stated = os.environ.get(FOLDERS)
@@ -100,11 +100,11 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
     if any(stated is not None or not any(part.startswith(".") for part in found.parts) for found in below):
         return None
     there = ", ".join(map(str, folders)) or "nowhere"
-    allowed = (
+    remedy = (
         f"a file named over the graph must be in {there} ({where}); name one there, give it in the parameter "
         f"file of the node, or start the node with {FOLDERS}=FOLDER"
     )
-    return Problem(row.name, value, allowed)
+    return Problem(row.name, value, remedy)
 
 
 def _working_folder() -> list[pathlib.Path]:

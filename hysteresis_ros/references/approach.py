@@ -232,12 +232,12 @@ class Approach(Block):
         split = math.ldexp(1.0, max(51 - math.frexp(weight)[1], 0))
         if step < 1.0:
             least = quantum / self._sample_time
-            allowed = f"too slow for the range, allowed: 0 (unlimited) or ≥ {least:g} m/s"
-            raise ParameterError([Problem("approach.maximum_velocity", parameters.maximum_velocity, allowed)])
+            remedy = f"too slow for the range, allowed: 0 (unlimited) or ≥ {least:g} m/s"
+            raise ParameterError([Problem("approach.maximum_velocity", parameters.maximum_velocity, remedy)])
         if n1 + n2 > LONGEST_WINDOWS or weight * (step / split + 1.0) > 2.0**52:
             name = "maximum_acceleration" if n1 > n2 else "maximum_jerk"
-            allowed = f"too low: the approach would take {(n1 + n2) * self._sample_time:g} s to settle; give more"
-            raise ParameterError([Problem(f"approach.{name}", getattr(parameters, name), allowed)])
+            remedy = f"too low: the approach would take {(n1 + n2) * self._sample_time:g} s to settle; give more"
+            raise ParameterError([Problem(f"approach.{name}", getattr(parameters, name), remedy)])
         return np.array([quantum, step, n1, n2, weight, split, low, high])
 
     def initial_state(self) -> np.ndarray:
@@ -326,8 +326,8 @@ def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.n
     half = math.pi / (omega * sample_time)
     lowest = 1.0 / ((RING - 4) * sample_time * math.sqrt(1.0 - damping * damping))
     if not half > 1.0 or frequency < lowest:
-        allowed = f"must be within {lowest:.4g} … {0.5 / sample_time:g} Hz, half the sample rate"
-        raise ParameterError([Problem("shaping.frequency", frequency, allowed)])
+        remedy = f"must be within {lowest:.4g} … {0.5 / sample_time:g} Hz, half the sample rate"
+        raise ParameterError([Problem("shaping.frequency", frequency, remedy)])
     places = (0, math.floor(half), math.floor(half) + 1)
     # a zero on z = exp(pole T): Σ h exp(−pole T place) = 0
     rows = [[1.0, 1.0, 1.0], [], []]

@@ -174,7 +174,7 @@ class WaveformShape:
     example: Parameters | None = None
 
 
-def refuse(name: str, value, allowed: str) -> NoReturn:
+def refuse(name: str, value, remedy: str) -> NoReturn:
     """Raise the ParameterError of a waveform that cannot be played.
 
     Raises
@@ -182,7 +182,7 @@ def refuse(name: str, value, allowed: str) -> NoReturn:
     ParameterError
         Always, with the name of the parameter, its value and what is allowed.
     """
-    raise ParameterError([Problem(PREFIX + name, value, allowed)])
+    raise ParameterError([Problem(PREFIX + name, value, remedy)])
 
 
 def head(parameters) -> np.ndarray:

@@ -78,8 +78,8 @@ class ReferenceParameters(Parameters):
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
         elif not self.minimum <= self.initial_setpoint <= self.maximum:
-            allowed = f"out of range, allowed: {self.minimum:g} … {self.maximum:g} m"
-            yield Problem("initial_setpoint", self.initial_setpoint, allowed)
+            remedy = f"out of range, allowed: {self.minimum:g} … {self.maximum:g} m"
+            yield Problem("initial_setpoint", self.initial_setpoint, remedy)
 
 
 class GeneratorArrays(NamedTuple):

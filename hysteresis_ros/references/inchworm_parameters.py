@@ -216,19 +216,19 @@ class GaitParameters(Parameters):
         for name in ("release", "grip"):
             value = getattr(self, name)
             if value < self.clamp_settling:
-                allowed = f"shorter than the clamp's settling: must be ≥ clamp_settling = {self.clamp_settling:g} s"
-                yield Problem(name, value, allowed)
+                remedy = f"shorter than the clamp's settling: must be ≥ clamp_settling = {self.clamp_settling:g} s"
+                yield Problem(name, value, remedy)
         if not self.overlap < min(self.release, self.grip):
             yield Problem("overlap", self.overlap, f"must be below {min(self.release, self.grip):g} s (either ramp)")
         elif self.closed_margin < self.clamp_settling:
-            allowed = (
+            remedy = (
                 f"leaves both clamps closed for {self.closed_margin:g} s only: must be at least clamp_settling = "
                 f"{self.clamp_settling:g} s, or both would be open for a moment; reduce the overlap"
             )
-            yield Problem("overlap", self.overlap, allowed)
+            yield Problem("overlap", self.overlap, remedy)
         if not self.lowest_extension < self.highest_extension:
-            allowed = f"must be above lowest_extension = {self.lowest_extension:g} m"
-            yield Problem("highest_extension", self.highest_extension, allowed)
+            remedy = f"must be above lowest_extension = {self.lowest_extension:g} m"
+            yield Problem("highest_extension", self.highest_extension, remedy)
         elif refused := self.refuse_speed(self.walking_speed):
             yield Problem("walking_speed", self.walking_speed, refused)
 
@@ -351,25 +351,25 @@ class WalkParameters(Parameters):
             yield Problem("gait.overlap", gait.overlap, "must be 0 with walk.continuous, which knows no overlap")
         spare = 0.5 * (gait.stroke - self.step)
         if not self.bound <= spare * (1.0 + 1e-9):
-            allowed = (
+            remedy = (
                 f"with the correction beyond the gait's extensions: bound = {self.bound:g} m must be at most half of "
                 f"stroke {gait.stroke:g} m − step, {spare:.3g} m"
             )
-            yield Problem("walk.step", self.step, allowed)
+            yield Problem("walk.step", self.step, remedy)
         if self.learning_speed > self.fastest(gait) * (1.0 + 1e-9):
-            allowed = f"beyond what continuous walking reaches, {self.fastest(gait):g} m/s: nothing would be learned"
-            yield Problem("walk.learning_speed", self.learning_speed, allowed)
+            remedy = f"beyond what continuous walking reaches, {self.fastest(gait):g} m/s: nothing would be learned"
+            yield Problem("walk.learning_speed", self.learning_speed, remedy)
         if abs(gait.walking_speed) > self.fastest(gait) * (1.0 + 1e-9):
-            allowed = f"continuous walking reaches {self.fastest(gait):g} m/s (walk.step in the gait's period)"
-            yield Problem("gait.walking_speed", gait.walking_speed, allowed)
+            remedy = f"continuous walking reaches {self.fastest(gait):g} m/s (walk.step in the gait's period)"
+            yield Problem("gait.walking_speed", gait.walking_speed, remedy)
         if gait.overlap == 0.0 and self.gain > 0.0:
             worst = max(contraction(self, gait, direction) for direction in (1, -1))
             if worst > 1.0 + ROUNDING:
-                allowed = (
+                remedy = (
                     f"would not contract at walk.learning_speed = {self.learning_speed:g} m/s: on a motor off by "
                     f"{100 * GAIN_RANGE:g} % a cycle multiplies an error by {worst:.3g}; lower one of them"
                 )
-                yield Problem("walk.gain", self.gain, allowed)
+                yield Problem("walk.gain", self.gain, remedy)
 
 
 def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
@@ -650,8 +650,8 @@ class InchwormSequencerParameters(Parameters):
         places += [("setpoints.values", value) for value in self.setpoints.values]
         for name, value in places:
             if not self.minimum <= value <= self.maximum:
-                allowed = f"outside of the travel, allowed: {self.minimum:g} … {self.maximum:g} m"
-                yield Problem(name, value, allowed)
+                remedy = f"outside of the travel, allowed: {self.minimum:g} … {self.maximum:g} m"
+                yield Problem(name, value, remedy)
         yield from self.walk.gait_problems(self.gait)
 
     def refuse_speed(self, speed: float) -> str | None:

@@ -320,8 +320,8 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         The waveform or a parameter is unknown, missing, or is not what it must be; names begin with ``waveform.``.
     """
     if kind not in WAVEFORMS:
-        allowed = f"there is no such waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
-        raise ParameterError([Problem(f"{PREFIX}type", kind, allowed)])
+        remedy = f"there is no such waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
+        raise ParameterError([Problem(f"{PREFIX}type", kind, remedy)])
     rows = _rows(kind)
     values = {"type": kind, **{name: row.default for name, row in rows.items() if not row.required}}
     problems = []
@@ -329,8 +329,8 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         full = name if name in rows else f"{kind}.{name}"
         if full not in rows:
             words = [known.removeprefix(f"{kind}.") for known in rows]
-            allowed = f"{kind} has no such parameter, it has {', '.join(words)}{did_you_mean(name, words)}"
-            problems.append(Problem(PREFIX + name, text, allowed))
+            remedy = f"{kind} has no such parameter, it has {', '.join(words)}{did_you_mean(name, words)}"
+            problems.append(Problem(PREFIX + name, text, remedy))
             continue
         try:
             values[full] = parameter_value(rows[full], text, gain)
@@ -369,8 +369,8 @@ def played(values: Mapping[str, Any], sample_time: float) -> float:
     """
     waveform = Waveform(WaveformParameters.from_mapping(values, PREFIX), sample_time)
     if not waveform.duration_samples:
-        allowed = "the waveform has no end; give cycles, or the duration of the run"
-        raise ParameterError([Problem(f"{PREFIX}cycles", values["cycles"], allowed)])
+        remedy = "the waveform has no end; give cycles, or the duration of the run"
+        raise ParameterError([Problem(f"{PREFIX}cycles", values["cycles"], remedy)])
     return waveform.duration_samples * sample_time
 
 
@@ -415,7 +415,7 @@ def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> 
     try:
         row.convert(value)
     except ParameterError as error:
-        raise ValueError(error.problems[0].allowed) from None
+        raise ValueError(error.problems[0].remedy) from None
     return value
 
 

@@ -332,7 +332,7 @@ def test_faults_stand_in_a_configuration_once_for_all_nodes():
 def test_faults_that_differ_or_make_no_sense_are_refused_by_name(node, values, name, said):
     with pytest.raises(ParameterError) as error:
         parameters(**{node: values})
-    assert any(name in problem.name and said in problem.allowed for problem in error.value.problems), str(error.value)
+    assert any(name in problem.name and said in problem.remedy for problem in error.value.problems), str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -347,7 +347,7 @@ def test_a_time_out_shorter_than_a_sample_is_refused_by_name(name, node, timeout
     with pytest.raises(ParameterError) as error:
         parameters(name, **{node: {timeout: 0.004}})
     (problem,) = error.value.problems
-    assert problem.name == f"{node}: {timeout}" and "shorter than a sample of 0.005 s" in problem.allowed
+    assert problem.name == f"{node}: {timeout}" and "shorter than a sample of 0.005 s" in problem.remedy
     assert getattr(getattr(parameters(name, **{node: {timeout: 0.005}}), node), timeout) == 0.005
 
 

@@ -245,7 +245,7 @@ def test_a_clamp_that_cannot_hold_the_load_is_named():
     assert list(parameters.holding_problems(GRIP, GRIP)) == []
     assert len(list(parameters.holding_problems(GRIP, GRIP, margin=2.0))) == 2
     (problem,) = parameters.holding_problems(GRIP, 90.0)
-    assert problem.name == "inchworm.rear_clamp.stiffness" and "load of 7 N: at 90 V" in problem.allowed
+    assert problem.name == "inchworm.rear_clamp.stiffness" and "load of 7 N: at 90 V" in problem.remedy
 
 
 def test_plant_parameters_choose_the_motor():

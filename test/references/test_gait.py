@@ -27,7 +27,7 @@ GAIT = GaitParameters()
 def problems(**changes):
     with pytest.raises(ParameterError) as error:
         replace(GAIT, **changes).validated("gait.")
-    return {problem.name: problem.allowed for problem in error.value.problems}
+    return {problem.name: problem.remedy for problem in error.value.problems}
 
 
 def test_a_cycle_is_the_sum_of_its_six_processes():

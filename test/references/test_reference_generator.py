@@ -129,7 +129,7 @@ def test_waveform_that_leaves_the_range_is_refused_with_value_and_range(mapping,
         build(mapping)
     (problem,) = error.value.problems
     assert problem.name == name
-    assert "0 … 1.5e-05 m" in problem.allowed
+    assert "0 … 1.5e-05 m" in problem.remedy
 
 
 def test_wrong_ranges_are_refused():

@@ -299,7 +299,7 @@ def test_saving_without_a_file_or_into_nowhere_is_refused(tmp_path):
 def test_what_does_not_fit_is_refused_by_name_and_number(changes, name, said):
     with pytest.raises(ParameterError) as error:
         InchwormSequencerParameters.from_mapping({"walk.continuous": True, "walk.learning_speed": SPEED, **changes})
-    found = {problem.name: problem.allowed for problem in error.value.problems}
+    found = {problem.name: problem.remedy for problem in error.value.problems}
     assert name in found and said in str(error.value)
     assert InchwormSequencerParameters.from_mapping(changes | {"gait.overlap": 0.0, "gait.walking_speed": 0.0})
 

@@ -150,7 +150,7 @@ def test_the_schedule_of_the_configuration_is_the_default_run():
 def test_what_does_not_fit_together_is_refused_by_name_with_the_number(node, values, name, said):
     with pytest.raises(ParameterError) as error:
         single_axis(load_configuration("inchworm_travel").override(node, **values))
-    assert any(name in problem.name and said in problem.allowed for problem in error.value.problems), str(error.value)
+    assert any(name in problem.name and said in problem.remedy for problem in error.value.problems), str(error.value)
 
 
 def test_clamps_that_hold_with_little_reserve_are_doubted():

@@ -76,8 +76,8 @@ def test_references_beyond_the_stroke_are_named_with_value_and_reach(changed, na
             axis(reference_generator=changed, motion_controller={"type": kind})
         (problem,) = error.value.problems
         assert problem.name.startswith("reference_generator: ") and name in problem.name
-        assert value in problem.allowed and "-2.93063 … 12.3 µm" in problem.allowed
-        assert "-30 … 120 V" in problem.allowed
+        assert value in problem.remedy and "-2.93063 … 12.3 µm" in problem.remedy
+        assert "-30 … 120 V" in problem.remedy
 
 
 def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are_named():
@@ -154,7 +154,7 @@ def test_dynamics_for_another_sample_time_are_refused_for_plant_and_model():
     plant, model = error.value.problems
     assert plant.name == "plant_simulator: dynamics.sample_time"
     assert model.name == "motion_controller: model.dynamics.sample_time"
-    assert "runs at 0.0005 s (sample_rate 2000 Hz): set sample_rate to 3000" in plant.allowed
+    assert "runs at 0.0005 s (sample_rate 2000 Hz): set sample_rate to 3000" in plant.remedy
     stated = LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,), sample_time=3.33333333e-4)
     LinearDynamics(stated, 1.0 / 3000.0)
     with pytest.raises(ParameterError, match=r"dynamics\.sample_time"):

@@ -105,8 +105,8 @@ class DampingParameters(Parameters):
             named = [replace(problem, name=f"damping.{self.type}.{problem.name}") for problem in error.problems]
             raise ParameterError(named) from None
         if found.order > MOST_STATES:
-            allowed = f"has {found.order} states, at most {MOST_STATES} are allowed"
-            raise ParameterError([Problem("damping.type", self.type, allowed)])
+            remedy = f"has {found.order} states, at most {MOST_STATES} are allowed"
+            raise ParameterError([Problem("damping.type", self.type, remedy)])
         return found
 
 
@@ -263,11 +263,11 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
     ParameterError
     """
     if force is None or not force.there:
-        allowed = (
+        remedy = (
             f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "
             "stack and flexure (model.force.…), or take irc or ppf"
         )
-        raise ParameterError([Problem("model.force.stack_stiffness", 0.0, allowed)])
+        raise ParameterError([Problem("model.force.stack_stiffness", 0.0, remedy)])
 
 
 def closing(
@@ -332,13 +332,13 @@ def damped(
         values = tuple(getattr(damping, damping.type).to_mapping().items())
         given = ", ".join(f"{name} {value}" for name, value in values)
         if radius < 1.0:
-            allowed = f"turns the sign of the plant (gain at rest {loop.forward:.4g}); lower its gain"
+            remedy = f"turns the sign of the plant (gain at rest {loop.forward:.4g}); lower its gain"
         else:
-            allowed = (
+            remedy = (
                 f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
                 "its gain, or let `hysteresis design --damping` find it"
             )
-        raise ParameterError([Problem(f"damping.{damping.type}", given, allowed)])
+        raise ParameterError([Problem(f"damping.{damping.type}", given, remedy)])
     return replace(
         dynamics,
         A=tuple(found.A.ravel().tolist()),

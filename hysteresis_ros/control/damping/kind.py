@@ -231,5 +231,5 @@ def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: flo
     """
     highest = 0.5 / sample_time
     if not max(frequencies) < highest:
-        allowed = f"each must be below half the sample rate, {highest:g} Hz"
-        raise ParameterError([Problem("frequencies", frequencies, allowed)])
+        remedy = f"each must be below half the sample rate, {highest:g} Hz"
+        raise ParameterError([Problem("frequencies", frequencies, remedy)])

@@ -198,8 +198,8 @@ class PidParameters(Parameters):
         if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
             yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
         if self.limited and not self.output_minimum < self.output_maximum:
-            allowed = f"must be above output_minimum = {self.output_minimum:g}, or both 0 for no limits"
-            yield Problem("output_maximum", self.output_maximum, allowed)
+            remedy = f"must be above output_minimum = {self.output_minimum:g}, or both 0 for no limits"
+            yield Problem("output_maximum", self.output_maximum, remedy)
 
     @property
     def limited(self) -> bool:
@@ -465,11 +465,11 @@ def design_pid(
         return gains(most)
     reachable = judged(most).bandwidth
     if not bandwidth <= reachable:
-        allowed = (
+        remedy = (
             f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {aimed.sensitivity_peak:g} and "
             f"a delay margin of {aimed.delay_margin:g} sample"
         )
-        state_feedback.refuse("bandwidth", bandwidth, allowed)
+        state_feedback.refuse("bandwidth", bandwidth, remedy)
     low, high = 0.0, 1.0
     for _ in range(STEPS):
         middle = 0.5 * (low + high)

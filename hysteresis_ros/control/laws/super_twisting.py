@@ -239,10 +239,8 @@ def designed(task: DesignTask):
         A bandwidth is asked and the model has one state, or it cannot be reached.
     """
     if task.bandwidth is not None and task.parameters.model.dynamics.order == 1:
-        allowed = (
-            "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
-        )
-        state_feedback.refuse("bandwidth", task.bandwidth, allowed)
+        remedy = "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
+        state_feedback.refuse("bandwidth", task.bandwidth, remedy)
     place = sliding_pole if task.parameters.model.dynamics.order > 1 else None
     return sliding_gains(task, "super_twisting", place)
 

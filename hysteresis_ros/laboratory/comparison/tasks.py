@@ -95,8 +95,8 @@ class Conditions:
         for name in ("sine", "triangle"):
             frequency = getattr(self, f"{name}_frequency")
             if frequency > 0.1 * sample_rate:
-                allowed = f"must be at most a tenth of the sample rate, {0.1 * sample_rate:g} Hz"
-                raise ParameterError([Problem(name, frequency, allowed)])
+                remedy = f"must be at most a tenth of the sample rate, {0.1 * sample_rate:g} Hz"
+                raise ParameterError([Problem(name, frequency, remedy)])
 
 
 @dataclass(frozen=True)

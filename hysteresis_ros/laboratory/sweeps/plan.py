@@ -460,9 +460,9 @@ def _whole(value: float, row: ParameterRow):
     return int(value)
 
 
-def refused(text: str, value, allowed: str) -> ParameterError:
+def refused(text: str, value, remedy: str) -> ParameterError:
     """Return the error of a variation."""
-    return ParameterError([Problem(f"--vary {text}", value, allowed)])
+    return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
 #: What a plant as a whole may be off by, of which the models on the controller's side know nothing.
@@ -550,7 +550,7 @@ def _require_allowed(one: Variation, present) -> None:
         try:
             one.row.convert(one.setting(present, place)[0])
         except ParameterError as error:
-            raise refused(one.label, error.problems[0].value, error.problems[0].allowed) from None
+            raise refused(one.label, error.problems[0].value, error.problems[0].remedy) from None
 
 
 def _whole_plant(target: str, axis: AxisParameters) -> list[str]:
@@ -565,8 +565,8 @@ def _variation(target: str, words: str | Range, axis: AxisParameters) -> Variati
     node, mark, dotted = target.partition(".")
     nodes = [name for name in NODE_PARAMETERS if getattr(axis, name) is not None]
     if node not in nodes or not mark:
-        allowed = f"there is no such node in this axis; there are {', '.join(nodes)}{did_you_mean(node, nodes)}"
-        raise refused(target, node, allowed if node not in nodes else "which of its parameters? Write NODE.PARAMETER")
+        remedy = f"there is no such node in this axis; there are {', '.join(nodes)}{did_you_mean(node, nodes)}"
+        raise refused(target, node, remedy if node not in nodes else "which of its parameters? Write NODE.PARAMETER")
     parts = _PLACE.match(dotted)
     name, place = (parts["name"], parts["place"]) if parts else (dotted, None)
     rows = {row.name: replace(row, name=f"{node}: {row.name}") for row in NODE_PARAMETERS[node].table()}

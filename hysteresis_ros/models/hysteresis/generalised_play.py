@@ -125,15 +125,13 @@ class GeneralisedPlayParameters(Parameters):
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         if self.rate > LARGEST_RATE * self.memory:
-            allowed = (
-                f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else the voltages of"
-            )
-            yield Problem("rate", self.rate, f"{allowed} an inverse swing from sample to sample and grow")
+            remedy = f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else the voltages of"
+            yield Problem("rate", self.rate, f"{remedy} an inverse swing from sample to sample and grow")
         if not self.voltage_low < self.voltage_high:
             yield Problem("voltage_high", self.voltage_high, f"must be above voltage_low = {self.voltage_low:g}")
         if self.falling_bend > self.rising_bend:
-            allowed = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage lags, it does not lead"
-            yield Problem("falling_bend", self.falling_bend, allowed)
+            remedy = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage lags, it does not lead"
+            yield Problem("falling_bend", self.falling_bend, remedy)
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
         """Return a sentence where the inverse may magnify errors.

@@ -92,8 +92,8 @@ class PrandtlIshlinskiiParameters(Parameters):
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         elif self.radii[0] != 0.0 or self.weights[0] <= 0.0:
-            allowed = "must start with a play of radius 0 whose weight is above 0; no step has an inverse otherwise"
-            yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], allowed)
+            remedy = "must start with a play of radius 0 whose weight is above 0; no step has an inverse otherwise"
+            yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], remedy)
         if len(self.thresholds) != len(self.zone_weights):
             yield Problem("zone_weights", self.zone_weights, f"must be as many as thresholds, {len(self.thresholds)}")
             return
@@ -101,8 +101,8 @@ class PrandtlIshlinskiiParameters(Parameters):
             slopes = 1.0 + np.cumsum([weight for _, weight in zones])
             if np.any(slopes <= 0.0):
                 lowest = np.min(slopes)
-                allowed = f"{side} zero the slope 1 + Σ s falls to {lowest:.3g}; it must stay above 0 (monotone)"
-                yield Problem("zone_weights", self.zone_weights, allowed)
+                remedy = f"{side} zero the slope 1 + Σ s falls to {lowest:.3g}; it must stay above 0 (monotone)"
+                yield Problem("zone_weights", self.zone_weights, remedy)
 
 
 def _zones(parameters):

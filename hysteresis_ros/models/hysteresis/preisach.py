@@ -97,14 +97,14 @@ class PreisachParameters(Parameters):
     def check(self):
         """Yield what is wrong: range, size, a diagonal that is not zero, branches that are not monotone."""
         if not self.voltage_low <= 0.0 < self.voltage_high:
-            allowed = (
+            remedy = (
                 f"voltage_low … voltage_high must contain 0 V, where the start is; voltage_low = {self.voltage_low:g}"
             )
-            yield Problem("voltage_high", self.voltage_high, allowed)
+            yield Problem("voltage_high", self.voltage_high, remedy)
         n = self.nodes
         if n < 2 or n * (n + 1) // 2 != len(self.everett):
-            allowed = "must be n (n + 1)/2 numbers, n >= 2: rows of 1, 2, 3 … values"
-            yield Problem("everett", f"{len(self.everett)} numbers", allowed)
+            remedy = "must be n (n + 1)/2 numbers, n >= 2: rows of 1, 2, 3 … values"
+            yield Problem("everett", f"{len(self.everett)} numbers", remedy)
             return
         table = self.table_of_everett
         if np.any(np.diag(table) != 0.0):
@@ -114,11 +114,11 @@ class PreisachParameters(Parameters):
         down = min((-np.diff(table[i, : i + 1])).min() for i in range(1, n))
         smallest = min(up, down)
         if smallest < 0.0 or (smallest == 0.0 and self.slope == 0.0):
-            allowed = (
+            remedy = (
                 f"must rise with a and fall with b everywhere (smallest difference of neighbours {smallest:.3g} m); "
                 "make it monotone, or give slope > 0 where it is level"
             )
-            yield Problem("everett", f"{n} x {n} nodes", allowed)
+            yield Problem("everett", f"{n} x {n} nodes", remedy)
 
 
 @kernel

@@ -116,11 +116,11 @@ def pack(parameters, sample_time: float) -> Packed:
     if p[NUMERATOR] != 1.0 or p[RESIDUAL] != 0.0 or samples > LONGEST_PERIOD:
         whole = min(max(round(1.0 / (frequency * sample_time)), 2), LONGEST_PERIOD)
         near = 1.0 / (whole * sample_time)
-        allowed = f"the period of a multisine must be a whole number of samples ≤ {LONGEST_PERIOD}; nearest {near!r} Hz"
-        refuse("frequency", frequency, allowed)
+        remedy = f"the period of a multisine must be a whole number of samples ≤ {LONGEST_PERIOD}; nearest {near!r} Hz"
+        refuse("frequency", frequency, remedy)
     if 2 * harmonics[-1] >= samples:
-        allowed = f"must be ≤ {(samples - 1) // 2}, below half the sample rate"
-        refuse("multisine.last_harmonic", own.last_harmonic, allowed)
+        remedy = f"must be ≤ {(samples - 1) // 2}, below half the sample rate"
+        refuse("multisine.last_harmonic", own.last_harmonic, remedy)
     count, phases = harmonics.size, _phases(own)
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     # One period of the sum of sin(2π (h (k/N + phase) + φ_h)).

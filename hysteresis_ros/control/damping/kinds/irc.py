@@ -50,8 +50,8 @@ class IrcParameters(Parameters):
     def check(self):
         """Yield that the filter would not settle."""
         if not self.k * self.feedthrough < 0.0:
-            allowed = f"must not be 0, and of the other sign than feedthrough = {self.feedthrough:g}"
-            yield Problem("k", self.k, allowed + ", or the filter k/(s − k D_f) does not settle")
+            remedy = f"must not be 0, and of the other sign than feedthrough = {self.feedthrough:g}"
+            yield Problem("k", self.k, remedy + ", or the filter k/(s − k D_f) does not settle")
 
 
 def irc(parameters: IrcParameters, sample_time: float) -> StateSpace:
