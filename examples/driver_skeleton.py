@@ -30,7 +30,7 @@ SAFE_VOLTAGE = 0.0
 
 
 class Bench:
-    """Replaces amplifier and sensor: 0.1 µm/V behind a lag of 5 ms. Yours accesses a card."""
+    """Placeholder for amplifier and sensor: 0.1 µm/V with a lag of 5 ms. Your version accesses a card."""
 
     def __init__(self):
         self.displacement = 0.0
@@ -42,12 +42,12 @@ class Bench:
         return self.displacement
 
     def write_amplifier(self, voltage: float) -> None:
-        """Put out a voltage [V]."""
+        """Output a voltage [V]."""
         self.voltage = voltage
 
 
 class Driver(Node):
-    """Reads the sensor and puts out the voltage, at its own rate."""
+    """Reads the sensor and outputs the voltage, at its own rate."""
 
     def __init__(self):
         super().__init__("driver")
@@ -61,14 +61,14 @@ class Driver(Node):
         self.thread.start()
 
     def on_voltage(self, message: Float64) -> None:
-        """Take a voltage [V] for the next sample; a value that is not a number keeps the last one."""
+        """Store a voltage [V] for the next sample; a value that is not a number keeps the last one."""
         if not math.isfinite(message.data):
             return
         self.voltage = min(max(message.data, LIMITS[0]), LIMITS[1])
         self.received = time.monotonic()
 
     def keep_time(self) -> None:
-        """Sample with absolute deadlines, in a thread of its own: an executor's timer would drop periods."""
+        """Sample with absolute deadlines, in a separate thread, because an executor's timer would drop periods."""
         message = JointState(name=["extender"], position=array("d", [0.0]))
         deadline = time.monotonic()
         while not self.stop.is_set():

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage to try a commissioning on: an actuator of a class that no model of the package describes, as a driver.
+"""A stage for trying a commissioning: an actuator of a class that no model of the package describes, as a driver.
 
-It moves by one sample at each voltage, 100 µm over 0 … 100 V: hysteresis of a class of its own, creep of fractional
-order, a resonance of 420 Hz with 1.5 % of damping, a sample of delay, noise of 3 nm. Between two runs it keeps its
-state in a file. With Numba it has a compiled form, so that it runs fused; all its numbers are assumed.
+It moves by one sample at each voltage, 100 µm over 0 … 100 V: another class of hysteresis, creep of fractional order, a
+resonance of 420 Hz with a damping ratio of 1.5 %, a sample of delay, noise of 3 nm. Between two runs a file stores its
+state. With Numba it has a compiled form, so that it runs fused. All its numbers are assumed.
 
     hysteresis new stage.yaml --stroke 100um --voltage 0:100V --rate 2kHz --driver ./foreign_stage.py
     hysteresis commission stage.yaml --yes
@@ -43,13 +43,13 @@ class StageParameters(Parameters):
     """Options and faults of the stage."""
 
     hysteresis: str = parameter("bouc_wen", choices=HYSTERESES, description="class of the hysteresis")
-    memory: str = parameter("", description="file in which it keeps its state between two runs; empty: it has none")
-    polarity: float = parameter(1.0, description="direction of the sensor; 0: it sees nothing", low=-1.0, high=1.0)
-    unit: float = parameter(1.0, description="reading of the sensor for a metre", low=1e-12)
-    noise: float = parameter(3e-9, description="of the sensor, standard deviation", unit="m", low=0.0)
+    memory: str = parameter("", description="file that stores its state between two runs; empty: none")
+    polarity: float = parameter(1.0, description="direction of the sensor; 0: no signal", low=-1.0, high=1.0)
+    unit: float = parameter(1.0, description="reading of the sensor per metre", low=1e-12)
+    noise: float = parameter(3e-9, description="standard deviation of the sensor's noise", unit="m", low=0.0)
 
 
-# The whole state in one array; the functions that C calls receive its address.
+# the whole state is one array; the functions called from C receive its address
 READING, SCALE, P = 0, 1, 2
 X = P + PARAMETERS
 SENSOR_P = X + STATES
@@ -59,7 +59,7 @@ WHOLE = SENSOR_X + SENSOR_STATES
 
 @kernel
 def move(everything, voltage):
-    """Advance by one sample under ``voltage`` [V]."""
+    """Advance by one sample at ``voltage`` [V]."""
     place = foreign(everything[P:X], everything[X:SENSOR_P], voltage)
     seen = everything[SCALE] * place
     everything[READING] = sensor(everything[SENSOR_P:SENSOR_X], everything[SENSOR_X:WHOLE], seen)
@@ -70,7 +70,7 @@ class Stage(Driver):
     """The stage."""
 
     def open(self, parameters: StageParameters, sample_rate: float) -> Capabilities:
-        """Find the stage as it was left."""
+        """Restore the state of the last run."""
         sample_time = 1.0 / sample_rate
         actuator = ForeignParameters(
             hysteresis=parameters.hysteresis,
@@ -110,7 +110,7 @@ class Stage(Driver):
         move(self._everything, float(voltages[0]))
 
     def compiled(self) -> Compiled | None:
-        """Return the same as machine code."""
+        """Return its compiled form."""
         if not COMPILED:
             return None
         read, write, make_safe = (function.address for function in as_c_calls())
@@ -121,14 +121,14 @@ class Stage(Driver):
         self.write((LOW,))
 
     def close(self) -> None:
-        """Keep what it remembers."""
+        """Store the state."""
         if self._memory is not None:
             with self._memory.open("wb") as file:
                 np.save(file, np.concatenate([self._everything[X:SENSOR_P], self._everything[SENSOR_X:]]))
 
 
 def explained(code: int) -> DriverError:
-    """Say what an error code means; the stage has none."""
+    """Return the meaning of an error code; the stage has none."""
     return DriverError("the stage", f"answers with code {code}", "look at it")
 
 
@@ -159,7 +159,7 @@ def as_c_calls():
 
 @contextlib.contextmanager
 def emulator() -> Iterator[StageParameters]:
-    """Give the parameters of the stage; it needs nothing outside."""
+    """Check the parameters of the stage; it needs no hardware."""
     yield StageParameters()
 
 

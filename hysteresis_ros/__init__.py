@@ -107,14 +107,14 @@ __all__ = [
     "with_dynamics",
 ]
 
-#: Modules that are known here by another name than their own.
+#: Modules that have another name here than their own.
 _MODULES = {
     "models": "hysteresis_ros.models",
     "references": "hysteresis_ros.references",
     "inverses": "hysteresis_ros.models.inverse_classes",
     "controllers": "hysteresis_ros.control.classes",
 }
-#: Where the names stand that are not in :mod:`hysteresis_ros.api`.
+#: Modules of the names that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
     **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),

@@ -9,8 +9,8 @@
 
 """The workflow for scripts and notebooks: ``import hysteresis_ros as hr``, then a few lines. SI units everywhere.
 
-``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate`` and ``hr.report`` are what the commands of the same names
-do; ``docs/api.md`` shows them at work. What takes more than one run, and designs, stand in
+``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate`` and ``hr.report`` do what the commands of the same names
+do; ``docs/api.md`` shows examples. Designs are in :mod:`hysteresis_ros.designing`, studies of several runs in
 :mod:`hysteresis_ros.laboratory.studies`.
 """
 
@@ -66,9 +66,9 @@ class Run(Recording):  # numpydoc ignore=PR02
     signals : dict of str to array_like, shape (N,)
         Named signals in SI units; NaN where a sample of a signal is missing.
     units : dict of str to str, optional
-        Unit of each signal; those that the package knows (``voltage``, ``displacement`` …) need not be given.
+        Unit of each signal; not required for signals of the package (``voltage``, ``displacement`` …).
     metadata : dict, optional
-        Whatever JSON can hold, such as ``configuration`` (YAML text of the axis) and ``notes``.
+        Values that JSON can hold, such as ``configuration`` (YAML text of the axis) and ``notes``.
 
     Raises
     ------
@@ -87,12 +87,12 @@ class Run(Recording):  # numpydoc ignore=PR02
 
     @classmethod
     def of(cls, recording: Recording) -> Run:
-        """Return a recording as a run; its arrays are shared.
+        """Return a recording as a run that shares its arrays.
 
         Parameters
         ----------
         recording : Recording
-            Whatever the package reads or makes.
+            Any recording.
 
         Returns
         -------
@@ -102,7 +102,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return cls(recording.time, recording.signals, recording.units, recording.metadata)
 
     def __getattr__(self, name: str) -> np.ndarray:
-        # asked for only what is no attribute; before the fields are there (copying, unpickling), nothing is a signal
+        # called only for missing attributes; while an object is copied or unpickled, it has no signals yet
         signals = self.__dict__.get("signals", {})
         if name in signals:
             return signals[name]
@@ -137,7 +137,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         Raises
         ------
         RecordingError
-            There are fewer than two samples.
+            The part has fewer than two samples.
 
         Examples
         --------
@@ -155,12 +155,12 @@ class Run(Recording):  # numpydoc ignore=PR02
         Returns
         -------
         pandas.DataFrame
-            One column a signal; the units are in ``attrs["units"]``.
+            One column per signal; the units are in ``attrs["units"]``.
 
         Raises
         ------
         MissingExtraError
-            Pandas is not installed; the message says how to.
+            Pandas is not installed; the message gives the command that installs it.
 
         Examples
         --------
@@ -176,41 +176,41 @@ class Run(Recording):  # numpydoc ignore=PR02
         return table
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the run as ``.npz``, ``.csv`` or ``.mcap``; the ending decides.
+        """Write the run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix of the path.
 
         Parameters
         ----------
         path : path-like
-            Where to; an existing table is replaced, an existing bag is not.
+            The file; an existing table is replaced, an existing bag is not.
 
         Raises
         ------
         RecordingError
-            The ending is another, or the file cannot be written.
+            The suffix is unknown, or the file cannot be written.
         """
         save_run(self, path)
 
 
 class Compared(workflow.Compared):  # numpydoc ignore=PR02
-    """A model beside a recording, as :func:`validate` returns it.
+    """A comparison of a model with a recording, as :func:`validate` returns it.
 
     Parameters
     ----------
     data : IdentificationData
-        What was measured.
+        The measured data.
     plant : PlantModel
         The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
     predicted : ndarray, shape (N,)
-        What the model says [m].
+        Displacement predicted by the model [m].
     validation : Validation
-        Errors, and whether what is left is white.
+        Errors, and whether the residuals are white.
     inverse : InverseValidation or None
-        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+        The voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
-        By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
-        for what is not finite. This is what ``--json`` prints.
+        Figures by names that contain their units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``,
+        ``inverse_rmse_v`` and more; None for values that are not finite. ``--json`` prints the same.
     warnings : tuple of str
-        Warnings, in sentences.
+        Warnings, one sentence each.
     """
 
     def predict(
@@ -226,28 +226,28 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         Parameters
         ----------
         voltage : array_like, shape (N,), or Recording
-            Voltage [V]; of a recording its signal ``voltage`` and its sample time.
+            Voltage [V]; a recording gives its signal ``voltage`` and its sample time.
         sample_time : float, optional
-            Sample time of the voltage [s]; by default that of the model.
+            Sample time of the voltage [s]; by default the model's.
         intersample : str, optional
-            The voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as identified.
+            Voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the identification.
         initial : str, optional
-            The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage had repeated before) or
-            ``estimate`` (at rest under the first voltage); by default as identified.
+            The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage was periodic before) or
+            ``estimate`` (at rest at the first voltage); by default as in the identification.
 
         Returns
         -------
         ndarray, shape (N,)
-            Displacement [m], with the zero of the sensor.
+            Displacement [m], relative to the zero of the sensor.
 
         Raises
         ------
         IdentificationError
-            The dynamics are known for another sample time only, or there is no such choice.
+            The dynamics are known for another sample time only, or a choice does not exist.
         RecordingError
             The recording has no signal ``voltage``.
         HysteresisError
-            The voltage is not a row of finite numbers.
+            The voltage is not a one-dimensional array of finite numbers.
 
         Examples
         --------
@@ -262,7 +262,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         except (TypeError, ValueError):
             raise HysteresisError("voltage: must be an array of numbers") from None
         if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
-            raise HysteresisError(f"voltage has shape {values.shape}: must be a row of finite numbers [V]")
+            raise HysteresisError(f"voltage has shape {values.shape}: must be one-dimensional, of finite numbers [V]")
         step = self.plant.sample_time if sample_time is None else float(sample_time)
         if not 0.0 < step < np.inf:
             raise HysteresisError(f"sample_time = {step}: must be above 0 s")
@@ -285,30 +285,31 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
 
 
 class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
-    """What :func:`identify` found: a :class:`Compared` with the parameter file and how it came about.
+    """The result of :func:`identify`: a :class:`Compared` with the parameter file and the path to it.
 
     Parameters
     ----------
     data : IdentificationData
-        What was measured.
+        The measured data.
     plant : PlantModel
         The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
     predicted : ndarray, shape (N,)
-        What the model says [m].
+        Displacement predicted by the model [m].
     validation : Validation
-        Errors, and whether what is left is white.
+        Errors, and whether the residuals are white.
     inverse : InverseValidation or None
-        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+        The voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
-        By names with units, as of a :class:`Compared`.
+        Figures by names that contain their units, as in :class:`Compared`.
     warnings : tuple of str
-        Warnings, in sentences.
+        Warnings, one sentence each.
     identification : Identification
-        The result with deviations, assumptions and, for searches, the path of the parameters.
+        The result with standard deviations, assumptions and, for searches, the path of the parameters.
     text : str
         The parameter file: a whole axis, as plant, compensator and controller load it.
     response : ResponseCheck, optional
-        How well the recording knows the frequency response; None for a model with dynamics inside its hysteresis.
+        How well the recording determines the frequency response; None for a model whose hysteresis contains the
+        dynamics.
     """
 
     def _named(self) -> str:
@@ -317,17 +318,17 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
 
 
 def _warned(warnings: Sequence[str]) -> str:
-    """Return how many warnings there are, for a line."""
+    """Return the number of warnings as the end of a line."""
     return f", {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignedFile:  # numpydoc ignore=PR02
-    """What was designed, and the parameter file that holds it."""
+    """A design and the parameter file that contains it."""
 
     lines: tuple[str, ...]  #: The table that ``hysteresis design`` prints.
-    text: str  #: The parameter file: that of the design's source with what was designed.
-    parameters: Any  #: Those that were designed; they have a ``type``.
+    text: str  #: The source's parameter file with the design.
+    parameters: Any  #: The designed parameters; they have a ``type``.
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
@@ -336,12 +337,12 @@ class DesignedFile:  # numpydoc ignore=PR02
         return f"{type(self).__name__}({self.parameters.type})"
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the parameter file whole or not at all.
+        """Write the parameter file atomically.
 
         Parameters
         ----------
         path : path-like
-            A ``.yaml`` file; one that exists is replaced.
+            A ``.yaml`` file; an existing file is replaced.
 
         Raises
         ------
@@ -353,21 +354,21 @@ class DesignedFile:  # numpydoc ignore=PR02
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design(DesignedFile):  # numpydoc ignore=PR02
-    """A designed controller, and the configuration that holds it.
+    """A designed controller and the configuration that contains it.
 
     Parameters
     ----------
     lines : tuple of str
         The table that ``hysteresis design`` prints.
     text : str
-        The parameter file: that of the design's source with the new controller.
+        The source's parameter file with the new controller.
     parameters : ControllerParameters
         Type, gains and model of the controller.
     margins : Margins
-        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` says whether
-        they are those that every design is held to, ``margins.misses()`` what is missing.
+        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` tells whether they
+        meet the specification of every design, ``margins.misses()`` lists the unmet specifications.
     warnings : tuple of str
-        What is to be doubted, in sentences.
+        Warnings, one sentence each.
     """
 
     parameters: ControllerParameters
@@ -389,14 +390,14 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
-    """A designed learning over the periods of a scan, and the configuration that holds it.
+    """A designed learning over the periods of a scan and the configuration that contains it.
 
     Parameters
     ----------
     lines : tuple of str
         The table that ``hysteresis design --learning`` prints.
     text : str
-        The parameter file: that of the design's source with the learning.
+        The source's parameter file with the learning.
     parameters : LearningParameters
         Kind, period, filters and bounds of the learning.
     """
@@ -410,35 +411,35 @@ class Response(AxisResponse):  # numpydoc ignore=PR02
     Parameters
     ----------
     plan : Plan
-        Where the excitation stands in the recording.
+        Place of the excitation in the recording.
     plant : Analysis
-        Response from voltage or command to the measured displacement, with its band: ``plant.response.frequency``
-        [Hz], ``plant.response.response``.
+        Response from voltage or command to the measured displacement, with its uncertainty:
+        ``plant.response.frequency`` [Hz], ``plant.response.response``.
     loop : MeasuredLoop, optional
-        Of a closed loop: loop transfer, sensitivity and margins.
+        Loop transfer function, sensitivity and margins; of a closed loop only.
     model : ndarray of complex, shape (F,), optional
-        What the controller's model has for the plant, at the lines.
+        Response of the controller's model of the plant at the same frequencies.
     model_loop : ndarray of complex, shape (F,), optional
-        What it has for the loop.
+        Loop transfer function with this model.
     margins : Margins, optional
-        Of the model's loop.
+        Margins of the loop with this model.
     """
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the response: ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``; the ending decides.
+        """Write the response as ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``, by the suffix of the path.
 
         Parameters
         ----------
         path : path-like
-            Where to; an existing file is replaced.
+            The file; an existing one is replaced.
 
         Raises
         ------
         RecordingError
-            The ending is another, or the file cannot be written.
+            The suffix is unknown, or the file cannot be written.
         """
         save_response(path, self.plant, self.columns, self.figures)
 
@@ -460,18 +461,18 @@ __all__ = [
     "validate",
 ]
 
-#: Endings of configuration files.
+#: Suffixes of configuration files.
 CONFIGURATIONS = (".yaml", ".yml")
-#: Endings of recordings; a bag is a folder.
+#: Suffixes of recordings; a bag is a folder.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
 
 
-#: What describes an axis: a file, the name of one that comes with the package, or what this module returned.
+#: Sources of an axis: a file, the name of a shipped configuration, or an object that this module returned.
 Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | DesignedFile | Recording"
-#: What is judged: a run, several by their files or by the names they are to have, or what was identified.
+#: Inputs of metrics and reports: a run, several runs as files or by name, or a result of this module.
 _OneRun: TypeAlias = "str | os.PathLike[str] | Recording"
 Reported: TypeAlias = "_OneRun | Compared | Sequence[str | os.PathLike[str]] | Mapping[str, _OneRun]"
-#: What was measured: a file, or what was read already.
+#: Inputs of an identification: a file, or data already read.
 Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData | Reading"
 
 
@@ -481,7 +482,7 @@ def configurations() -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        In the order of the alphabet.
+        In alphabetical order.
 
     Examples
     --------
@@ -493,15 +494,15 @@ def configurations() -> tuple[str, ...]:
 
 
 def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Configuration | Run:
-    """Read a configuration or a recording, by what the file is.
+    """Read a configuration or a recording; the suffix decides which.
 
     Parameters
     ----------
     path : path-like
-        A parameter file (``.yaml``) or the bare name of one that comes with the package (``kim2009``); or a recording:
-        a bag (folder, ``.mcap``, ``.db3``) or a table (``.npz``, ``.csv`` with units in its header).
+        A parameter file (``.yaml``) or the bare name of a shipped one (``kim2009``); or a recording: a bag (folder,
+        ``.mcap``, ``.db3``) or a table (``.npz``, ``.csv`` with units in its header).
     namespace : str, optional
-        Which axis of a bag that holds several.
+        The axis, where a bag contains several.
 
     Returns
     -------
@@ -512,7 +513,7 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
     Raises
     ------
     ConfigurationError
-        It is neither, or the parameter file cannot be read.
+        The file is neither, or the parameter file cannot be read.
     RecordingError
         The recording cannot be read.
 
@@ -545,39 +546,39 @@ def simulate(
 ) -> Run:
     """Run an axis offline from rest: bit for bit what its nodes do in lockstep.
 
-    Doubts about whether the axis can follow its reference are given as Python warnings.
+    When the axis may not be able to follow its reference, Python warnings say so.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
-        The axis: a parameter file, the name of one that comes with the package, what :func:`load`, :func:`identify` or
-        :func:`design` returned, or a run whose axis is to run again.
+        The axis: a parameter file, the name of a shipped one, a result of :func:`load`, :func:`identify` or
+        :func:`design`, or a run, whose axis runs again.
     duration : float, optional
-        Length [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
+        Duration [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
     setpoints : array_like, shape (N,), optional
-        Setpoint in force at each sample [m]; the last one holds.
+        Setpoint at each sample [m]; the last one holds.
     requests : array_like, shape (N,), optional
-        Of an inchworm: what was asked of it at each sample.
+        Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional
-        Of an inchworm: speed at which it is to walk at each sample [m/s]; NaN asks nothing.
+        Requested walking speed of an inchworm at each sample [m/s]; NaN: no request.
     faults : sequence of Fault or str
-        What is to go wrong: ``hr.Fault("stale", 0.1, 0.3)``, or the same as the commands write it, ``"stale:0.1:0.3"``:
+        Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or as in the commands ``"stale:0.1:0.3"``:
         ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
     Run
         ``time``, ``setpoint``, ``reference``, ``command``, ``voltage``, ``displacement``, ``measured``, ``estimated``
-        and what else the axis has.
+        and the other signals of the axis.
 
     Raises
     ------
     ConfigurationError
-        The configuration cannot be read, nothing says how long the run is, or a fault is unknown.
+        The configuration cannot be read, the length of the run is not given, or a fault is unknown.
     ParameterError
-        A parameter is wrong; the message says what is allowed.
+        A parameter is wrong; the message states the allowed values.
 
     Examples
     --------
@@ -605,23 +606,23 @@ def identify(
     progress: Any = None,
     **conditions: Unpack[Conditions],
 ) -> Identified:
-    """Identify a model of hysteresis, and what stands behind it, from a recording.
+    """Identify a model of the hysteresis and of the dynamics behind it from a recording.
 
     Parameters
     ----------
     source : path-like, Recording, IdentificationData or Reading
-        A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read;
-        arrays as ``hr.Run(time, {"voltage": …, "measured": …})``.
+        A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data already read; arrays as
+        ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
         Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
-        ``generalised_play`` where that predicts better what it was not fitted to; ``auto``: the best of all.
+        ``generalised_play`` where that predicts data outside of the fit better; ``auto``: the best of all models.
     columns : Columns, optional
-        Of a file: which columns in which units, and what is taken of them: ``hr.Columns("ch1:V", "ch2:um")``.
+        Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``.
     linear : str, optional
-        What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
-        predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
+        Linear dynamics behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where
+        they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
-        Of the model, such as ``{"play_count": 20}``.
+        Options of the model, such as ``{"play_count": 20}``.
     inverse : str, optional
         Inverse of the compensator; the model's first by default.
     progress : callable, optional
@@ -632,13 +633,13 @@ def identify(
     Returns
     -------
     Identified
-        With ``parameters``, ``predicted``, ``figures``, ``warnings``, ``converged`` and ``save(path)``; it goes into
-        :func:`simulate`, :func:`design` and :func:`report` as it is.
+        With ``parameters``, ``predicted``, ``figures``, ``warnings``, ``converged`` and ``save(path)``;
+        :func:`simulate`, :func:`design` and :func:`report` take it as it is.
 
     Raises
     ------
     IdentificationError, DataError, RecordingError
-        The request or the data cannot be used; the message says what is allowed.
+        The request or the data cannot be used; the message states what is allowed.
 
     Examples
     --------
@@ -662,21 +663,21 @@ def validate(
     inverse: bool = True,
     **conditions: Unpack[Conditions],
 ) -> Compared:
-    """Simulate an identified plant under a recorded voltage and compare with what was measured.
+    """Simulate an identified plant with a recorded voltage and compare it with the measured displacement.
 
     Parameters
     ----------
     parameters : Identified, path-like, Configuration, Design or Recording
-        What :func:`identify` returned; or the plant of an axis, see :func:`simulate`: a parameter file, identified or
-        written by hand, or the name of one that comes with the package.
+        A result of :func:`identify`; or the plant of an axis, see :func:`simulate`: a parameter file, identified or
+        written by hand, or the name of a shipped one.
     source : path-like, Recording, IdentificationData or Reading
-        See :func:`identify`; best one that the model has not seen.
+        See :func:`identify`; preferably data that the model was not fitted to.
     columns : Columns, optional
-        Of a file, see :func:`identify`.
+        Columns of a file, see :func:`identify`.
     namespace : str
-        Which axis of a file with several.
+        The axis, where a file contains several.
     inverse : bool
-        Try the inverse too.
+        Also validate the inverse.
     **conditions
         ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
 
@@ -688,7 +689,7 @@ def validate(
     Raises
     ------
     ConfigurationError, ParameterError, IdentificationError, DataError, RecordingError
-        The file, a choice or the data cannot be used; the message says what is allowed.
+        The file, a choice or the data cannot be used; the message states what is allowed.
 
     Examples
     --------
@@ -702,26 +703,26 @@ def validate(
 
 
 def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]:
-    """Judge a run, an identification or a validation; :func:`report` also writes a page of it.
+    """Return the figures of a run, an identification or a validation; :func:`report` also writes a page.
 
     Parameters
     ----------
     source : path-like, Recording, Identified, Compared, sequence of path-like, or mapping
-        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned. Several runs are judged
-        side by side: files, or runs by the names that they are to have.
+        A recording, or a result of :func:`simulate`, :func:`identify` or :func:`validate`. Several runs are compared: a
+        sequence of files, or a mapping of names to runs.
     namespace : str, optional
-        Which axis of a bag that holds several.
+        The axis, where a bag contains several.
 
     Returns
     -------
     dict
-        Figures in SI units, by names that hold their unit: ``rms_error_m``, ``settling_time_s`` …; of an inchworm its
-        moves and steps. Of several runs these by their names.
+        Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
+        its moves and steps. For several runs, one such dictionary per run.
 
     Raises
     ------
     RecordingError
-        The recording cannot be read or judged.
+        The recording cannot be read or evaluated.
 
     Examples
     --------
@@ -739,33 +740,33 @@ def report(
     title: str | None = None,
     namespace: str | None = None,
 ) -> dict[str, Any]:
-    """Judge a run, an identification or a validation, and write a page of it.
+    """Return the figures of a run, an identification or a validation, and write a page about it.
 
     Parameters
     ----------
     source : path-like, Recording, Identified, Compared, sequence of path-like, or mapping
-        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned. Several runs are judged
-        side by side: files, or runs by the names that they are to have.
+        A recording, or a result of :func:`simulate`, :func:`identify` or :func:`validate`. Several runs are compared: a
+        sequence of files, or a mapping of names to runs.
     path : path-like, optional
-        HTML file to write, which needs nothing beside it. Plots need Matplotlib and Jinja2
-        (``pip install "hysteresis_ros[report]"``).
+        HTML file to write, complete in itself. Plots need Matplotlib and Jinja2 (``pip install
+        "hysteresis_ros[report]"``).
     title : str, optional
-        Heading of the page of a run; by default the name of the recording, or those of all.
+        Heading of the page of a run; by default the name of the recording, or of all recordings.
     namespace : str, optional
-        Which axis of a bag that holds several.
+        The axis, where a bag contains several.
 
     Returns
     -------
     dict
-        Figures in SI units, by names that hold their unit: ``rms_error_m``, ``settling_time_s`` …; of an inchworm its
-        moves and steps. Of several runs these by their names.
+        Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
+        its moves and steps. For several runs, one such dictionary per run.
 
     Raises
     ------
     RecordingError
-        The recording cannot be read or judged, or the page not be written.
+        The recording cannot be read or evaluated, or the page cannot be written.
     HysteresisError
-        Matplotlib or Jinja2 is not installed; the message says how to.
+        Matplotlib or Jinja2 is not installed; the message gives the command that installs it.
 
     Examples
     --------
@@ -810,27 +811,27 @@ def report(
 
 
 def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:
-    """Draw a run; in a notebook ``%matplotlib inline`` shows what is returned.
+    """Draw a run; in a notebook ``%matplotlib inline`` shows the returned figure.
 
     Parameters
     ----------
     source : path-like or Recording
-        A recording, or what :func:`simulate` returned.
+        A recording, or a result of :func:`simulate`.
     kind : str
-        ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage``, ``loops`` (before and
-        after compensation), ``spectrum``, ``histogram`` … as on the page of :func:`report`.
+        ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage``, ``loops`` (before and after
+        compensation), ``spectrum``, ``histogram`` …, as on the page of :func:`report`.
     namespace : str, optional
-        Which axis of a bag that holds several.
+        The axis, where a bag contains several.
 
     Returns
     -------
     matplotlib.figure.Figure
-        To be changed, or written by ``savefig(path)``.
+        The figure; ``savefig(path)`` writes it.
 
     Raises
     ------
     HysteresisError
-        There is no such plot, the recording lacks what it shows, or Matplotlib is not installed.
+        The plot does not exist, the recording lacks its signals, or Matplotlib is not installed.
 
     Examples
     --------
@@ -844,7 +845,7 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
     charts = {chart.name: chart for chart in charts_of(judged(_recording(source, namespace)))}
     if kind not in charts:
         there = ", ".join(charts)
-        raise HysteresisError(f"kind = {kind!r}: of this recording there are {there}{did_you_mean(kind, charts)}")
+        raise HysteresisError(f"kind = {kind!r}: this recording has the plots {there}{did_you_mean(kind, charts)}")
     return chart_figure(charts[kind])
 
 
@@ -854,17 +855,17 @@ def configuration_of(source: Source) -> Configuration:
     Parameters
     ----------
     source : str or path or Configuration or Identified or DesignedFile or Recording
-        A file or the name of a shipped configuration, or what holds one.
+        A file, the name of a shipped configuration, or an object that contains one.
 
     Returns
     -------
     Configuration
-        That of the axis.
+        The configuration of the axis.
 
     Raises
     ------
     ConfigurationError
-        A recording that does not hold the configuration of its axis, or a file that is not one.
+        A recording does not contain the configuration of its axis, or a file is not a configuration.
     """
     if isinstance(source, Configuration):
         return source
@@ -878,5 +879,5 @@ def configuration_of(source: Source) -> Configuration:
 
 
 def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None) -> Recording:
-    """Return a recording, read where it is a file."""
+    """Return a recording; a file is read."""
     return source if isinstance(source, Recording) else load_run(source, namespace, further=True)

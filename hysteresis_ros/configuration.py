@@ -9,9 +9,9 @@
 
 """Parameters and the files they are read from: one dataclass per block, which maps 1:1 to a ROS 2 parameter file.
 
-A block's parameters are a frozen dataclass derived from :class:`Parameters`; every field is made by
-:func:`parameter` (a value) or :func:`group` (a nested dataclass). The same table serves the offline simulation,
-the declaration of ROS parameters and the generated documentation.
+A block's parameters are a frozen dataclass derived from :class:`Parameters`; every field is declared by
+:func:`parameter` (a value) or :func:`group` (a nested dataclass). The same table serves the offline simulation, the
+declaration of ROS parameters and the generated documentation.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def parameter(
     paths: bool = False,
     place: str = "",
 ) -> Any:
-    """Declare one parameter of a block."""
+    """Declare one parameter of a block as a dataclass field."""
     required = default is MISSING
     metadata = dict(description=description, unit=unit, low=low, high=high, choices=choices, paths=paths)
     metadata |= dict(read_only=read_only, required=required, place=place)
@@ -299,7 +299,7 @@ class Parameters:
         return tuple(found)
 
     def validated(self, prefix: str = ""):
-        """Return self, or raise ParameterError with all problems; for parameters that are built in Python."""
+        """Return self, or raise ParameterError with all problems; for parameters that a user builds in Python."""
         if self.__dict__.get("_is_valid"):
             return self
         problems = self._unfit(prefix) or self.problems(prefix)
@@ -377,7 +377,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _RepeatedKeyError(Exception):
-    """A mapping has a duplicate key: its name and both lines."""
+    """A mapping has a duplicate key; the arguments are its name and both lines."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -535,7 +535,7 @@ def _flatten(mapping: dict, source: str, prefix: str = "") -> dict:
         twice = sorted(flat.keys() & found.keys())
         if twice:
             raise ConfigurationError(
-                f"{source}: '{twice[0]}' is twice in one section, nested and with dots; keep one of them"
+                f"{source}: '{twice[0]}' occurs twice in one section, nested and with dots; keep one of them"
             )
         flat.update(found)
     return flat

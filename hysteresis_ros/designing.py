@@ -10,7 +10,7 @@
 
 """Designs in Python: ``hr.design``, ``hr.design_learning``, ``hr.frequency_response``, ``hr.mismatched``. SI units.
 
-They do what the commands ``hysteresis design`` and ``hysteresis frf`` do.
+The commands ``hysteresis design`` and ``hysteresis frf`` do the same.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def design(
     response: str | os.PathLike[str] | Response | None = None,
     namespace: str | None = None,
 ) -> Design:
-    """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
+    """Design a controller for its own model of the plant (``motion_controller: model.dynamics``).
 
     Parameters
     ----------
@@ -94,26 +94,28 @@ def design(
     bandwidth : float, optional
         -3 dB bandwidth from reference to displacement [Hz].
     q : float, optional
-        Kalman filter: variance of the input's noise over that of the measurement.
+        Kalman filter: ratio of the process noise variance at the input to the measurement noise variance.
     criterion : str, optional
-        Of a pid: ``iae``, ``ise`` or ``itae``, tune it on the waveform.
+        For ``pid``: tune the gains on the waveform by ``iae``, ``ise`` or ``itae``.
     duration : float, optional
-        Length of the run that ``criterion`` judges [s].
+        Length of the run that ``criterion`` evaluates [s].
     feedforward : bool
         Add the inverse of the dynamics.
     preview : int, optional
-        Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
+        Number of samples by which the reference is known in advance, with ``feedforward``; by default what the inverse
+        needs.
     noise : float, optional
-        RMS noise of the sensor [m], by which the fastest design is chosen; by default 0.01 % of the stroke.
+        RMS noise of the sensor [m], which limits the bandwidth; by default 0.01 % of the stroke.
     robust : Uncertainty, optional
-        Plants around the model on each of which the margins are to be kept
+        Plants around the model; the design keeps the margins on each of them
         (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
     damping : str, optional
-        Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` leaves out that of the file.
+        Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` removes the damping of the
+        file.
     response : path-like or Response, optional
-        What :func:`frequency_response` measured: the design bears it, and its margins are measured.
+        Response measured by :func:`frequency_response`: the design is robust on it, and its margins are taken from it.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
@@ -123,9 +125,9 @@ def design(
     Raises
     ------
     ConfigurationError
-        The configuration cannot be read, or requests exclude each other.
+        The configuration cannot be read, or two arguments exclude each other.
     ParameterError
-        No design follows from the model; the message says what keeps it.
+        No design exists for the model; the message gives the reason.
 
     Examples
     --------
@@ -148,7 +150,7 @@ def design(
 
 
 def _written(configuration: Configuration, namespace: str | None) -> Configuration:
-    """Return a configuration whose text says all that is in it: changes by ``override`` are written out."""
+    """Return a configuration whose text contains all its values, including those set by ``override``."""
     if parse_configuration(configuration.text, configuration.source).entries == configuration.entries:
         return configuration
     return parse_configuration(single_axis(configuration, namespace).configuration_text(), configuration.source)
@@ -163,7 +165,7 @@ def design_learning(
     maximum: float | None = None,
     namespace: str | None = None,
 ) -> DesignedLearning:
-    """Design learning over the periods of a scan, for the controller and model that a configuration has.
+    """Design learning over the periods of a scan, for the controller and the model of a configuration.
 
     Parameters
     ----------
@@ -172,13 +174,13 @@ def design_learning(
     learning : str
         ``inversion``, ``norm_optimal`` or ``repetitive``.
     period : float, optional
-        Of the reference [s]; by default that of the waveform.
+        Period of the reference [s]; by default that of the waveform.
     bandwidth : float, optional
-        Of the learning [Hz]; by default the highest at which it contracts on all possible plants.
+        Bandwidth of the learning [Hz]; by default the highest at which it converges on all possible plants.
     maximum : float, optional
         Largest correction [m]; by default 10 % of the stroke.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
@@ -188,9 +190,9 @@ def design_learning(
     Raises
     ------
     ConfigurationError
-        There is no such learning, no period is known, or nothing contracts.
+        The learning does not exist, the period is unknown, or no learning converges.
     ParameterError
-        The period is no whole number of samples.
+        The period is not a whole number of samples.
 
     Examples
     --------
@@ -226,21 +228,21 @@ def frequency_response(
     Parameters
     ----------
     source : path-like, Configuration, Identified, Design or Recording
-        An axis, see :func:`.simulate`; or a recording (a run, or a file of one), of which ``experiment``, ``amplitude``
-        and ``offset`` say nothing.
+        An axis, see :func:`.simulate`; or a recording (a run, or its file), for which ``experiment``, ``amplitude`` and
+        ``offset`` must be left out.
     experiment : Experiment, optional
         Kind, band and length of the excitation: ``hr.Experiment("stepped", low=10.0, high=500.0)``; by default an odd
         random-phase multisine.
     loop : str, optional
-        ``open`` or ``closed``; of a configuration ``open`` by default.
+        ``open`` or ``closed``; by default ``open`` for a configuration.
     at : str, optional
-        Where it is excited: ``voltage``, ``command`` or ``reference``.
+        Where the excitation is added: ``voltage``, ``command`` or ``reference``.
     amplitude : str or float, optional
-        Peak of the excitation: ``"2V"``, ``"500nm"``, or a part of the range; by default 0.05.
+        Peak of the excitation: ``"2V"``, ``"500nm"``, or a fraction of the range; by default 0.05.
     offset : str or float, optional
-        Around which place: ``"40V"``, ``"30um"``, or a part of the range; by default its middle.
+        Operating point: ``"40V"``, ``"30um"``, or a fraction of the range; by default its middle.
     namespace : str, optional
-        Which axis of several.
+        The axis, where there are several.
 
     Returns
     -------
@@ -250,9 +252,9 @@ def frequency_response(
     Raises
     ------
     ConfigurationError
-        What was asked does not fit the axis.
+        The request does not fit the axis.
     HysteresisError
-        The excitation drowns in the noise, or the recording has no such response.
+        The excitation is below the noise, or the recording does not contain this response.
 
     Examples
     --------
@@ -279,7 +281,7 @@ def frequency_response(
 
 
 def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
-    """Return the response of a recording, or of its file, beside which its plan may stand."""
+    """Return the response of a recording or of its file; the plan may be in a file beside it."""
     if isinstance(source, Recording):
         return _response(recorded_response(source, None, loop, at))
     plan = read_plan(plan_file(source)) if plan_file(source).exists() else None
@@ -291,7 +293,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a plant around the configured one: gain, opening of the loop, creep and times are off; the models stay.
+    """Draw a random plant around the configured one: gain, loop width, creep and time constants vary; the models stay.
 
     Parameters
     ----------
@@ -302,17 +304,17 @@ def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespa
     seed : int
         Equal seeds give equal plants.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
     Configuration
-        For :func:`.simulate`: the controller does not know.
+        For :func:`.simulate`; the controller keeps its model of the configured plant.
 
     Raises
     ------
     ConfigurationError
-        The configuration cannot be read, or holds several axes.
+        The configuration cannot be read, or contains several axes.
     ParameterError
         The mismatch is out of range.
 

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear dynamics in the forms of python-control and SciPy, and back: ``hr.to_control``, ``hr.from_control``.
+"""Conversion of linear dynamics to and from python-control and SciPy: ``hr.to_control``, ``hr.from_control``.
 
-A plant is measured at the beginning of a sample, before its input changes: the systems that come out are from the input
-u_k, held over sample k, to the output y_k at the beginning of it. They go from displacement [m] to displacement [m]:
-the gain in m/V is that of the hysteresis in front.
+A plant is measured at the beginning of a sample, before its input changes: the systems map the input u_k, held over
+sample k, to the output y_k at its beginning. Both are displacements [m]: the gain in m/V belongs to the hysteresis in
+front of the dynamics.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = ["from_control", "to_control", "to_scipy", "with_dynamics"]
 
-#: Where linear dynamics are in a configuration: those of the plant, and those that the controller assumes.
+#: Parameter groups of linear dynamics by node: the plant's, and those that the controller assumes.
 NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
-#: A feedthrough below this part of the gain is rounding.
+#: A feedthrough below this fraction of the gain is rounding.
 ROUNDING = 1e-9
 
 
@@ -48,24 +48,24 @@ def to_control(
     Parameters
     ----------
     source : Identified, Compared, path-like, Configuration, Design or Recording
-        What was identified, or an axis, see :func:`.simulate`.
+        An identified model, or an axis, see :func:`.simulate`.
     node : str
-        Of an axis: ``plant_simulator`` (the plant), or ``motion_controller`` (the model that the controller assumes).
+        For an axis: ``plant_simulator`` (the plant) or ``motion_controller`` (the controller's model of it).
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
     control.StateSpace
         From the input of the dynamics [m], held over each sample, to the displacement [m] at its beginning, with the
-        sample time ``dt`` [s]. Hysteresis and creep are not in it; a delay is, as states.
+        sample time ``dt`` [s]. Hysteresis and creep are not included; a delay is included as states.
 
     Raises
     ------
     MissingExtraError
-        The package python-control is not installed; the message says how to.
+        The package python-control is not installed; the message gives the command that installs it.
     ConfigurationError
-        There is no such node, or its dynamics are not linear.
+        The node does not exist, or its dynamics are not linear.
 
     Examples
     --------
@@ -91,11 +91,11 @@ def to_scipy(
     Parameters
     ----------
     source : Identified, Compared, path-like, Configuration, Design or Recording
-        What was identified, or an axis, see :func:`.simulate`.
+        An identified model, or an axis, see :func:`.simulate`.
     node : str
-        Of an axis: ``plant_simulator`` (the plant), or ``motion_controller`` (the model that the controller assumes).
+        For an axis: ``plant_simulator`` (the plant) or ``motion_controller`` (the controller's model of it).
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def to_scipy(
     Raises
     ------
     ConfigurationError
-        There is no such node, or its dynamics are not linear.
+        The node does not exist, or its dynamics are not linear.
 
     Examples
     --------
@@ -124,11 +124,13 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     Parameters
     ----------
     system : control.StateSpace, control.TransferFunction or a system of scipy.signal
-        With one input and one output, discrete or continuous. A continuous one is sampled with its input held.
+        System with one input and one output, discrete or continuous. A continuous one is sampled with a zero-order
+        hold.
     sample_time : float, optional
         Sample time [s]; must be given where the system does not state it.
     keep_gain : bool
-        Keep the gain at frequency zero. By default it becomes one: in front of the dynamics, the hysteresis has it.
+        Keep the DC gain. By default it is set to one, because the hysteresis in front of the dynamics contains the
+        gain.
 
     Returns
     -------
@@ -138,9 +140,9 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     Raises
     ------
     ConfigurationError
-        It is no such system, states no sample time or another one, or a discrete system answers within the sample.
+        The object is not such a system, its sample time is missing or differs, or a discrete system has a feedthrough.
     ParameterError
-        The system is unstable, or has no gain at frequency zero.
+        The system is unstable, or its DC gain is zero or infinite.
 
     Examples
     --------
@@ -163,7 +165,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
             f"sample_time = {sample_time:.9g} s: the system is for {given:.9g} s; convert it, or leave sample_time out"
         )
     if stated is None:
-        # of a plant that is read before its input changes, the feedthrough answers the input before
+        # the plant is read before its input changes, so the feedthrough acts on the previous input
         A, B = zero_order_hold(A, B, given) if len(A) else (A, B)
     else:
         model = StateSpace(A, B, C, D)
@@ -191,7 +193,7 @@ def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "pl
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
     dynamics : LinearParameters
-        As :func:`from_control` returns them.
+        Result of :func:`from_control`.
     node : str
         ``plant_simulator`` (the plant), or ``motion_controller`` (the model that the controller assumes).
 
@@ -203,7 +205,7 @@ def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "pl
     Raises
     ------
     ConfigurationError
-        There is no such node.
+        The node does not exist.
 
     Examples
     --------
@@ -232,7 +234,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
             kind = source.plant.hysteresis.type
             raise ConfigurationError(f"{kind}: its dynamics are inside the hysteresis, they are not linear")
         if node != "plant_simulator":
-            raise ConfigurationError(f"node = {node!r}: what was identified is the plant; leave node out")
+            raise ConfigurationError(f"node = {node!r}: an identification gives the plant; leave node out")
         dynamics, sample_time = source.plant.dynamics, source.plant.sample_time
     else:
         axis = single_axis(configuration_of(source), namespace)

@@ -48,7 +48,7 @@ class Job(NamedTuple):
     arguments: tuple
 
     def outcome(self) -> tuple[Any, str]:
-        """Return the result, and the error message of wrong input as a text, which can be pickled."""
+        """Return the result, and the error message of wrong input as text, because not every error can be pickled."""
         try:
             return self.function(*self.arguments), ""
         except HysteresisError as error:
@@ -146,13 +146,13 @@ def processes(workers: int) -> Iterator[Processes]:
     try:
         with _alone():
             for _ in range(workers):
-                found.pool.submit(os.getpid)  # each of them starts one
+                found.pool.submit(os.getpid)  # each job starts one process
         yield found
     finally:
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
             process.join()
-        # the thread that waits for the processes has nothing left to wait for, and holds semaphores
+        # the thread that waits for the processes has ended its work, but still holds semaphores
         found.pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -239,12 +239,12 @@ class Cluster(Executor):
             raise self._gone() from None
         except Exception as error:  # the other machine may lack any package or file
             raise HysteresisError(
-                f"--scheduler {self.address}: a worker could not do its work: {type(error).__name__}: {error}; all of "
-                "them need this version of the package"
+                f"--scheduler {self.address}: a worker has failed: {type(error).__name__}: {error}; all workers "
+                "need this version of the package"
             ) from None
 
     def require_alive(self) -> None:
-        """Raise an error when no worker has been there for ``PATIENCE``."""
+        """Raise an error when no worker has been present for ``PATIENCE``."""
         if self.client.status not in ("running", "connecting"):
             raise self._gone()
         if self.client.status == "running" and self._threads():

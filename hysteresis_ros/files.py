@@ -58,14 +58,14 @@ def write_text(path, text: str, error: type[HysteresisError]) -> None:
         beside.write_text(text, encoding="utf-8")
 
 
-#: An archive may unpack to this size in any case [bytes], and otherwise to this multiple of its own size.
+#: An archive may always unpack to this size [bytes]; a larger one to this multiple of its own size.
 SMALL, RATIO = 1 << 26, 100
 #: NumPy kinds of numbers and texts.
 KINDS = "biufcUS"
 
 
 class ArchiveError(ValueError):
-    """A file is not an archive of arrays; the message does not name the file."""
+    """A file is not an archive of arrays; the caller adds its name to the message."""
 
 
 class Head:
@@ -84,10 +84,10 @@ class Head:
     def require(self, size: int) -> None:
         """Refuse an array larger than its content of ``size`` bytes, or of other types than numbers and texts."""
         if self.dtype.kind not in KINDS:
-            raise ArchiveError(f"holds an array of {self.dtype}, which is not read: neither numbers nor texts")
+            raise ArchiveError(f"contains an array of {self.dtype}: only numbers and texts are read")
         count = math.prod(self.shape)
         if min(self.shape, default=0) < 0 or max(count, count * self.dtype.itemsize) > size:
-            raise ArchiveError(f"says that it has an array of shape {self.shape} in {size} bytes")
+            raise ArchiveError(f"declares an array of shape {self.shape} in {size} bytes")
 
 
 def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
@@ -128,7 +128,7 @@ def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]
         members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
         kinds = {member.compress_type for member in members.values()}
         if kinds - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-            raise ArchiveError("is packed in a way that NumPy does not write")
+            raise ArchiveError("uses a compression that NumPy does not write")
         size = sum(member.file_size for member in members.values())
         if size > max(SMALL, RATIO * pathlib.Path(path).stat().st_size):
             raise ArchiveError(f"would unpack to {size} bytes, more than {RATIO} times its size")
@@ -143,7 +143,7 @@ def _named() -> Iterator[None]:
     except (OSError, ArchiveError):
         raise
     except Exception as error:  # zipfile, zlib, NumPy and Python's parser raise many types
-        raise ArchiveError(f"is damaged, or no file of arrays ({error or type(error).__name__})") from None
+        raise ArchiveError(f"is damaged, or not a file of arrays ({error or type(error).__name__})") from None
 
 
 def _sound(array: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ _UNFIT = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, Ov
 
 
 class BoundsError(HysteresisError):
-    """A text is too large, holds too many values, or is not YAML or JSON; the message does not name the file."""
+    """A text is too large, has too many values, or is not YAML or JSON; the caller adds the file's name."""
 
 
 def read_text(path) -> str:
@@ -174,14 +174,14 @@ def read_text(path) -> str:
     with pathlib.Path(path).expanduser().open("rb") as stream:
         content = stream.read(LARGEST + 1)
     if len(content) > LARGEST:
-        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
+        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB, the limit for files of this kind")
     return content.decode()
 
 
 def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
     """Return the content of a YAML text as plain values."""
     if len(text) > LARGEST:
-        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
+        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB, the limit for files of this kind")
     try:
         _look_through(text, most)
         return yaml.load(text, Loader=loader)  # a safe one, see above
@@ -205,12 +205,12 @@ def _look_through(text: str, most: int) -> None:
     for event in yaml.parse(text, Loader=FAST_LOADER):
         if isinstance(event, yaml.AliasEvent):
             line = event.start_mark.line + 1
-            raise BoundsError(f"line {line}: ROS 2 reads no YAML aliases (*{event.anchor}); write the values out")
+            raise BoundsError(f"line {line}: ROS 2 does not read YAML aliases (*{event.anchor}); write the values out")
         values += isinstance(event, yaml.NodeEvent)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             line = event.start_mark.line + 1
-            raise BoundsError(f"line {line}: more than {DEEPEST} mappings or lists within each other")
+            raise BoundsError(f"line {line}: mappings or lists are nested more than {DEEPEST} deep")
         if values > most:
-            raise BoundsError(f"holds more than {most} values: no file of this kind does")
+            raise BoundsError(f"contains more than {most} values, the limit for files of this kind")

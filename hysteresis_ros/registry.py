@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registries of the declarations in folders and other packages, and the notebook classes generated from them.
+"""Registries of declarations in folders and in other packages, and notebook classes generated from them.
 
-Every module (or folder) in such a folder declares one object under one name, for instance ``MODEL``. A file in the
-folder is found without further registration. Other packages add declarations by an entry point of the registry's group.
+Every module (or folder) in such a folder declares one object under one name, for instance ``MODEL``. The registry finds
+every file of the folder. Other packages add declarations by an entry point of the registry's group.
 
 ``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks. Each class is
-the block itself with its own constructor; every entry of a registry has one without further code.
+the block with a constructor of keywords, generated for every entry of a registry.
 
 A keyword is the last part of a parameter's dotted name where that is unique (``Kp`` of ``pid.Kp``), otherwise the
 shortest unique end of it, with dots written as two underscores (``dynamics__sample_time``). The full name is always
@@ -90,7 +90,7 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 def resolved(path: str) -> Any:
     """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    A declaration refers in this way to an object of a folder that it must not import.
+    With it a declaration can name an object of a folder that it must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)
@@ -231,7 +231,7 @@ def signature_of(
 
 
 def law_of(block: type) -> str:
-    """Return the law of a block for a class docstring: the docstring of the module that defines the block."""
+    """Return the equations of a block for a class docstring, from the docstring of its module."""
     _, _, text = inspect.cleandoc(sys.modules[block.__module__].__doc__ or "").partition("\n\n")
     return f"\nNotes\n-----\n{text.strip()}\n" if text.strip() else ""
 
@@ -279,7 +279,7 @@ Raises
 ParameterError
     A parameter is missing, mistyped or out of range; the message says what is allowed.
 KeywordError
-    There is no such parameter; the message names the nearest one.
+    The parameter does not exist; the message names the nearest one.
 {law_of(law) if law else ""}"""
     members = {"__init__": __init__, "__doc__": document, "__module__": module, "keywords": rows}
     made: Any = type(name, bases, members)

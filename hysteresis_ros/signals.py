@@ -66,49 +66,47 @@ SIGNALS = (
         "command",
         "m",
         CONTROLLER,
-        "displacement wanted from the hysteresis element",
+        "commanded displacement of the hysteresis element",
         _at(CONTROLLER, COMPENSATOR, name="command"),
         "command",
     ),
     Signal("voltage", "V", COMPENSATOR, "voltage for the amplifier", _at(COMPENSATOR, name="voltage"), "voltage"),
     Signal("displacement", "m", PLANT, "true displacement of the joint", _at(PLANT, name="displacement")),
     Signal("measured", "m", PLANT, "measured displacement of the joint", _at(PLANT, name="measured")),
-    Signal("estimated", "m", CONTROLLER, "displacement as the observer has it", _at(CONTROLLER, name="estimated")),
-    Signal(
-        "applied", "m", COMPENSATOR, "command that was carried out", _at(COMPENSATOR, name="applied"), topic="applied"
-    ),
+    Signal("estimated", "m", CONTROLLER, "displacement estimated by the observer", _at(CONTROLLER, name="estimated")),
+    Signal("applied", "m", COMPENSATOR, "achieved command", _at(COMPENSATOR, name="applied"), topic="applied"),
     Signal("switching", "1", CONTROLLER, "switching function", _at(CONTROLLER, name="switching")),
     Signal("disturbance", "1", CONTROLLER, "estimated disturbance", _at(CONTROLLER, name="disturbance")),
-    Signal("plant_voltage", "V", PLANT, "voltage that the amplifier puts out", _at(PLANT, name="voltage")),
+    Signal("plant_voltage", "V", PLANT, "output voltage of the amplifier", _at(PLANT, name="voltage")),
     Signal("saturated", "1", COMPENSATOR, "1: range or slew rate cut the voltage", _at(COMPENSATOR, name="saturated")),
     Signal(
-        "seen", "m", CONTROLLER, "measurement that the controller took, NaN: none", _at(CONTROLLER, name="measured")
+        "seen", "m", CONTROLLER, "measurement that the controller used, NaN: none", _at(CONTROLLER, name="measured")
     ),
-    Signal("source_mode", "1", SOURCE, "what the source does (a mode)", _at(SOURCE, MOTOR_SOURCE, name="mode")),
-    Signal("controller_mode", "1", CONTROLLER, "what the controller does (a mode)", _at(CONTROLLER, name="mode")),
-    Signal("compensator_mode", "1", COMPENSATOR, "what the compensator does (a mode)", _at(COMPENSATOR, name="mode")),
-    Signal("plant_mode", "1", PLANT, "what the plant does (a mode)", _at(PLANT, name="mode")),
+    Signal("source_mode", "1", SOURCE, "mode of the reference generator", _at(SOURCE, MOTOR_SOURCE, name="mode")),
+    Signal("controller_mode", "1", CONTROLLER, "mode of the controller", _at(CONTROLLER, name="mode")),
+    Signal("compensator_mode", "1", COMPENSATOR, "mode of the compensator", _at(COMPENSATOR, name="mode")),
+    Signal("plant_mode", "1", PLANT, "mode of the plant", _at(PLANT, name="mode")),
     Signal(
         "tripped", "1", PLANT, "not 0: the plant has stopped the axis until it is started", _at(PLANT, name="tripped")
     ),
-    Signal("late", "1", PLANT, "voltages so far that did not come in time", _at(PLANT, name="late")),
-    Signal("skipped", "1", PLANT, "1: its time was missed, nobody answered", _at(PLANT, name="skipped")),
+    Signal("late", "1", PLANT, "voltages so far that were late", _at(PLANT, name="late")),
+    Signal("skipped", "1", PLANT, "1: skipped, because its deadline was missed", _at(PLANT, name="skipped")),
     Signal(
         "adaptation",
         "1",
         COMPENSATOR,
-        "what the adaptation does, 0: there is none",
+        "state of the adaptation, 0: no adaptation",
         _at(COMPENSATOR, name="adaptation"),
     ),
     Signal(
         "adapted_gain",
         "1",
         COMPENSATOR,
-        "gain of the inverse as a part of the identified one",
+        "gain of the inverse, relative to the identified one",
         _at(COMPENSATOR, name="adapted_gain"),
     ),
     Signal("force", "N", PLANT, "measured force in the stack, NaN: no force sensor", _at(PLANT, name="force")),
-    _sequencer("origin", "m", "what the controller subtracts from the measurement", topic="origin"),
+    _sequencer("origin", "m", "offset that the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
     _sequencer("front_voltage", "V", "voltage of the front clamp", topic="front_clamp/voltage"),
@@ -126,16 +124,16 @@ SIGNALS = (
     _sequencer("step_commanded", "m", "commanded length of the last step"),
     _sequencer("step_achieved", "m", "achieved length of the last step"),
     Signal("request", "1", USER, "request to the sequencer", _at(MOTOR_SOURCE, name="request"), motor=True),
-    Signal("speed", "m/s", USER, "walking speed asked for", _at(MOTOR_SOURCE, name="speed"), motor=True),
-    _motor("front_plant_voltage", "V", "voltage that the front clamp's amplifier puts out", "front_voltage"),
-    _motor("rear_plant_voltage", "V", "voltage that the rear clamp's amplifier puts out", "rear_voltage"),
+    Signal("speed", "m/s", USER, "requested walking speed", _at(MOTOR_SOURCE, name="speed"), motor=True),
+    _motor("front_plant_voltage", "V", "output voltage of the front clamp's amplifier", "front_voltage"),
+    _motor("rear_plant_voltage", "V", "output voltage of the rear clamp's amplifier", "rear_voltage"),
     _sequencer("load_deflection", "m", "learned deflection of the extender by the load"),
     _sequencer("forward_gain", "1", "learned gain of forward steps"),
     _sequencer("backward_gain", "1", "learned gain of backward steps"),
     _sequencer("forward_offset", "m", "learned offset of forward steps"),
     _sequencer("backward_offset", "m", "learned offset of backward steps"),
     _sequencer("cycle_phase", "1", "phase of continuous walking"),
-    _sequencer("path_error", "m", "path of continuous walking less measured slider"),
+    _sequencer("path_error", "m", "path of continuous walking minus measured slider position"),
     _sequencer("correction", "m", "learned correction of the extension, in continuous walking"),
 )
 
@@ -250,9 +248,12 @@ def place(name: str) -> int:
     return _PLACES[name]
 
 
-#: Values of the ``mode`` signals: normal operation; no usable input in this sample, the last output is held; no usable
-#: input for the time-out, the output goes to its safe value; stopped, likewise; the plant has stopped the axis,
-#: likewise; no node reports achieved commands, the command follows the displacement.
+#: Values of the ``mode`` signals: RUNNING: normal operation; HOLDING: no usable input in this sample, the output is
+#: held;
+#: STALE: no usable input for the time-out; STOPPED: by a request; TRIPPED: the plant has stopped the axis; with these
+#: three
+#: the output goes to its safe value; FOLLOWING: no node reports achieved commands, the command follows the
+#: displacement.
 MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING = range(6)
 
 #: Voltages that differ by less than this and are not on a converter's grid count as equal [V].

@@ -127,7 +127,7 @@ def quantity(text: str) -> tuple[float, str]:
 def quantity_in(text: str, unit: str) -> float:
     """Return the SI value of a quantity such as ``5 um``.
 
-    A length needs its unit, because a user may mean 60 µm or 60 nm by 60, which would be 60 m here. Other numbers
+    A length needs its unit, because 60 may mean 60 µm or 60 nm to a user, but would be 60 m in SI. Other numbers
     without a unit are in SI.
     """
     value, given = quantity(text)

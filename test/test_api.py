@@ -371,7 +371,7 @@ def test_a_run_is_drawn(run, tmp_path, kind):
     pytest.importorskip("matplotlib", reason="plots need it")
     figure = hr.plot(run, kind)
     assert figure.axes[0].lines
-    with pytest.raises(HysteresisError, match="there are traces"):
+    with pytest.raises(HysteresisError, match="has the plots traces"):
         hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loops")
 
 

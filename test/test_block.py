@@ -150,7 +150,7 @@ def test_a_numba_that_copies_no_functions_compiles_the_levels_between(monkeypatc
 
 
 def test_a_block_that_packs_nothing_says_so():
-    with pytest.raises(TypeError, match="Empty does not say how its parameters are packed"):
+    with pytest.raises(TypeError, match="Empty does not define pack"):
         type("Empty", (Block,), {"kernel": staticmethod(leak)})(LagParameters(), 1.0)
 
 

@@ -43,15 +43,15 @@ struct stage {
     _Atomic uint64_t sequence; /* odd: being written */
     _Atomic uint64_t sample;
     _Atomic double position;
-    _Atomic double voltage;     /* what is put out */
-    _Atomic uint32_t intervened; /* 1: the watchdog has acted; voltages are not taken until the next rest */
-    _Atomic uint64_t rested_for; /* `rests` that the device has heard of */
+    _Atomic double voltage;     /* output voltage [V] */
+    _Atomic uint32_t intervened; /* 1: the watchdog has acted; voltages are ignored until the next rest */
+    _Atomic uint64_t rested_for; /* number of `rests` that the device has processed */
 
     /* written by the master */
     _Atomic int32_t master_process;
     _Atomic double wanted;
     _Atomic uint64_t writes; /* voltages so far */
-    _Atomic uint64_t rested; /* `writes` at the last rest: only what comes after it counts */
+    _Atomic uint64_t rested; /* `writes` at the last rest: only later ones count */
     _Atomic uint64_t rests;  /* number of requests of the client for the safe state */
 };
 

@@ -39,7 +39,7 @@ class StageParameters(Parameters):
 
     name: str = parameter("/stage", description="name of its shared memory", read_only=True)
     standstill: float = parameter(
-        0.2, unit="s", low=0.001, high=60.0, description="without a sample of its own for so long it is given up"
+        0.2, unit="s", low=0.001, high=60.0, description="time without a sample after which the stage counts as dead"
     )
 
 
@@ -51,7 +51,7 @@ class Stage(SharedLibrary):
 
 @contextlib.contextmanager
 def emulator(*options: str) -> Iterator[StageParameters]:
-    """Start the stage's process under a name of its own."""
+    """Start the stage's process under a unique name."""
     name = f"/stage_{os.getpid()}_{os.urandom(4).hex()}"
     command = [str(FOLDER / "stage_device"), name, *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:

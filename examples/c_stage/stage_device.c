@@ -7,7 +7,7 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-/* A piezo stage that lives in this process, with a clock of its own: hysteresis, then a resonance.
+/* A piezo stage simulated by this process, with its own clock: hysteresis, then a resonance.
  *
  *     stage_device NAME [--rate HZ] [--watchdog S] [--gain M_PER_V] [--play V] [--frequency HZ] [--damping RATIO]
  *
@@ -63,7 +63,7 @@ static double plant_step(struct plant *plant, const struct options *given, doubl
     return position;
 }
 
-/* What the amplifier puts out: the master's voltage within its own range, the safe one when none comes any more. */
+/* Output of the amplifier: the client's voltage within its own range, the safe one when no more voltages arrive. */
 struct amplifier {
     uint64_t writes, rests;
     int armed, intervened;
@@ -114,7 +114,7 @@ static void run(struct stage *stage, const struct options *given)
     plant_init(&plant, given);
     clock_gettime(CLOCK_MONOTONIC, &start);
     for (uint64_t sample = 1; !leaving; sample++) {
-        /* samples that were slept through are made at once: the time of the stage is that of the world */
+        /* missed samples are computed at once: the stage runs in real time */
         uint64_t due = (uint64_t)(1e9 * (double)sample / given->rate) + (uint64_t)start.tv_nsec;
         until.tv_sec = start.tv_sec + (time_t)(due / 1000000000u), until.tv_nsec = (long)(due % 1000000000u);
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
@@ -146,7 +146,7 @@ static int parse(int count, char **words, struct options *given)
     return 1;
 }
 
-/* Returns the shared memory with this process as its device, NULL when it cannot be had. */
+/* Returns the shared memory with this process as its device, NULL when it is not available. */
 static struct stage *take(const char *name, int *file)
 {
     *file = shm_open(name, O_RDWR | O_CREAT, 0600);

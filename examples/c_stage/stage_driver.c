@@ -12,7 +12,7 @@
  *     gcc -O2 -fPIC -shared -I FOLDER_OF_hysteresis_driver.h stage_driver.c -o libstage.so
  *
  * The header is in the folder hysteresis_ros/hardware of the installed package. Options: name, that of the stage's shared
- * memory, and standstill [s], after how long without a sample of its own the stage is given up.
+ * memory, and standstill [s], the time without a new sample after which the stage counts as dead.
  */
 #include "stage.h"
 
@@ -29,10 +29,10 @@
 
 enum { OPTION = 1, ABSENT, FOREIGN, BUSY, MEMORY, DIED, STOPPED, RANGE, INTERVENED };
 
-/* Without a new sample of the stage for so long it is looked whether it has died [s]. */
+/* Time without a new sample after which the driver checks whether the stage has died [s]. */
 static const double LOOK = 0.002;
 
-/* How often a measurement that is just being written is read again. */
+/* Number of repeated reads of a measurement that is being written. */
 enum { TRIES = 1000 };
 
 struct device {
@@ -42,7 +42,7 @@ struct device {
     double seen, standstill;
 };
 
-/* What hysteresis_describe says; a library serves one process, and its functions are not called at a time. */
+/* Result of hysteresis_describe; a library serves one process, and its functions are not called concurrently. */
 static char name[128] = "";
 static char said[512];
 static int other;
@@ -128,7 +128,7 @@ int32_t hysteresis_open(const char *const *options, double sample_rate, struct h
     return hysteresis_make_safe(own);
 }
 
-/* Tell whether the device still makes samples of its own. */
+/* Tell whether the device still computes samples. */
 static int32_t look(struct device *own, uint64_t sample)
 {
     double time = now();
@@ -154,7 +154,7 @@ int32_t hysteresis_read(void *device, double *positions)
             return look(own, sample);
         }
     }
-    /* interrupted in the middle of a sample: nothing is wrong with it unless that lasts */
+    /* interrupted in the middle of a sample: an error only if it lasts */
     int32_t code = look(own, own->sample);
     return code ? code : HYSTERESIS_NOTHING_NEW;
 }
@@ -164,7 +164,7 @@ int32_t hysteresis_write(void *device, const double *voltages)
     struct stage *stage = ((struct device *)device)->stage;
     if (!(voltages[0] >= stage->minimum && voltages[0] <= stage->maximum))
         return RANGE;
-    /* it may not have heard yet that it was made safe after that */
+    /* it may not have processed the later request for the safe state yet */
     if (atomic_load(&stage->intervened) && atomic_load(&stage->rested_for) == atomic_load(&stage->rests))
         return INTERVENED;
     atomic_store(&stage->wanted, voltages[0]);
@@ -196,7 +196,7 @@ const char *hysteresis_describe(int32_t code)
         [FOREIGN] = "stage %s is something else, or of another version; remove /dev/shm%s",
         [MEMORY] = "the memory of stage %s cannot be reached; look at /dev/shm%s",
         [DIED] = "the process of stage %s has died; start `stage_device %s` again, then cleanup and configure",
-        [STOPPED] = "the process of stage %s stands still; look at stage_device %s",
+        [STOPPED] = "the process of stage %s has stopped; check stage_device %s",
         [RANGE] = "stage %s takes no such voltage: it is no number or out of its range; look at the limits of %s",
         [INTERVENED] = "the watchdog of stage %s has put out the safe voltage, because none came for too long; call "
                        "~/start when the axis may go on with %s",

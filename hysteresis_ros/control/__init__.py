@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Controllers that run in the loop, and what a linear loop is worth.
+"""Controllers that run in the loop, and the robustness of linear loops.
 
-Read :mod:`.law` (what a controller is and declares), one file of ``laws/``, then :mod:`.controller`, which chooses
-between them. ``damping/`` is an inner loop in front of any law, :mod:`.learning` and :mod:`.feedforward` add to it.
-:mod:`.margins` and :mod:`.uncertainty` judge loops; designs of gains are in :mod:`hysteresis_ros.designs`.
+Start with :mod:`.law` (definition and declaration of a controller) and one file of ``laws/``, then :mod:`.controller`,
+which chooses among them. ``damping/`` is an inner loop for any law; :mod:`.learning` and :mod:`.feedforward` add to a
+law. :mod:`.margins` and :mod:`.uncertainty` evaluate loops; designs of gains are in :mod:`hysteresis_ros.designs`.
 """

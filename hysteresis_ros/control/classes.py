@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The controllers for notebooks: ``hr.controllers.Pid(Kp=…, A=…, B=…, C=…)``, one class for each there is."""
+"""The controllers for notebooks: ``hr.controllers.Pid(Kp=…, A=…, B=…, C=…)``, one class per controller."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class MotionController(Controller):  # numpydoc ignore=PR02
     Parameters
     ----------
     parameters : ControllerParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
     """
 
     def simulate(self, reference: ArrayLike, measured: ArrayLike) -> np.ndarray:
-        """Return the commands of the controller fed with recorded signals; the state goes on from where it was.
+        """Return the commands of the controller for recorded signals; the state continues from the previous call.
 
         Parameters
         ----------
@@ -49,11 +49,11 @@ class MotionController(Controller):  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            The signals are no arrays of numbers of one length.
+            The signals are not arrays of numbers of equal length.
         """
         wanted, seen = samples("reference", reference), samples("measured", measured)
         if wanted.shape != seen.shape:
-            raise HysteresisError(f"reference has {wanted.size} samples and measured {seen.size}; both must agree")
+            raise HysteresisError(f"reference has {wanted.size} samples and measured {seen.size}; both must be equal")
         return super().simulate(wanted, seen)
 
 

@@ -7,13 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motion controller: its laws by name, its parameters and blocks, and how another law or other gains take over.
+"""The motion controller: its laws by name, its parameters and blocks, and bumpless transfer to other laws or gains.
 
-When another law takes over, it is taken through the last samples of the run first, as if it had run beside its
-predecessor all the time: an observer that began from rest instead would move the command while it settles. Two
-controllers with one model and one Kalman filter share the observer: its state goes on as it is. What a law has
-integrated is set such that it goes on from the present command, or to zero; the hand-over behind the controller fades
-the rest.
+A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
+that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
+share the observer and its state. The integrated states of the new law are set to continue from the present command, or
+to zero; the hand-over behind the controller fades the remaining difference.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import hysteresis_ros.control.laws  # noqa: F401  (its folder is searched)
+import hysteresis_ros.control.laws  # noqa: F401  (the registry searches its folder)
 from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.control.damping.inner_loop import Damping, DampingParameters, damped
 from hysteresis_ros.control.damping.kind import NOTHING
@@ -43,12 +42,12 @@ from hysteresis_ros.registry import discover
 #: Group of entry points by which a package adds a controller: ``lead_lag = my_package.lead_lag:CONTROLLER``.
 GROUP = "hysteresis_ros.controllers"
 
-#: What each controller declares, by type.
+#: Declaration of each controller, by type.
 LAWS: dict[str, ControllerLaw] = discover("hysteresis_ros.control.laws", "CONTROLLER", ControllerLaw, GROUP)
 
 
 def _designs() -> dict[str, tuple[ControllerLaw, Callable]]:
-    """Return law and design of each name; two laws with a design of one name are a mistake, a TypeError."""
+    """Return law and design of each name; two laws with a design of the same name are a TypeError."""
     found: dict[str, tuple[ControllerLaw, Callable]] = {}
     for law in LAWS.values():
         for name, function in law.designs.items():
@@ -63,21 +62,23 @@ DESIGNS = _designs()
 
 
 def with_groups(cls):
-    """Nest the parameter groups of all laws; stands under ``@dataclass(frozen=True)``.
+    """Nest the parameter groups of all laws; written under ``@dataclass(frozen=True)``.
 
-    Those named as laws come first, then what laws share.
+    Groups with the name of a law come first, then shared groups.
 
-    Raises
-    ------
-    TypeError
-        Two laws mean different parameters by one group.
+        Raises
+        ------
+        TypeError
+            Two laws declare different parameters under the same group.
     """
     found: dict[str, tuple[type[Parameters], list[str]]] = {}
     for law in LAWS.values():
         for name, kind in law.groups.items():
             known, users = found.setdefault(name, (kind, []))
             if known is not kind:
-                raise TypeError(f"controllers {users[0]} and {law.name} both have a group {name}, of other parameters")
+                raise TypeError(
+                    f"controllers {users[0]} and {law.name} both have a group {name}, with different parameters"
+                )
             users.append(law.name)
     for name in sorted(found, key=lambda name: (name not in LAWS, name)):
         kind, users = found[name]
@@ -92,7 +93,7 @@ def design_of(name: str):
     Raises
     ------
     ConfigurationError
-        There is none of that name; the message lists what there is.
+        The name is unknown; the message lists the known ones.
     """
     if name not in DESIGNS:
         there = ", ".join(sorted(DESIGNS))
@@ -102,16 +103,16 @@ def design_of(name: str):
 
 #: p[DECAY]: factor of the bias from one sample to the next.
 DECAY = 0
-#: x[BIAS]: what is added to the input.
+#: x[BIAS]: bias added to the input.
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: 1.0 when the next output shall equal the last one; 2.0 when x[BIAS] already says how much of that lasts.
+#: x[ARMED]: 1.0 when the next output must equal the last one; 2.0 when x[BIAS] already contains the lasting part.
 ARMED = 2
-#: x[QUICK]: what is added besides the bias, and halved from sample to sample.
+#: x[QUICK]: additional bias, which is halved in each sample.
 QUICK = 3
 
-#: Below this the bias is dropped, before it becomes a slow subnormal number.
+#: A bias below this is set to zero, before it becomes a slow subnormal number.
 SMALLEST = 1e-300
 
 
@@ -153,7 +154,7 @@ def go_on_from(x, last):
 
 @dataclass(frozen=True)
 class HandoverParameters(Parameters):
-    """How a change of controller is smoothed."""
+    """Smoothing of a change of controller."""
 
     time: float = parameter(
         0.05,
@@ -187,17 +188,17 @@ class Handover(Block):
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal its last one and fade from there to the input.
 
-    Used after a change of controller type, live gains, a stale measurement, and at start after stop.
+    Used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
 
     Parameters
     ----------
     block : Handover
     last : float, optional
-        Where to go on from, when something else (a safe output) was sent since the block's last output.
+        Value to continue from, when another output (a safe one) was sent since the block's last output.
     lasting : float, optional
-        How far the output was from what the input would have been lately, on average. Only this part fades with the
-        time constant; what the present sample deviates from it, noise mostly, is halved from sample to sample. A
-        feedback that gets noise as a bias for long would be led away by it.
+        Mean recent difference between the output and the new input. Only this part fades with the time constant; the
+        deviation of the present sample from it, mostly noise, is halved in each sample, because a lasting bias by noise
+        would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -209,7 +210,7 @@ def arm(block: Handover, last: float | None = None, lasting: float | None = None
 
 @dataclass(frozen=True)
 class ModelParameters(Parameters):
-    """What the controller believes of the plant: a model of its own, never the plant's."""
+    """The controller's own model of the plant."""
 
     dynamics: LinearParameters = group(LinearParameters)
     preload: PreloadParameters = group(PreloadParameters)
@@ -219,7 +220,7 @@ class ModelParameters(Parameters):
 @dataclass(frozen=True)
 @with_groups
 class ControllerParameters(Parameters):
-    """Motion controller: what kind, its model, how it takes over, and the groups of gains that the laws declare."""
+    """Motion controller: type, model, hand-over, and the groups of gains that the laws declare."""
 
     type: str = parameter(
         "open_loop",
@@ -240,16 +241,16 @@ class ControllerParameters(Parameters):
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return a group that a law declares."""
+            """Return a parameter group that a law declares."""
 
     @property
     def law(self):
-        """What the chosen controller declares, a :class:`~hysteresis_ros.control.law.ControllerLaw`."""
+        """Declaration of the chosen controller, a :class:`~hysteresis_ros.control.law.ControllerLaw`."""
         return LAWS[self.type]
 
     @property
     def without_preload(self) -> ControllerParameters:
-        """The same for measurements of which the preload's offset was taken off; always the same instance."""
+        """These parameters for measurements without the preload's offset; always the same instance."""
         if "_without_preload" not in self.__dict__:
             self.model.preload.validated("model.preload.")
             model = replace(self.model, preload=PreloadParameters())
@@ -257,12 +258,7 @@ class ControllerParameters(Parameters):
         return self.__dict__["_without_preload"]
 
     def before_damping(self, sample_time: float):
-        """Return the parameters as the law has them: the plant in its model is the damped one.
-
-        Parameters
-        ----------
-        sample_time : float
-            [s]
+        """Return the parameters for the law: the plant in its model is the damped one.
 
         Raises
         ------
@@ -279,9 +275,9 @@ class ControllerParameters(Parameters):
         return kept[sample_time]
 
     def check(self):
-        """Yield what keeps the chosen controller from being designed."""
+        """Yield a Problem for each obstacle to the design of the chosen controller."""
         yield from super().check()
-        rate = getattr(self, "sample_rate", None)  # the node's parameters, which contain these, know it
+        rate = getattr(self, "sample_rate", None)  # the node's parameters contain these and the sample rate
         sample_time = 1.0 / rate if rate else None
         known = sample_time or self.model.dynamics.sample_time
         if rate and self.learning.in_use and not self.learning.problems():
@@ -303,7 +299,7 @@ class ControllerParameters(Parameters):
             yield from error.problems
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return doubts about the parameters: those of groups and law, and of a preview that cuts much off."""
+        """Return the warnings about the parameters of groups and law, and about a truncating preview."""
         found = super().warnings(prefix)
         if self.feedforward.type == "inverse_dynamics":
             found += preview_warning(self.model.dynamics, self.feedforward.preview, prefix)
@@ -311,13 +307,12 @@ class ControllerParameters(Parameters):
 
 
 def controller_block(parameters: ControllerParameters, sample_time: float) -> Controller:
-    """Return the controller that ``parameters`` describe, with the damped plant as its model where there is a damping.
+    """Return the controller of ``parameters``; with a damping its model is the damped plant.
 
     Raises
     ------
     ParameterError
-        A parameter is out of range, no stable controller follows from the parameters, or the model is for another
-        sample time.
+        A parameter is out of range, the parameters give no stable controller, or the model is for another sample time.
     """
     parameters.validated().model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
     own = parameters.before_damping(sample_time)
@@ -330,13 +325,13 @@ def damping_block(parameters: ControllerParameters, sample_time: float) -> Dampi
     Raises
     ------
     ParameterError
-        It cannot run at this sample time, or is unstable on the model.
+        The damping cannot run at this sample time, or is unstable on the model.
     """
     return Damping(parameters, sample_time)
 
 
 def prepare_controllers() -> None:
-    """Compile the kernels of all controllers, so that any of them can take over within a sample."""
+    """Compile the kernels of all controllers, so that each can become active within a sample."""
     if COMPILED:
         for law in LAWS.values():
             law.block.kernel.compile(signature("scalar", "array", "array", "scalar", "scalar").args)
@@ -348,7 +343,7 @@ def feedforward_block(parameters: ControllerParameters, sample_time: float) -> F
     Raises
     ------
     ParameterError
-        The model cannot be inverted as the parameters ask for.
+        The requested inverse of the model does not exist.
     """
     return Feedforward(parameters.before_damping(sample_time), sample_time)
 
@@ -358,13 +353,13 @@ def handover_block(parameters: ControllerParameters, sample_time: float) -> Hand
     return Handover(HandoverParameters(time=parameters.handover_time), sample_time)
 
 
-#: Samples that are kept: long enough for an observer to settle.
+#: Number of stored samples: long enough for an observer to settle.
 SAMPLES = 500
-#: Samples at their end over which two controllers are compared.
+#: Number of last samples over which two controllers are compared.
 AVERAGED = 50
 
 
-# State of a history: entries so far, then a ring of the last samples, four numbers each.
+# State of a history: number of entries, then a ring of the last samples, four numbers each.
 ENTRIES = 0
 APPLIED_THEN, REFERENCE_THEN, FED_THEN, MEASURED_THEN = range(4)
 ENTRY = 4
@@ -372,14 +367,14 @@ ENTRY = 4
 
 @called
 def note(x, applied, reference, fed, measured):
-    """Keep one sample in the history ``x``.
+    """Store one sample in the history ``x``.
 
     Parameters
     ----------
     x : ndarray
         State of a :class:`History`.
     applied : float
-        Command carried out for the sample before [m].
+        Achieved command of the previous sample [m].
     reference, fed, measured : float
         Delayed reference, command of the feedforward and measured displacement of this sample [m].
     """
@@ -393,7 +388,7 @@ def note(x, applied, reference, fed, measured):
 
 
 class History:
-    """The last samples of a run, as many as ``SAMPLES``: what every controller would have been given.
+    """The inputs of a controller in the last ``SAMPLES`` samples of a run.
 
     Attributes
     ----------
@@ -406,7 +401,7 @@ class History:
         self.x = np.zeros(1 + ENTRY * SAMPLES)
 
     def reset(self) -> None:
-        """Forget everything: the next sample does not follow the last one."""
+        """Clear the history, because the next sample does not follow the last one."""
         self.x[ENTRIES] = 0.0
 
     @property
@@ -430,27 +425,28 @@ def successor(
     sample_time : float
         Sample time [s].
     predecessor : Controller
-        It is not changed.
+        The present controller; it is not changed.
     history : History
-        The last samples; without any the observer starts from rest at the next measurement.
+        The last samples; when it is empty the observer starts from rest at the next measurement.
 
     Returns
     -------
     controller : Controller
     lasting : float or None
-        How far what was carried out lately is from what the controller would have wanted, on average [m]; for
-        :func:`hysteresis_ros.control.controller.arm`. None when it is not known, or begins from the present command.
+        Mean recent difference between achieved command and the new controller's command [m], for
+        :func:`hysteresis_ros.control.controller.arm`. None when it is unknown, or when the controller continues from
+        the present command.
 
     Raises
     ------
     ParameterError
-        No controller follows from the parameters.
+        The parameters give no controller.
     """
     made = controller_block(parameters, sample_time)
     lasting = None
     if made.runs_beside and len(history.samples):
         wanted = _beside(made, history)
-        # what was carried out for a sample is known one sample later
+        # the achieved command of a sample is known one sample later
         carried_out = history.samples[1:, APPLIED_THEN].tolist() + [predecessor.x[APPLIED]]
         recent = list(zip(carried_out, wanted, strict=True))[-AVERAGED:]
         lasting = math.fsum(one - other for one, other in recent) / len(recent)
@@ -465,7 +461,7 @@ def successor(
 
 
 def _beside(controller: Controller, history: History) -> list[float]:
-    """Take a controller through the last samples and return what it would have wanted."""
+    """Run a controller over the last samples and return its commands."""
     wanted = []
     for applied, reference, fed, measured in history.samples.tolist():
         controller.x[APPLIED] = controller.x[COMMAND] = applied

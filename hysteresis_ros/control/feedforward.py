@@ -9,40 +9,40 @@
 
 """Feedforward: the command that makes the model follow the reference, by stable inversion of its dynamics (W6).
 
-A pair of zeros outside the circle by half a per cent, high above what is to be followed, is what the samples of two
-modes look like, or of a mode above half of the sample rate. Inverted exactly, it asks for a command that swells at its
-frequency long before, and a little mismatch makes a movement of it. Inside the circle, and next to -1 where holding a
-mode's input puts one, it asks for a command that alternates long after each corner: right at the samples, and between
-them a movement that nobody asked for. Such zeros are left out of the inverse instead,
-without phase error. With g(z⁻¹) their polynomial, g(1) = 1, the reference passes through
+**Zeros near the unit circle.** Sampling two modes, or a mode above half of the sample rate, may give a pair of zeros
+half a per cent outside the unit circle, far above the frequencies of the reference. Their exact inverse needs a command
+that grows at their frequency long in advance, and a small model error turns it into a motion. Zeros inside the circle,
+and those near -1 that the zero-order hold causes, need a command that alternates long after each corner: correct at the
+samples, with an unwanted motion between them. The inverse leaves such zeros out, without phase error. With g(z⁻¹) their
+polynomial, g(1) = 1, the reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
-an inverse in the sense of least squares [1]_, θ the lowest of their angles: f cancels the zeros, and elsewhere it is
-one but for ε (1 - cos ω)/(1 - cos θ)/(…), which falls with the square of the frequency. p is real and even; ε is the
-smallest one with which it dies out within :data:`REACH` samples: a longer reach makes f better and the preview longer.
+a least-squares inverse [1]_, θ the lowest of their angles: f cancels the zeros, and elsewhere it differs from one by ε
+(1 - cos ω)/(1 - cos θ)/(…), proportional to the square of low frequencies. p is real and even; ε is the smallest value
+with which p decays within :data:`REACH` samples: a larger range makes f more accurate and the preview longer.
 
-Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) answer an input d samples later, d the relative degree:
-y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose poles are the zeros of the
-dynamics. Zeros inside the unit circle are run through forwards, exactly. Zeros outside it would grow without bound;
-their part of the state is instead summed backwards from the references to come,
+**Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later, d
+the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose poles are the
+zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. Zeros outside would make it grow
+without bound; their part of the state is instead summed backwards over the future references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
-which needs the whole future. Known are N samples of it: the reference is taken to stay at r(k+N) from there on. The
-weights of what is not known die out as the smallest outside zero to the power of the preview.
+which needs the whole future. N samples of it are known: the reference is assumed constant from r(k+N) on. The weights
+of the unknown part decay as the smallest outside zero to the power of the preview.
 
-A delay of whole samples adds to d. A part f of one is g = (1 - f) + f z⁻¹, whose zero is on the unit circle at f = 1/2
-and close to it around; inverted exactly it makes commands that alternate from sample to sample. It is inverted without
-phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z, which
-leaves an error of the amplitude, (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 below 1e-4 up to a tenth of the sample rate.
+**Delay.** A delay of whole samples adds to d. A fraction f of a sample is g = (1 - f) + f z⁻¹, whose zero is on the
+unit circle at f = 1/2; its exact inverse makes commands alternate from sample to sample. It is inverted without phase
+error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z, which leaves
+an amplitude error (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 below 1e-4 up to a tenth of the sample rate.
 
-Zeros next to the circle, inside or out, and those on it are left out without phase error where they are far above what
-a reference moves at (:func:`near_zeros`). Behind the filter that cancels them, their part of the inverse is finite.
-With a preview that is too short for it, those inside are inverted.
+:func:`near_zeros` selects the zeros to leave out: those near or on the circle, far above the frequencies of a
+reference. Behind the filter that cancels them, their part of the inverse is finite. If the preview is too short for
+that, those inside the circle are inverted.
 
-With ``preview: N`` the reference received at sample k is r(k + N); the controller follows, and a report judges, the
-delayed one r(k).
+With ``preview: N`` the reference received at sample k is r(k + N); the controller follows the delayed reference r(k),
+and reports evaluate the error against it.
 
 References
 ----------
@@ -66,22 +66,22 @@ from hysteresis_ros.models.block import Block, kernel
 from hysteresis_ros.models.linear import LinearParameters, accumulate, advance
 from hysteresis_ros.models.linear_algebra import eigenvalues, inverse, polynomial, power, product, solve
 
-#: Zeros outside the circle, but nearer to the origin than this, ask for more than 64 samples to come down to 1e-4, and
-#: those inside it that are as near ring as long.
+#: Modulus below which zeros outside the circle need more than 64 samples to decay to 1e-4; zeros inside that are as
+#: near ring as long.
 FARTHEST = 1.155
-#: They are left out at this angle and above (a fifth of the sample rate): below, what follows a reference needs them.
+#: Least angle of zeros that are left out (a fifth of the sample rate); tracking a reference needs those below.
 LOWEST_ANGLE = 0.4 * math.pi
-#: Samples to either side within which p dies out to this part.
+#: Range on either side within which p decays, and the remaining fraction.
 REACH, LEFT = 10, 1e-3
-#: ε that are tried.
+#: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
-#: Points of a half turn on which p is computed, and its smallest error that is told of.
+#: Number of frequencies at which p is computed, and its smallest reported error.
 POINTS = 128
 TOLD = 0.01
 
 
 class Notch(NamedTuple):
-    """What takes the place of an inverse of zeros near the circle. Weights ascend in time, from the past to the future.
+    """Replacement for the inverse of zeros near the circle. Weights are in the order of time, from past to future.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Notch(NamedTuple):
     inverse : ndarray, shape (2 REACH + m + 1,)
         g* p: weights of r(k-REACH) … r(k+REACH+m).
     known_to : float
-        Up to this part of the sample rate f differs from one by less than :data:`TOLD`.
+        Fraction of the sample rate up to which f differs from one by less than :data:`TOLD`.
     """
 
     zeros: np.ndarray
@@ -106,18 +106,12 @@ class Notch(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """How far f reaches to either side [samples]."""
+        """Range of f on either side [samples]."""
         return REACH + len(self.zeros)
 
 
 def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
-    """Return the convolution, added up in a fixed order, shape (n + m - 1,).
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n,)
-    taps : ndarray, shape (m,)
-    """
+    """Return the convolution, summed in a fixed order, shape (n + m - 1,)."""
     found = np.zeros(len(weights) + len(taps) - 1)
     for i, tap in enumerate(taps):
         found[i : i + len(weights)] += tap * weights
@@ -125,15 +119,15 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out; those that are smaller than one of a low angle cannot be told from it and stay.
+    """Return the zeros to leave out; those smaller than one of a low angle cannot be separated from it and stay.
 
     Parameters
     ----------
     zeros : ndarray of complex, shape (n,)
     margin : float
-        Zeros nearer to the circle than this are on it.
+        Zeros nearer to the circle than this count as on it.
     inside : bool
-        Whether those inside it count.
+        Whether zeros inside the circle are included.
     """
     sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
     inner = np.max(sizes[low & (sizes < 1.0 - margin)], initial=1.0 / FARTHEST)
@@ -142,12 +136,12 @@ def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndar
 
 
 def notch(zeros: np.ndarray) -> Notch:
-    """Return what takes the place of an inverse of zeros near the circle.
+    """Return the replacement for the inverse of zeros near the circle.
 
     Parameters
     ----------
     zeros : ndarray of complex, shape (m,)
-        In conjugate pairs.
+        The zeros, in conjugate pairs.
     """
     falling = polynomial(zeros)
     falling = falling / math.fsum(falling)  # g: weights of r(k), r(k-1) …
@@ -175,24 +169,24 @@ def notch(zeros: np.ndarray) -> Notch:
     return Notch(zeros, falling[::-1].copy(), convolved(even, falling), known_to)
 
 
-#: An answer h below this part of the largest one is rounding: the dynamics do not answer at that sample.
+#: Fraction of the largest response below which a response h is rounding, i.e. zero.
 SMALLEST_ANSWER = 1e-11
-#: Zeros nearer to the unit circle than this are on it.
+#: Distance from the unit circle below which zeros count as on it.
 CIRCLE_MARGIN = 1e-6
-#: Error of the command, as a part of the reference's span, at which a preview counts as long enough.
+#: Error of the command, as a fraction of the reference's span, at which a preview is long enough.
 GOOD_ENOUGH = 1e-3
-#: Error and longest preview of an inverse that is designed without being asked for a preview.
+#: Error and longest preview of a design without a requested preview.
 DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
-#: The weights of the future are followed until they have died out by so many powers of ten ...
+#: The future weights are computed until they have decayed by this many powers of ten ...
 DECADES = 18.0
-#: ... or for so many samples: a zero as near to the circle as that is beyond any preview.
+#: ... or for this many samples: a zero that needs more is too near to the circle for any preview.
 LONGEST = 200_000
-#: J of the inverse of a part of a sample.
+#: J of the inverse of a fraction of a sample.
 TERMS = 3
-#: Newton steps for the matrix sign function, and the change at which it has settled.
+#: Newton steps for the matrix sign function, and the change at which it has converged.
 SIGN_STEPS = 60
 SETTLED = 1e-14
-#: The circle that divides modes is no nearer to 0 than by the root of this part of the slowest outer mode.
+#: Least radius of the circle that separates modes: the root of this fraction of the slowest outer mode.
 NEAREST = 0.1
 
 
@@ -205,22 +199,21 @@ class InverseFilter:
     Parameters
     ----------
     first : int
-        The relative degree d [samples]; before it, maybe before k, for what inverts a part of a sample or leaves out
-        zeros.
+        The relative degree d [samples]; less, possibly negative, with a fraction of a sample or left-out zeros.
     weights : ndarray, shape (m,)
-        Of r(k+first) …, none beyond the preview; the last one holds what lies beyond it.
+        Weights of r(k+first) … up to the preview; the last one includes all beyond it.
     drive : ndarray, shape (l,)
-        What drives the causal part: 1 without a part of a sample and without zeros that are left out.
+        Weights that drive the causal part: 1 without a fraction of a sample and without left-out zeros.
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
-        The causal part, with the zeros inside the unit circle; in the coordinates of the dynamics' own state.
+        The causal part, with the zeros inside the unit circle, in the coordinates of the dynamics' state.
     rest : ndarray, shape (n,)
         State s at rest under a reference of 1 m.
     zeros : ndarray of complex
-        Zeros of the dynamics, those at infinity and at 0 that only delay left out.
+        Zeros of the dynamics, without those at infinity and at 0, which only delay.
     error : float
-        What :func:`inversion_error` returns for this preview.
+        Result of :func:`inversion_error` for this preview.
     left_out : Notch or None
-        Zeros near the circle that are not inverted, and what takes their place.
+        Zeros near the circle that are not inverted, and their replacement.
     """
 
     first: int
@@ -238,8 +231,8 @@ class InverseFilter:
 class _Parts(NamedTuple):
     """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
 
-    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. What is left out
-    has ``near``, the weights of the reference behind g* p, one to m samples ago, that its modes make, the oldest first.
+    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. ``near`` are the
+    weights, of the reference behind g* p one to m samples ago, of the left-out modes, oldest first.
     """
 
     degree: int
@@ -261,16 +254,12 @@ class _Parts(NamedTuple):
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
-    """Return after how many samples the output first answers an input, the delay included.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
+    """Return the number of samples until the output first responds to an input, including the delay.
 
     Raises
     ------
     ParameterError
-        The output never answers.
+        The output never responds.
     """
     return _matrices_degree(dynamics) + dynamics.delayed_samples[0]
 
@@ -294,14 +283,14 @@ def _vectors(dynamics: LinearParameters):
 
 
 def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
-    """Return the parts of the inverse; ``inside``: without the zeros that ring inside the circle."""
+    """Return the parts of the inverse; ``inside``: leave out the ringing zeros inside the circle too."""
     A, B, C, D = _vectors(dynamics)
     degree = _matrices_degree(dynamics)
     answer = float(product(C, power(A, degree - 1), B)) + (D if degree == 1 else 0.0)
     gain = product(C, power(A, degree)) / answer
     inner, drive = A - np.outer(B, gain), B / answer
     poles = eigenvalues(inner)
-    # the inverse has as many poles as the dynamics; those without a zero of the dynamics stand at 0
+    # the inverse has as many poles as the dynamics; those without a zero of the dynamics are at 0
     finite = len(A) - degree + (1 if D else 0)
     zeros = poles[np.argsort(-np.abs(poles))][: max(finite, 0)]
     near = near_zeros(zeros, CIRCLE_MARGIN, inside)
@@ -332,7 +321,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return what modes answer 1 … m samples after a pulse through the factor that cancels them, the last one first."""
+    """Return the response of modes 1 … m samples after a pulse through their cancelling factor, the last one first."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -341,7 +330,7 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 
 
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
-    """Return the projection on the modes larger than an edge along those that are smaller, shape (n, n).
+    """Return the projection on the modes larger than an edge along the smaller ones, shape (n, n).
 
     The matrix sign function of (M + ρ)(M - ρ)⁻¹, ρ a radius between both, by Newton's iteration.
     """
@@ -350,7 +339,7 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
         return identity
     if not np.any(larger):
         return np.zeros_like(identity)
-    # between both, and no closer to 0 than needed: there M - ρ is as good as singular where modes coincide at 0
+    # between both, and not closer to 0 than needed: modes that coincide at 0 make M - ρ nearly singular there
     outer = np.min(sizes[larger])
     radius = math.sqrt(max(np.max(sizes[~larger]), NEAREST * outer) * outer)
     sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
@@ -364,12 +353,12 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i of r(k+d+i) that the outside zeros give, as far as they are more than rounding [m/m]."""
+    """Return the weights w_i of r(k+d+i) by the outside zeros, as far as they exceed rounding [m/m]."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
     length = min(int(DECADES / math.log10(parts.slowest)) + 2, LONGEST)
-    # rows out N, out N², …: those there are times N to their number are as many more
+    # rows out N, out N², …: each pass multiplies the present rows by a power of N and doubles their number
     rows, further = product(out, backwards)[np.newaxis], backwards
     while len(rows) < length:
         rows, further = np.concatenate([rows, product(rows, further)]), product(further, further)
@@ -377,7 +366,7 @@ def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
 
 
 def _advance(part: float) -> np.ndarray:
-    """Return the weights of r(k-J) … r(k+J+1) that invert a delay by a part of a sample; 1 without one."""
+    """Return the weights of r(k-J) … r(k+J+1) that invert a delay by a fraction of a sample; 1 without one."""
     if not part:
         return np.ones(1)
     lost = part * (1.0 - part) * np.array([-1.0, 2.0, -1.0])  # 1 - g g*
@@ -397,18 +386,18 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     """Return the stable inverse of ``dynamics`` for a reference known ``preview`` samples ahead.
 
     With enough preview the model's output at sample k is the reference r(k) at every sample. Without dynamics (no A)
-    the inverse is the identity; with preview it takes back the sample by which every displacement follows its command.
+    the inverse is the identity; with preview it compensates the sample by which every displacement follows its command.
 
     Parameters
     ----------
     dynamics : LinearParameters
     preview : int
-        N, known are r(k) … r(k+N).
+        N: r(k) … r(k+N) are known.
 
     Returns
     -------
     InverseFilter
-        In SI: metres to metres.
+        The inverse in SI, from metres to metres.
 
     Raises
     ------
@@ -418,7 +407,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
     if preview < parts.degree + whole + _reach(parts, part):
-        parts = _parts(dynamics, inside=False)  # they ask for no preview where they are inverted, and ring
+        parts = _parts(dynamics, inside=False)  # inverted zeros inside need no preview, but ring
     advance = _advance(part)
     drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
     ahead = _reach(parts, part)
@@ -442,45 +431,35 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
 
 
 def _reach(parts: _Parts, part: float) -> int:
-    """Return how far ahead of the answer must be known what takes back part of a sample or leaves out zeros."""
+    """Return the preview [samples], beyond the relative degree, for a fraction of a sample or left-out zeros."""
     return len(_advance(part)) // 2 + (0 if parts.left_out is None else parts.left_out.reach)
 
 
 def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: int) -> str:
-    beyond = f", and the part of a sample in its delay takes {ahead}" if ahead else ""
+    beyond = f", and the fraction of a sample in its delay needs {ahead} more" if ahead else ""
     if parts.left_out is not None:
-        beyond = f", and what leaves out its zeros next to the unit circle takes {ahead}"
+        beyond = f", and leaving out its zeros next to the unit circle needs {ahead} more"
     enough = sufficient_preview(dynamics)
-    asked = f"; its zeros outside the unit circle ask for {enough}" if enough > degree + ahead else ""
-    return f"must be at least {degree + ahead}: the model answers {degree} samples after its input{beyond}{asked}"
+    asked = f"; its zeros outside the unit circle need {enough}" if enough > degree + ahead else ""
+    return f"must be at least {degree + ahead}: the model responds {degree} samples after its input{beyond}{asked}"
 
 
 def inversion_error(dynamics: LinearParameters, preview: int) -> float:
-    """Return how wrong the command is at most at this preview, as a part of the span of the reference.
+    """Return the largest error of the command at this preview, as a fraction of the span of the reference.
 
-    It is the sum of the magnitudes of the weights that a preview of this length cuts off, Σ |w_i|: no reference that
-    stays within a span of one can make the command wrong by more. It is 0 when no zero lies outside the unit circle.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    preview : int
+    It is the sum of the magnitudes of the truncated weights, Σ |w_i|, a bound for every reference within a span of one.
+    It is 0 when no zero is outside the unit circle.
 
     Raises
     ------
     ParameterError
-        As :func:`inverse_filter`.
+        See :func:`inverse_filter`.
     """
     return inverse_filter(dynamics, preview).error
 
 
 def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -> int:
     """Return the smallest preview [samples] with an inversion error of at most ``error``.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    error : float
 
     Raises
     ------
@@ -496,36 +475,23 @@ def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -
 def designed_preview(dynamics: LinearParameters) -> int:
     """Return the preview [samples] that a design chooses for the inverse of the dynamics.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-
     Raises
     ------
     ParameterError
-        The dynamics have no stable inverse, or none with a preview that is worth the name: an inverse that was cut off
-        would be another one.
+        The dynamics have no stable inverse, or none with a practical preview.
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:
         remedy = (
             f"needs {preview} samples of preview, more than {LONGEST_PREVIEW}: model.dynamics has zeros next to the "
-            "unit circle, too near to what is followed to be left out; use static or none"
+            "unit circle, at frequencies too low to be left out; use static or none"
         )
         raise ParameterError([Problem("feedforward.type", "inverse_dynamics", remedy)])
     return preview
 
 
 def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") -> tuple[str, ...]:
-    """Return sentences on what the inverse is not: cut off by this preview by more than 1e-3, or without some zeros.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    preview : int
-    prefix : str
-        Put before the name of the parameter.
-    """
+    """Return warnings about the inverse: truncated by this preview by more than 1e-3, or without some zeros."""
     found, given = [], inverse_filter(dynamics, preview)
     if given.left_out is not None:
         rate = 1.0 / dynamics.sample_time if dynamics.sample_time else 1.0
@@ -545,26 +511,26 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
     return tuple(found)
 
 
-# Parameter array: a head, the weights of the references (as many places as the ring has), those that drive the causal
-# part, then of that A (n·n, row by row), B, C and its state at rest under a reference of one (n each).
+# Parameter array: a head, the weights of the references (as many as the ring has entries), the weights that drive the
+# causal part, then its A (n·n, row by row), B, C and its state at rest under a reference of one (n each).
 PREVIEW = 0
 ORDER = 1
-FIRST = 2  # how far the first weight stands behind the oldest reference in the ring
-TAPS = 3  # weights in use
-PAST = 4  # references before the delayed one
-DRIVES = 5  # weights that drive the causal part
+FIRST = 2  # index of the first weight relative to the oldest reference in the ring
+TAPS = 3  # number of weights in use
+PAST = 4  # number of references before the delayed one
+DRIVES = 5  # number of weights that drive the causal part
 WEIGHTS = 6
 
 # State array: a head, then the references r(k - past) … r(k + N) in a ring, n states and n numbers of scratch.
 COMMAND = 0  # command of the feedforward for the delayed reference [m]
-STARTED = 1  # 0.0 makes the next call take the reference for one that has always been there
-NEXT = 2  # place of the ring for the next reference
+STARTED = 1  # 0.0: the next call assumes that the reference has always been constant
+NEXT = 2  # index in the ring for the next reference
 RING = 3
 
 
 @kernel
 def feedforward(p, x, reference):
-    """Return the delayed reference [m] for ``reference`` [m]; the feedforward's command [m] is left in ``x[0]``."""
+    """Return the delayed reference [m] for ``reference`` [m]; the feedforward's command [m] is stored in ``x[0]``."""
     length = int(p[PREVIEW]) + 1 + int(p[PAST])
     n = int(p[ORDER])
     drive = WEIGHTS + length
@@ -627,27 +593,28 @@ class FeedforwardParameters(Parameters):
         low=0,
         high=10000,
         read_only=True,
-        description="samples the received reference is ahead; errors are judged against the delayed reference",
+        description="number of samples by which the received reference is known in advance; errors are relative to "
+        "the delayed reference",
     )
 
 
 class Feedforward(Block):
     """The feedforward of a motion controller: from the received to the delayed reference and a command.
 
-    It begins at rest on the first reference it gets.
+    It begins at rest at the first reference.
 
     Parameters
     ----------
     parameters : ControllerParameters
-        Of which ``feedforward`` and ``model.dynamics`` are used.
+        Parameters, of which ``feedforward`` and ``model.dynamics`` are used.
     sample_time : float
         Sample time [s].
 
     Raises
     ------
     ParameterError
-        The preview does not reach as far as the dynamics delay, the dynamics have no stable inverse, or are for
-        another sample time.
+        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or their sample time
+        is another.
     """
 
     kernel = staticmethod(feedforward)
@@ -673,10 +640,10 @@ class Feedforward(Block):
         return float(self.x[COMMAND])
 
     def retune(self, parameters) -> None:
-        """Take another model of the same order while running.
+        """Change to another model of the same order while running.
 
-        References and states go on, so nothing jumps while the reference rests; arm the hand-over behind the
-        controller for a reference that moves.
+        References and states continue, so nothing jumps while the reference rests; arm the hand-over behind the
+        controller for a moving reference.
 
         Raises
         ------
@@ -695,7 +662,7 @@ class Feedforward(Block):
                 [Problem("model.dynamics.A", parameters.model.dynamics.A, "the order of the model cannot change live")]
             )
         self.parameters = parameters
-        # what rests stays at rest under the new model too
+        # a feedforward at rest stays at rest with the new model
         length, order = _ring_length(packed), int(packed[ORDER])
         ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order

@@ -9,7 +9,7 @@
 
 """Kalman filter with steady gain, in predictor or current form, with or without a model of the disturbance (K6).
 
-All signals are in the model's own units. At sample k the filter receives the input really applied at sample k - 1 and
+All signals are in the model's own units. At sample k the filter receives the input actually applied at sample k - 1 and
 the measurement y_k = C x_k + D u_(k-1). With d̂_k the estimated disturbance of the input in sample k:
 
 predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1)) + L ε_(k-1)        (y_k acts from sample k + 1)
@@ -25,7 +25,7 @@ ramp        d⁺ = d + v, v⁺ = v
 periodic    a constant, and at the frequency and each of its harmonics a resonator a⁺ = cos(φ) a + sin(φ) b,
             b⁺ = cos(φ) b - sin(φ) a with the phase φ of one sample; d is the constant and the sum of all a
 
-What a controller compensates at sample k is d̂_k, predicted for the sample in which its command acts.
+At sample k a controller compensates d̂_k, predicted for the sample in which its command acts.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FEEDTHROUGH = 3
 REST_INPUT = 4
 MATRICES = 5
 
-# State array: a head, then the estimate x̂ and n places to compute the next one in, then the same for w.
+# State array: a head, then the estimate x̂ and n entries of scratch, then the same for w.
 RUNNING = 0
 INNOVATION = 1
 OFFSET = 2
@@ -60,14 +60,14 @@ ESTIMATE = 3
 
 @kernel
 def input_matrix(p, first):
-    """Return where B of the model stands in ``p`` when the filter's part begins at p[first]; its A ends there."""
+    """Return the index in ``p`` of the model's B, which follows A, when the filter's part begins at p[first]."""
     n = int(p[first + ORDER])
     return first + MATRICES + n * n
 
 
 @kernel
 def rest_state(p, first):
-    """Return where N_x of the model, its rest state under an output of one, stands in ``p``."""
+    """Return the index in ``p`` of N_x, the model's rest state at an output of one."""
     return input_matrix(p, first) + 3 * int(p[first + ORDER])
 
 
@@ -86,9 +86,9 @@ def kalman_step(p, x, first, start, applied, measured):
     p, x : ndarray
         Arrays of the filter, or of a block that contains one.
     first, start : int
-        Where the filter's part begins.
+        Indices at which the filter's part begins.
     applied : float
-        Input really applied at the previous sample.
+        Input actually applied at the previous sample.
     measured : float
         Measurement of this sample.
     """
@@ -108,7 +108,7 @@ def kalman_step(p, x, first, start, applied, measured):
     cause = following + n
     coming = cause + m
     if x[start + RUNNING] == 0.0:
-        # The plant is taken to be at rest where it is measured, under a constant disturbance.
+        # assume the plant at rest at its measured position, under a constant disturbance
         x[start + RUNNING] = 1.0
         x[start + INNOVATION] = 0.0
         for i in range(n):
@@ -174,11 +174,11 @@ class KalmanParameters(Parameters):
     )
     L: tuple[float, ...] = parameter(
         (),
-        description="Gain when given, in the chosen form: one entry a state of the model, then one a state of the "
+        description="Gain when given, in the chosen form: one entry per state of the model, then one per state of the "
         "disturbance (constant 1, ramp 2, periodic 1 + 2 harmonics)",
     )
     q: float = parameter(
-        1.0, low=0.0, description="Variance of the noise of the input: process noise Q = q B B^T (input unit squared)"
+        1.0, low=0.0, description="Variance of the input noise: process noise Q = q B B^T (input unit squared)"
     )
     Q: tuple[float, ...] = parameter(
         (), description="Full process noise matrix in rows, or its diagonal; replaces q when not empty"
@@ -188,24 +188,25 @@ class KalmanParameters(Parameters):
         "none",
         choices=("none", "constant", "ramp", "periodic"),
         read_only=True,
-        description="What disturbance of the input is estimated and compensated: none, constant (offset-free), ramp "
+        description="Model of the input disturbance that is estimated and compensated: none, constant (offset-free), "
+        "ramp "
         "(and its increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
     )
     q_disturbance: float = parameter(
         1e-4,
         low=0.0,
-        description="Variance by which the disturbance may wander each sample (input unit squared), above 0",
+        description="Variance of the change of the disturbance per sample (input unit squared), above 0",
     )
     q_disturbance_rate: float = parameter(
         1e-6,
         low=0.0,
-        description="ramp: variance by which the disturbance's increment per sample may wander each sample "
+        description="ramp: variance of the change of the disturbance's increment per sample "
         "(input unit squared), above 0",
     )
     q_disturbance_periodic: float = parameter(
         1e-4,
         low=0.0,
-        description="periodic: variance by which each resonator may wander each sample (input unit squared), above 0",
+        description="periodic: variance of the change of each resonator per sample (input unit squared), above 0",
     )
     disturbance_frequency: float = parameter(
         1.0, unit="Hz", low=0.0, description="periodic: frequency of the disturbance, that of the reference"
@@ -222,7 +223,7 @@ def disturbance_states(parameters: KalmanParameters) -> int:
 
 
 def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
-    """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances by which w wanders.
+    """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances of the change of w per sample.
 
     Parameters
     ----------
@@ -238,7 +239,7 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
     Raises
     ------
     ParameterError
-        ``kalman.disturbance_frequency``, or a variance that is zero.
+        ``kalman.disturbance_frequency`` is out of range, or a variance is zero.
     """
     m = disturbance_states(parameters)
     A_d, c_d, variances = np.eye(m), np.zeros(m), np.zeros(m)
@@ -280,7 +281,7 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     ----------
     parameters : KalmanParameters
     model : StateSpace
-        Of one input and one output, in its own units.
+        Model with one input and one output, in its own units.
     sample_time : float, optional
         Sample time [s]; only a periodic disturbance needs it.
 
@@ -288,7 +289,7 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     ------
     ParameterError
         ``kalman.form``, ``kalman.L``, ``kalman.q``, ``kalman.Q``, ``kalman.r``, ``kalman.disturbance``, a
-        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: no stable filter follows.
+        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: they give no stable filter.
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:
@@ -306,12 +307,10 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
             state_feedback.refuse(
                 "kalman.disturbance",
                 parameters.disturbance,
-                "cannot be told from the output: the model passes nothing at the frequency of the disturbance (zero on "
-                "the unit circle); choose none or another frequency",
+                "is not observable: the model has a zero at the frequency of the disturbance (on the unit circle); "
+                "choose none or another frequency",
             )
-        state_feedback.refuse(
-            "model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it"
-        )
+        state_feedback.refuse("model.dynamics.C", tuple(C[0].tolist()), "does not observe a mode that does not decay")
     if parameters.gain == "given":
         L = np.array(parameters.L, dtype=float)
         late = product(whole, L) if current else L

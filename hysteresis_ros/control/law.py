@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a controller is and declares: the beginning of its arrays, its base class, and its law, design and checks.
+"""Definition and declaration of a controller: the common entries of its arrays, its base class, law, design and checks.
 
 A controller is a kernel ``u = kernel(p, x, r, y)``: reference displacement r without preload offset [m], measured
 displacement y [m], command u [m] to the hysteresis compensator. The first entries of every state array are the same.
@@ -29,10 +29,11 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import StateSpace
 
-#: x[APPLIED]: command really carried out for the previous sample [m]. The kernel writes its own command there; whoever
-#: runs the loop replaces it by what the limits left of it before the next call.
+#: x[APPLIED]: achieved command of the previous sample [m]. The kernel writes its own command there; before the next
+#: call the loop replaces it by the part that the limits left.
 APPLIED = 0
-#: x[ESTIMATED]: displacement as the observer sees it [m], comparable with the measured one (preload offset included).
+#: x[ESTIMATED]: displacement estimated by the observer [m], comparable with the measured one (including the preload
+#: offset).
 ESTIMATED = 1
 #: x[SWITCHING]: switching function s, in the model's units.
 SWITCHING = 2
@@ -42,20 +43,20 @@ COMMAND = 3
 DISTURBANCE = 4
 #: x[STARTED]: 0.0 makes the next call start the observer from rest at the measured displacement.
 STARTED = 5
-#: x[FEEDFORWARD]: command of the feedforward for this sample [m]; whoever runs the loop writes it before the call.
+#: x[FEEDFORWARD]: command of the feedforward for this sample [m]; the loop writes it before the call.
 FEEDFORWARD = 6
 #: Number of entries of the common part of x.
 HEADER = 7
 #: p[FED]: 1.0 when there is a feedforward, the first entry of the parameters of every controller.
 FED = 0
 
-#: Signals beyond this are cut, so that no input ever makes a product or a sum infinite.
+#: Signals are limited to this magnitude, so that no product or sum becomes infinite.
 BOUND = 1e60
 
 
 @kernel
 def bounded(value):
-    """Return ``value`` cut to ±1e60; what is not a number, which nodes refuse before, counts as 0."""
+    """Return ``value`` limited to ±1e60; NaN, which nodes refuse before, counts as 0."""
     if value != value:
         return 0.0
     if value > BOUND:
@@ -67,7 +68,7 @@ def bounded(value):
 
 @composite("void", "controller", "array", "array", "array", "array", "array")
 def run_controller(step, p, x, r, y, u):
-    """Fill ``u[k] = step(p, x, r[k], y[k])`` for all k: a controller fed with a recording."""
+    """Fill ``u[k] = step(p, x, r[k], y[k])`` for all k, for recorded inputs."""
     for k in range(u.shape[0]):
         u[k] = step(p, x, r[k], y[k])
 
@@ -82,14 +83,14 @@ class Controller(Block):
         Sample time [s].
     """
 
-    #: Whether it goes on by what its observer foresees while the measurement is NaN.
+    #: Whether it continues with its observer's prediction while the measurement is NaN.
     predicts = False
 
-    #: Whether it can be taken through samples of another controller, as if it had run beside it all the time.
+    #: Whether it can process the samples of another controller, as if it had run in parallel.
     runs_beside = False
 
     def shares_observer(self, other: Controller) -> bool:
-        """Tell whether the observer of another controller is the same, so that its state can go on."""
+        """Tell whether the observer of another controller is the same, so that its state can be taken over."""
         return False
 
     def continue_from(self, predecessor: Controller) -> None:
@@ -103,10 +104,10 @@ class Controller(Block):
         raise TypeError(f"{type(self).__name__} has no observer to take over")
 
     def forget(self) -> None:
-        """Drop what the law has integrated while another one is in charge, whose errors these are."""
+        """Reset the integrated states, because the errors while another law is active are not this law's."""
 
     def settle(self, applied: float) -> bool:
-        """Set what the law integrates so that the command goes on from ``applied`` [m]; False when it cannot."""
+        """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
         return False
 
     def step(self, reference: float, measured: float) -> float:
@@ -122,7 +123,7 @@ class Controller(Block):
         return command
 
     def retune(self, parameters) -> None:
-        """Take new gains while running; arm the hand-over beside it, so that the command does not jump.
+        """Change the gains while running; arm the hand-over too, so that the command does not jump.
 
         Raises
         ------
@@ -131,7 +132,7 @@ class Controller(Block):
         """
         parameters = parameters.validated()
         if parameters.type != self.parameters.type:
-            raise ParameterError([Problem("type", parameters.type, "changes the controller; build a new block of it")])
+            raise ParameterError([Problem("type", parameters.type, "changes the controller; build a new block")])
         packed = np.ascontiguousarray(self.pack(parameters), dtype=np.float64)
         if packed.shape != self.p.shape:
             raise ParameterError(
@@ -141,31 +142,32 @@ class Controller(Block):
         self.p[:] = packed
 
 
-#: Parameters of the motion controller without feedforward, for a comparison.
+#: Parameters that switch the feedforward off.
 UNFED: Mapping[str, Any] = {"feedforward.type": "none", "feedforward.preview": 0}
 
 
 @dataclass(frozen=True, eq=False)
 class DesignTask:
-    """What a design is asked: gains of a controller for the model in its parameters.
+    """The task of a design: gains of a controller for the model in its parameters.
 
     Parameters
     ----------
     parameters : ControllerParameters
-        Of the type that is designed. The model in it is minimal and stable; what the design does not decide is kept.
+        Parameters with the type of controller. Their model is minimal and stable; the design keeps values that it does
+        not decide.
     sample_time : float
         [s]
     bandwidth : float or None
-        Frequency at which the response to the reference, without feedforward, is to fall by 3 dB [Hz].
+        Required -3 dB bandwidth of the response to the reference, without feedforward [Hz].
     q : float or None
-        Variance of the input's noise over that of the measurement in the Kalman filter.
+        Kalman filter: ratio of the input noise variance to the measurement noise variance.
     loop : callable
         ``loop(parameters)`` returns controller and model, two :class:`StateSpace`, close to rest; for
         :func:`hysteresis_ros.control.margins.judge`.
     aimed : Requirements, optional
-        What a design of its own accord, without a bandwidth, has to meet.
+        Requirements of a design without a given bandwidth.
     plants : tuple of PossiblePlant, optional
-        Plants on which it has to meet that, the model first; by default the model alone.
+        Plants on which the design must meet them, the model first; by default the model alone.
     """
 
     parameters: Any
@@ -177,12 +179,7 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return bandwidth on the model, and the worst of everything else on all plants up to one that misses the aim.
-
-        Parameters
-        ----------
-        parameters : ControllerParameters
-        """
+        """Return the bandwidth on the model and the worst other figures on the plants up to one that misses."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 
@@ -194,13 +191,13 @@ class Tuning:
     Parameters
     ----------
     gains : tuple of str
-        Names of the numbers in the controller's own group; those that are 0 at the start stay 0.
+        Names of the gains in the controller's own group; those that are 0 at the start stay 0.
     start : callable
-        ``start(parameters, sample_time)`` returns the parameters to begin with.
+        ``start(parameters, sample_time)`` returns the initial parameters.
     loop : callable
-        ``loop(parameters, sample_time)`` returns controller and model by whose margins candidates are judged.
+        ``loop(parameters, sample_time)`` returns controller and model, whose margins are evaluated for each candidate.
     required : Requirements
-        Gains that miss it are refused.
+        Requirements; gains that miss them are refused.
     """
 
     gains: tuple[str, ...]
@@ -210,7 +207,7 @@ class Tuning:
 
 
 def _no_check(parameters, sample_time: float | None) -> None:
-    """Find nothing wrong."""
+    """Accept everything."""
 
 
 def _as_it_is(parameters):
@@ -231,7 +228,7 @@ def _no_warnings(parameters, prefix: str):
 
 @dataclass(frozen=True, eq=False)
 class ControllerLaw:
-    """A controller: its type, law and parameters, and what the rest of the package asks of it.
+    """A controller: its type, law, parameters, and its functions for the rest of the package.
 
     Parameters
     ----------
@@ -240,32 +237,31 @@ class ControllerLaw:
     block : type of Controller
         Kernel, state and parameter array.
     description : str
-        A few words for the table of parameters.
+        Short description for the table of parameters.
     groups : mapping of str to type, optional
         Groups of the motion controller's parameters that it uses, by name. A group with the name of the law that no
         other law uses is checked only while the law is chosen.
     feedback : bool, optional
-        Whether it uses the measurement: without that, nothing limits the bandwidth of a reference.
+        Whether it uses the measurement; otherwise the bandwidth of a reference is not limited.
     check : callable, optional
         ``check(parameters, sample_time)`` raises ParameterError, with names relative to the motion controller's
-        parameters, where no stable controller follows; the sample time is None where it is not known.
+        parameters, when no stable controller follows; the sample time is None if it is unknown.
     warnings : callable, optional
-        ``warnings(parameters, prefix)`` returns sentences about doubts; prefix stands before names of parameters.
+        ``warnings(parameters, prefix)`` returns warnings as sentences; ``prefix`` precedes names of parameters.
     near_rest : callable, optional
-        ``near_rest(parameters)`` returns parameters with which the kernel is linear close to rest; the preload offset
-        and the feedforward are off already.
+        ``near_rest(parameters)`` returns parameters with which the kernel is linear close to rest, from parameters
+        without preload offset and feedforward.
     designs : mapping of str to callable, optional
         Name for ``hysteresis design --controller`` → ``design(task)``, which returns parameters with gains for a
         :class:`DesignTask`.
     rows : callable, optional
-        ``rows(parameters, sample_time)`` returns (name, text) of what a design prints of its gains.
+        ``rows(parameters, sample_time)`` returns (name, text) of each row that a design prints about its gains.
     doubts : callable, optional
-        ``doubts(parameters, sample_time, tuned)`` returns sentences about what a user should know of a design.
+        ``doubts(parameters, sample_time, tuned)`` returns warnings about a design as sentences.
     tuning : Tuning, optional
-        Which gains ``--criterion`` tunes.
+        The gains that ``--criterion`` tunes.
     compared : optional
-        No part of a law any more, for laws of other packages: given, it is passed over with a warning that says where
-        the rows of ``hysteresis compare`` stand instead.
+        Obsolete; for laws of other packages. It is ignored with a warning that names its replacement.
     """
 
     name: str
@@ -285,8 +281,8 @@ class ControllerLaw:
     def __post_init__(self, compared: Any) -> None:
         if compared is not None:
             warnings.warn(
-                f"controller {self.name}: compared = {compared!r} has no effect: a law does not hold its rows of "
-                "hysteresis compare any more; leave it out and declare them by an entry point of the group "
+                f"controller {self.name}: compared = {compared!r} has no effect: a law no longer contains its rows of "
+                "hysteresis compare; leave it out and declare them by an entry point of the group "
                 '"hysteresis_ros.compared" (docs/extending.md)',
                 RuntimeWarning,
                 stacklevel=3,

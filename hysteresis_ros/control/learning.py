@@ -7,21 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Learning from period to period: the correction of a periodic reference, its parameters, kernel, block and file.
+"""Learning over periods: the correction of a periodic reference, its parameters, kernel, block and file.
 
 m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the error e = r − y of a period of N samples, the robustness filter Q,
 of zero phase, and the error filter G = Q L (iterative learning control [1]_, and as a plug-in repetitive control [2]_).
-γ_j = 1 is the plain law. A smaller one averages noise over periods and leaves the limit of m where it is.
+γ_j = 1 is the plain law. A smaller γ_j averages noise over periods and does not change the limit of m.
 
-Both filters look ahead: of the last period everything is known. A sample of m is worked at the moment it is needed, out
-of the samples around the one a period before; nothing has to be done at the end of a period.
+Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
+from the samples around the one a period before; the end of a period needs no additional computation.
 
-What cannot be learned from is not a finite number in the ring of errors: where more than a tenth of the filter's weight
-meets such samples, around them, the correction repeats itself; where the reason is that commands were not carried out,
-it gives way, or it would hold the axis at its limits. A voltage that came a sample too late moves the axis off its path
-by what the correction has no part in: nothing is learned from it until its answer has died away, which takes less time
-than after limits: one sample is a small knock. A reference that is
-not the one of a period before takes the correction back.
+Samples that cannot be used for learning are not finite numbers in the ring of errors. Where more than a tenth of the
+filter's weight meets such samples, the correction repeats; where the reason is a saturated command, the correction
+decreases, because it would keep the axis at its limits. A late voltage causes an error that is independent of the
+correction: the samples of its response are not used, for a shorter time than after saturation, because one sample is a
+small disturbance. A reference that differs from that of the previous period fades the correction out.
 
 References
 ----------
@@ -43,22 +42,22 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.files import BoundsError, read_text, read_yaml, write_text
 from hysteresis_ros.models.block import Block, called, kernel
 
-#: Most taps of a filter, and the longest period [samples].
+#: Maximum number of taps of a filter, and the longest period [samples].
 MOST_TAPS, LONGEST = 256, 100_000
-#: A period this close to whole samples, in samples, is one of whole samples.
+#: Tolerance for a period of whole samples [samples].
 WHOLE = 1e-6
 
 
 @dataclass(frozen=True)
 class LearningParameters(Parameters):
-    """What is learned from one period of the reference to the next, and how."""
+    """Parameters of the learning over periods of the reference."""
 
     type: str = parameter(
         "none",
         choices=("none", "inversion", "norm_optimal", "repetitive"),
         read_only=True,
-        description="none, or how the filters were designed (hysteresis design --learning): as the inverse of the "
-        "closed loop, by weights on error and correction, or as a repetitive controller with phase lead",
+        description="none, or the design of the filters (hysteresis design --learning): inverse of the closed loop, "
+        "weights on error and correction, or repetitive controller with phase lead",
     )
     period: float = parameter(
         0.0, unit="s", low=0.0, read_only=True, description="period of the reference, a whole number of samples"
@@ -66,67 +65,67 @@ class LearningParameters(Parameters):
     error_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of Q L, from the one on the furthest error ahead to the one on the oldest",
+        description="taps of Q L, from that of the error furthest ahead to that of the oldest",
     )
     lead: int = parameter(
-        0, low=0, high=LONGEST, read_only=True, description="samples that the first tap of error_filter looks ahead"
+        0, low=0, high=LONGEST, read_only=True, description="lead of the first tap of error_filter, in samples"
     )
     robustness_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of Q, of zero phase: the one in the middle, then those on both of its sides",
+        description="taps of the zero-phase filter Q: the middle one, then those on either side",
     )
     gain: float = parameter(
-        1.0, low=0.0, high=1.0, description="part of what a period has shown that goes into the correction, at first"
+        1.0, low=0.0, high=1.0, description="initial learning gain, the fraction of the update applied per period"
     )
     averaging: float = parameter(
-        0.0, low=0.0, high=1e6, description="n: in the j-th period of learning the gain is at most n / j; 0: it stays"
+        0.0, low=0.0, high=1e6, description="n: in the j-th period of learning the gain is at most n / j; 0: constant"
     )
-    least_gain: float = parameter(0.0, low=0.0, high=1.0, description="below this the gain does not fall")
+    least_gain: float = parameter(0.0, low=0.0, high=1.0, description="lower limit of the gain")
     maximum: float = parameter(
-        0.0, unit="m", low=0.0, high=1.0, description="largest correction of the reference, either way"
+        0.0, unit="m", low=0.0, high=1.0, description="largest magnitude of the correction of the reference"
     )
     shortfall: float = parameter(
         1e-7,
         unit="m",
         low=0.0,
         high=1.0,
-        description="nothing is learned while what is carried out of the command differs from it by more",
+        description="difference between command and achieved command above which learning pauses",
     )
     recovery: float = parameter(
         0.0,
         unit="s",
         low=0.0,
         high=1e3,
-        description="nor so long after that, while the axis still answers to it",
+        description="time for which learning pauses after that, until the response of the axis has decayed",
     )
     late_recovery: float = parameter(
         -1.0,
         unit="s",
         low=-1.0,
         high=1e3,
-        description="nor so long after a voltage that came too late: one sample is a small knock; below 0: as recovery",
+        description="time for which learning pauses after a late voltage, a small disturbance; below 0: as recovery",
     )
-    active: bool = parameter(True, description="whether it learns from the beginning; `learn` and `freeze` change it")
-    file: str = parameter(
-        "", read_only=True, description="file of what was learned, to begin with; '': nothing", place="files"
+    active: bool = parameter(
+        True, description="true: learn from the beginning; the services `learn` and `freeze` change it"
     )
+    file: str = parameter("", read_only=True, description="file of an initial correction; '': none", place="files")
     save_file: str = parameter(
         "", read_only=True, description="file that the service `save` writes; '': none", place="files"
     )
 
     @property
     def in_use(self) -> bool:
-        """Whether there is a correction."""
+        """Whether a correction is configured."""
         return self.type != "none"
 
     @property
     def late_answer(self) -> float:
-        """Time [s] after a voltage that came too late in which nothing is learned."""
+        """Time [s] for which learning pauses after a late voltage."""
         return self.late_recovery if self.late_recovery >= 0.0 else self.recovery
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         if not self.in_use:
             return
         if not self.period:
@@ -150,12 +149,12 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     sample_rate : float
         [Hz]
     name : str
-        Of the parameter, for the message.
+        Name of the parameter, for the message.
 
     Raises
     ------
     ParameterError
-        It is no whole number of samples, too short, or too long.
+        The period is not a whole number of samples, too short, or too long.
     """
     samples = period * sample_rate
     count = round(samples)
@@ -173,9 +172,9 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     return count
 
 
-#: First key of such a file.
+#: First key of a file of a learned correction.
 KIND = "learned_correction"
-#: Most values of such a file beside the two arrays.
+#: Maximum number of values of a file besides the two arrays.
 HEAD = 20
 
 
@@ -188,7 +187,7 @@ class Learned:
     period, sample_time : float
         [s]
     correction, reference : ndarray, shape (N,)
-        What is added to the reference, and the reference, from the beginning of the period on [m].
+        Correction added to the reference, and the reference, from the beginning of the period on [m].
     """
 
     period: float
@@ -197,25 +196,25 @@ class Learned:
     reference: np.ndarray
 
     def require(self, period: float, sample_time: float, maximum: float) -> None:
-        """Refuse it for an axis that it was not learned on.
+        """Refuse the correction for an axis on which it was not learned.
 
         Parameters
         ----------
         period, sample_time : float
-            Of the axis [s].
+            Period and sample time of the axis [s].
         maximum : float
             Largest correction that the axis allows [m].
 
         Raises
         ------
         ParameterError
-            Period or sample time differ, or it is larger than allowed.
+            Period or sample time differ, or the correction is larger than allowed.
         """
         wanted = period_samples(period, 1.0 / sample_time)
         if len(self.correction) != wanted or abs(self.sample_time - sample_time) > 1e-6 * sample_time:
             have = f"{len(self.correction)} samples of {self.sample_time:g} s"
             remedy = (
-                f"holds {have}; the axis has {wanted} of {sample_time:g} s: learn anew, or give the axis of the file"
+                f"contains {have}; the axis has {wanted} of {sample_time:g} s: learn again, or give the file's axis"
             )
             raise ParameterError([Problem("learning.file", f"period {self.period:g} s", remedy)])
         largest = float(np.max(np.abs(self.correction)))
@@ -225,7 +224,7 @@ class Learned:
 
 
 def write_learned(path, learned: Learned, configuration: str = "") -> None:
-    """Write what was learned; an existing file is replaced as a whole.
+    """Write a learned correction; an existing file is replaced atomically.
 
     Parameters
     ----------
@@ -257,16 +256,12 @@ def write_learned(path, learned: Learned, configuration: str = "") -> None:
 
 
 def read_learned(path) -> Learned:
-    """Return what a file says was learned.
-
-    Parameters
-    ----------
-    path : path-like
+    """Read a learned correction.
 
     Raises
     ------
     ParameterError
-        There is no such file, or it is no file of a learned correction.
+        The file is missing, or is not a learned correction.
     """
 
     def refused(text):
@@ -279,71 +274,71 @@ def read_learned(path) -> Learned:
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
     except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
-        raise refused("is no file of a learned correction, as `save` of motion_controller writes it") from None
+        raise refused("is not a file of a learned correction, as `save` of motion_controller writes it") from None
     sizes = {len(array) for array in arrays if array.ndim == 1 and np.all(np.isfinite(array))}
     if len(sizes) != 1 or any(array.ndim != 1 or not np.all(np.isfinite(array)) for array in arrays):
-        raise refused("correction and reference must be as many finite numbers")
+        raise refused("correction and reference must be equally many finite numbers")
     if not (0.0 < period < np.inf and 0.0 < sample_time < np.inf):
         raise refused(f"period {period:g} s and sample_time {sample_time:g} s must be above 0")
     return Learned(period, sample_time, *arrays)
 
 
-# Parameters; then the error filter from its furthest look ahead on, and the robustness filter from its middle on.
+# Parameters; then the error filter from its furthest lead on, and the robustness filter from its middle on.
 PERIOD = 0  # N [samples]
-LEAD = 1  # how far the first tap of the error filter looks ahead [samples]
-TAPS = 2  # of the error filter
-HALF = 3  # taps of the robustness filter beside its middle, on each side
+LEAD = 1  # lead of the first tap of the error filter [samples]
+TAPS = 2  # number of taps of the error filter
+HALF = 3  # number of taps of the robustness filter on each side of its middle
 GAIN = 4  # γ at first
 LEAST_GAIN = 5
-AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: it stays
+AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: constant
 MAXIMUM = 7  # [m]
-SHORTFALL = 8  # command not carried out above which nothing is learned [m]
-RECOVERY = 11  # samples after a command that was not carried out, in which nothing is learned
-LATE_ANSWER = 12  # the same after a voltage that came too late
-FADE = 9  # part of the correction that comes or goes in a sample
-MISSING = 10  # weight of the error filter that may meet samples from which nothing can be learned
+SHORTFALL = 8  # difference of command and achieved command above which learning pauses [m]
+RECOVERY = 11  # samples after a saturated command in which learning pauses
+LATE_ANSWER = 12  # the same after a late voltage
+FADE = 9  # fraction of the correction that fades in or out per sample
+MISSING = 10  # weight of the error filter that may meet unusable samples
 FILTERS = 13
 
 # State; then three rings of as many samples as the filters reach back: correction, error, reference [m].
 MODE = 0
-SAMPLES = 1  # since the beginning
+SAMPLES = 1  # samples since the beginning
 LEARNED = 2  # samples since learning began
-WEIGHT = 3  # part of the correction that is in force
-CORRECTION = 4  # of the last sample [m]
-RECOVERING = 5  # samples until the answer to what was not carried out has died away
-LOST = 6  # error of those samples in the ring: LIMITED or NaN
+WEIGHT = 3  # applied fraction of the correction
+CORRECTION = 4  # correction of the last sample [m]
+RECOVERING = 5  # samples until the response to a saturated command has decayed
+LOST = 6  # entry of those samples in the ring: LIMITED or NaN
 RINGS = 7
 
-#: Modes: the correction repeats itself; it learns; it goes to zero.
+#: Modes: the correction repeats; it is updated; it fades to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
-#: Error of a sample whose command was not carried out, and part of the correction that gives way around it in a period.
+#: Entry for a sample with a saturated command, and fraction by which the correction around it decreases per period.
 LIMITED, RELIEF = math.inf, 0.25
 
-#: References that differ by less from one period to the next are the same [m].
+#: References that differ by less from one period to the next count as equal [m].
 SAME = 1e-9
 
 
 @kernel
 def shown(p, x, error, shortfall, skipped):
-    """Return what a sample shows of the correction: its error [m], ``LIMITED``, or NaN: nothing.
+    """Return the entry of a sample: its error [m], ``LIMITED``, or NaN: not usable.
 
     Parameters
     ----------
     p, x : ndarray
     error : float
-        Reference less displacement [m]; NaN: the axis does not follow, or nothing was measured.
+        Reference minus displacement [m]; NaN: the axis does not follow, or there is no measurement.
     shortfall : float
-        What was not carried out of the last command [m].
+        Last command minus achieved command [m].
     skipped : float
-        1: the voltage of this sample comes too late, the axis holds the last one.
+        1: the voltage of this sample is late, and the axis holds the last one.
     """
     if abs(shortfall) > p[SHORTFALL]:
         x[RECOVERING] = p[RECOVERY]
         x[LOST] = LIMITED
     elif skipped != 0.0:
-        # one that came while the axis answers for longer to what was not carried out ends nothing of that
+        # a late voltage does not shorten the longer pause after a saturated command
         if x[RECOVERING] <= p[LATE_ANSWER]:
             x[RECOVERING] = p[LATE_ANSWER]
             x[LOST] = math.nan
@@ -358,15 +353,15 @@ def shown(p, x, error, shortfall, skipped):
 
 @called
 def learned_correction(p, x, reference, error):
-    """Return what to add to the reference [m] in this sample.
+    """Return the correction of the reference [m] in this sample.
 
     Parameters
     ----------
     p, x : ndarray
     reference : float
-        The one that is followed in this sample, without correction [m].
+        Reference of this sample, without correction [m].
     error : float
-        What the displacement measured in this sample lacks of it [m]; NaN: nothing is to be learned from it.
+        Reference minus measured displacement of this sample [m]; NaN: not usable for learning.
     """
     period, lead, taps, half = int(p[PERIOD]), int(p[LEAD]), int(p[TAPS]), int(p[HALF])
     length = (x.shape[0] - RINGS) // 3
@@ -413,11 +408,11 @@ def learned_correction(p, x, reference, error):
             value = repeated - RELIEF * gain * repeated
         x[LEARNED] += 1.0
     known = x[references + before]
-    # before there was a period nothing can differ from it
+    # in the first period there is no reference to compare with
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
         x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
         if x[WEIGHT] == 0.0:
-            x[LEARNED] = 0.0  # another reference begins with the whole gain
+            x[LEARNED] = 0.0  # a new reference begins with the initial gain
     else:
         x[WEIGHT] = min(x[WEIGHT] + p[FADE], 1.0)
     value = min(max(x[WEIGHT] * value, -p[MAXIMUM]), p[MAXIMUM])
@@ -429,12 +424,12 @@ def learned_correction(p, x, reference, error):
     return value
 
 
-#: Part of the error filter's weight that may meet samples from which nothing can be learned: the margin of contraction.
+#: Fraction of the error filter's weight that may meet unusable samples: the margin of convergence.
 UNLEARNED = 0.1
 
 
 class Learning(Block):
-    """Correction of a periodic reference; without a type it has no arrays and is not worked.
+    """Correction of a periodic reference; without a type it has no arrays and is not computed.
 
     Parameters
     ----------
@@ -442,12 +437,12 @@ class Learning(Block):
     sample_time : float
         [s]
     fade : float
-        Time in which a correction comes or goes [s].
+        Time in which a correction fades in or out [s].
 
     Raises
     ------
     ParameterError
-        The period is no whole number of samples, a filter looks ahead by a period, or the file does not fit.
+        The period is not a whole number of samples, a filter has the lead of a period, or the file does not fit.
     """
 
     kernel = staticmethod(learned_correction)
@@ -461,14 +456,14 @@ class Learning(Block):
         super().__init__(parameters, sample_time)
 
     def pack(self, parameters: LearningParameters) -> np.ndarray:
-        """Return the parameter array; empty where nothing is learned."""
+        """Return the parameter array; empty without learning."""
         if not parameters.in_use:
             return np.zeros(0)
         period = period_samples(parameters.period, 1.0 / self.sample_time)
         half = len(parameters.robustness_filter) - 1
         for name, ahead in (("lead", parameters.lead), ("robustness_filter", half)):
             if ahead >= period:
-                remedy = f"looks {ahead} samples ahead; must be less than the period of {period} samples"
+                remedy = f"has a lead of {ahead} samples: must be less than the period of {period} samples"
                 raise ParameterError([Problem(f"learning.{name}", getattr(parameters, name), remedy)])
         head = np.zeros(FILTERS)
         head[PERIOD], head[LEAD] = period, parameters.lead
@@ -483,17 +478,17 @@ class Learning(Block):
         return np.concatenate([head, parameters.error_filter, parameters.robustness_filter])
 
     def initial_state(self) -> np.ndarray:
-        """Return the state before the first sample: what the file says, or nothing."""
+        """Return the state before the first sample, with the correction of the file."""
         if not len(self.p):
             return np.zeros(0)
         period, back = int(self.p[PERIOD]), int(self.p[TAPS] - 1 - self.p[LEAD])
         length = period + max(back, int(self.p[HALF])) + 1
-        # before it begins the axis was at rest, without error; what was learned waits for the first period's
+        # before the beginning the axis was at rest, without error; the file's correction waits for its first sample
         rings = np.zeros((3, length))
         rings[2] = math.nan
         if self._loaded is not None:
             rings[1] = math.nan
-            # the sample before the first one stands in the last place of a ring
+            # the sample before the first one is the last entry of a ring
             places = np.arange(-length, 0) % period
             rings[0], rings[2] = self._loaded.correction[places], self._loaded.reference[places]
         state = np.zeros(RINGS)
@@ -502,18 +497,18 @@ class Learning(Block):
         return np.concatenate([state, rings.ravel()])
 
     def changed(self, parameters: LearningParameters, fade: float) -> Learning:
-        """Return a block of other parameters, to be taken over by :meth:`take` once nothing can be refused any more.
+        """Return a checked block with other parameters, for :meth:`take`.
 
         Parameters
         ----------
         parameters : LearningParameters
         fade : float
-            Time in which a correction comes or goes [s].
+            Time in which a correction fades in or out [s].
 
         Raises
         ------
         ParameterError
-            They are wrong, or of another structure.
+            The parameters are wrong, or change the structure.
         """
         for name in ("type", "period", "error_filter", "lead", "robustness_filter", "file"):
             value, present = getattr(parameters, name), getattr(self.parameters, name)
@@ -522,17 +517,12 @@ class Learning(Block):
         return Learning(replace(parameters, file=""), self.sample_time, fade)
 
     def take(self, other: Learning) -> None:
-        """Go on with the parameters of another block of the same structure.
-
-        Parameters
-        ----------
-        other : Learning
-        """
+        """Continue with the parameters of another block of the same structure."""
         self.parameters = replace(other.parameters, file=self.parameters.file)
         self.p[:] = other.p
 
     def set_mode(self, mode: int) -> None:
-        """Learn, repeat, or forget from the next sample on.
+        """Learn, freeze or forget, beginning with the next sample.
 
         Parameters
         ----------
@@ -542,7 +532,7 @@ class Learning(Block):
         Raises
         ------
         ParameterError
-            There is no correction.
+            No correction is configured.
         """
         self._require_use()
         if mode == LEARNING:
@@ -551,22 +541,22 @@ class Learning(Block):
 
     def _require_use(self) -> None:
         if not self.parameters.in_use:
-            remedy = "nothing learns; let `hysteresis design --learning` write its filters"
+            remedy = "learning is off; let `hysteresis design --learning` write its filters"
             raise ParameterError([Problem("learning.type", self.parameters.type, remedy)])
 
     @property
     def mode(self) -> int:
-        """``LEARNING``, ``FROZEN`` or ``FORGETTING``; frozen where there is no correction."""
+        """``LEARNING``, ``FROZEN`` or ``FORGETTING``; frozen without a correction."""
         return int(self.x[MODE]) if len(self.x) else FROZEN
 
     @property
     def missed(self) -> int:
-        """Samples of the last period from which nothing could be learned."""
+        """Number of samples of the last period that were not usable for learning."""
         return int(np.count_nonzero(~np.isfinite(self._last_period(self.x, 1)))) if len(self.x) else 0
 
     @property
     def at_maximum(self) -> bool:
-        """Whether the correction has reached its limit somewhere in the last period."""
+        """Whether the correction has reached its limit in the last period."""
         return bool(len(self.x)) and bool(np.max(np.abs(self._last_period(self.x, 0))) >= self.p[MAXIMUM])
 
     def learned(self) -> Learned:
@@ -575,14 +565,14 @@ class Learning(Block):
         Raises
         ------
         ParameterError
-            There is none, or no whole period was seen yet.
+            No correction is configured, or no whole period has passed.
         """
         self._require_use()
-        # in one go: a loop that runs beside writes one sample at a time
+        # as one copy, because the loop keeps writing samples
         x = self.x.copy()
         reference = self._last_period(x, 2)
         if not np.all(np.isfinite(reference)):
-            remedy = f"no whole period of {self.parameters.period:g} s has been followed yet; wait for one"
+            remedy = f"no whole period of {self.parameters.period:g} s has passed yet; wait for one"
             raise ParameterError([Problem("learning", "nothing learned", remedy)])
         return Learned(self.parameters.period, self.sample_time, self._last_period(x, 0), reference)
 

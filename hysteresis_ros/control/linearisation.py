@@ -30,17 +30,12 @@ from hysteresis_ros.models.linear import StateSpace
 
 #: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
 TINY = 1e-24
-#: Samples at rest before: flags and counters of the start are past then.
+#: Samples at rest before the linearisation, for flags and counters of the start.
 WARM_UP = 3
 
 
 def at_rest(parameters):
-    """Return the controller's parameters as they are linear close to rest: no feedforward, no preload offset.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    """
+    """Return the controller's parameters that are linear close to rest: without feedforward and preload offset."""
     model = replace(parameters.model, preload=PreloadParameters())
     return parameters.law.near_rest(replace(parameters, model=model, feedforward=FeedforwardParameters()))
 
@@ -51,13 +46,13 @@ def linearise(controller) -> StateSpace:
     Parameters
     ----------
     controller : Controller
-        Built of parameters like those of :func:`at_rest`; its state is not changed.
+        Built from parameters of :func:`at_rest`; its state is not changed.
     """
     kernel, p = controller.kernel, controller.p
     rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
     for _ in range(WARM_UP):
         kernel(p, rest, 0.0, 0.0)
-    # The last command is one state, though it stands in two places; the feedforward is none.
+    # the last command is one state, although it has two entries; the feedforward is not a state
     groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
     count = len(groups)
     A, C = np.zeros((count, count)), np.zeros((1, count))
@@ -78,7 +73,7 @@ def linearise(controller) -> StateSpace:
 
 
 def _connected(system: StateSpace) -> StateSpace:
-    """Leave out states that no input reaches (flags, constants) or that never reach the output (records)."""
+    """Remove states that no input reaches (flags, constants) or that never reach the output (records)."""
     reached, seen = (system.B != 0.0).any(axis=1), system.C[0] != 0.0
     for _ in range(len(system.A)):
         reached = reached | ((system.A != 0.0) @ reached)
@@ -90,16 +85,10 @@ def _connected(system: StateSpace) -> StateSpace:
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
     """Return controller and model of a controller's parameters, both close to rest; a damping belongs to the model.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
-
     Raises
     ------
     ParameterError
-        No controller can be built of the parameters.
+        No controller can be built from the parameters.
     """
     own = parameters.before_damping(sample_time)
     resting = at_rest(own).validated()
@@ -108,18 +97,12 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
 
 
 def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and damping as one, and the model without damping: what a change of the plant acts on.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
+    """Return controller and damping as one system, and the undamped model, whose changes are of interest.
 
     Raises
     ------
     ParameterError
-        No controller can be built of the parameters.
+        No controller can be built from the parameters.
     """
     controller, plant = linear_loop(parameters, sample_time)
     if parameters.damping.source == NOTHING:
@@ -132,15 +115,9 @@ def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
 def margins(parameters, sample_time: float) -> Margins:
     """Return margins, bandwidth and poles of a controller on its own model.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
-
     Raises
     ------
     ParameterError
-        No controller can be built of the parameters.
+        No controller can be built from the parameters.
     """
     return margins_of(*linear_loop(parameters, sample_time), sample_time)

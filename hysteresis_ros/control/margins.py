@@ -7,23 +7,23 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear loops and how robust they are: loop transfer, margins, sensitivity, bandwidth, on a model or as measured.
+"""Robustness of linear loops: loop transfer function, margins, sensitivity and bandwidth, modelled or measured.
 
-Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The loop is the one that runs:
-y_k = C x_k + D u_(k-1) is measured, u_k answers it in the same sample and is held until the next one; the controller
-knows its own command as the one carried out. The inverse of the hysteresis is taken to be exact.
+Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). Timing is that of the running loop:
+y_k = C x_k + D u_(k-1) is measured, u_k responds in the same sample and is held until the next one; the command counts
+as achieved. The inverse of the hysteresis is assumed exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
-A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs); the loop bears it until that passes −1.
+A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs); the loop tolerates it until that passes −1.
 
-Every design is held to the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and one sample of
-delay beyond what the model has, because converters, transport and a busy computer cost about that. M_s ≤ 2 alone
-implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin:
-a loop that crosses gain one close to half the sample rate loses 180 degrees there by one sample.
+Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
+one sample beyond the model, about the delay of converters, transport and a loaded computer. M_s ≤ 2 alone implies a
+gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin: at half
+the sample rate one sample of delay costs 180 degrees.
 
-A measured loop is cut at the same place. To first order an error δ of L is an error of -S² δ of S and S² δ of T to
-first order. What a margin may be follows from the circles around L at the lines: nearest to −1 for the sensitivity,
-along the real axis for the gain, across it for the phase.
+A measured loop is cut at the same place. To first order an error δ of L is an error -S² δ of S and S² δ of T. The range
+of a margin follows from the circles around L at the measured frequencies: nearest to −1 for the sensitivity, along the
+real axis for the gain, across it for the phase.
 
 References
 ----------
@@ -41,15 +41,15 @@ from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 
 
 def with_acting(dynamics, plant: StateSpace) -> StateSpace:
-    """Return a plant with the displacement at which what acts on it would rest as its second output.
+    """Return a plant with its quasi-static displacement as second output.
 
-    Of that only the gain and the delay are in it, nothing of poles and zeros: a force in the stack is a sum of both.
+    That output contains gain and delay only, no poles and zeros; a force in the stack is a sum of both outputs.
 
     Parameters
     ----------
     dynamics : LinearParameters
     plant : StateSpace
-        Their own states first, without feedthrough.
+        Plant without feedthrough; the states of ``dynamics`` come first.
     """
     row, through = dynamics.acting
     n = plant.order
@@ -66,9 +66,9 @@ def plant_state_space(dynamics, scaled: bool = True, acting: bool = False) -> St
     ----------
     dynamics : LinearParameters
     scaled : bool
-        In SI units; otherwise in the model's.
+        True: SI units; False: the model's units.
     acting : bool
-        With the second output of :func:`with_acting`.
+        Whether to add the second output of :func:`with_acting`.
     """
     held = dynamics.state_space.held()
     if acting:
@@ -82,7 +82,7 @@ def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
     Parameters
     ----------
     controller, plant : StateSpace
-        Of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
+        Systems of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
     """
     n, m = len(controller.A), len(plant.A)
     reference, measured = controller.B[:, :1], controller.B[:, 1:]
@@ -102,19 +102,14 @@ def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
     Parameters
     ----------
     controller, plant : StateSpace
-        Of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
+        Systems of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
     z : array_like, shape (N,)
     """
     return np.sum(loop_parts(controller, plant, z), axis=1)
 
 
 def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return the parts of L by what is fed back: the displacement, and behind a damping by force what acts.
-
-    Parameters
-    ----------
-    controller, plant : StateSpace
-    z : array_like, shape (N,)
+    """Return the parts of L by the fed-back signal: displacement, and with force damping quasi-static displacement.
 
     Returns
     -------
@@ -123,7 +118,7 @@ def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
     return -controller.response(z)[:, 0, 1:] * plant.response(z)[:, :, 0]
 
 
-#: Frequencies of the grid, and how many are added around each pole.
+#: Number of frequencies of the grid, and number added around each pole.
 GRID = 3000
 AROUND_POLE = 61
 #: Steps of bisection for the bandwidth in a search, to 1e-7 of the distance between two points of the grid.
@@ -136,20 +131,20 @@ LOWEST = 1e-7
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a design is held to.
+    """Requirements of a design.
 
     Parameters
     ----------
     sensitivity_peak : float
         Largest M_s.
     gain_margin : float
-        Least factor by which the gain may grow [dB].
+        Least gain margin [dB].
     delay_margin : float
-        Least delay beyond the modelled one that the loop bears [samples].
+        Least tolerated delay beyond the modelled one [samples].
     command_noise_gain : float
-        Largest RMS of the command per RMS of the sensor's noise; nothing is asked of it unless the noise is known.
+        Largest RMS of the command per RMS of the sensor's noise; infinite if the noise is unknown.
     late_sensitivity_peak : float
-        Largest M_s with a sample of delay beyond the modelled one, of designs of their own accord.
+        Largest M_s with a sample of delay beyond the modelled one, for designs without a given bandwidth.
     """
 
     sensitivity_peak: float = 2.0
@@ -159,38 +154,38 @@ class Requirements:
     late_sensitivity_peak: float = np.inf
 
 
-#: Part by which a requirement may be missed: designs end where they just meet it.
+#: Relative tolerance of a requirement, because designs end where they just meet it.
 ROUNDING = 1e-3
-#: What every design is held to.
+#: Requirements of every design.
 REQUIRED = Requirements()
-#: What a design of its own accord aims at: with a sample more than modelled it still has the delay margin of one. Usual
+#: Aim of a design without a given bandwidth: a delay margin of one sample even with one more sample of delay. Usual
 #: values of M_s are 1.2 to 2 [1]_.
 AIMED = Requirements(sensitivity_peak=1.6, delay_margin=2.0, late_sensitivity_peak=3.0)
-#: What gains aim at that a criterion or a comparison wants as fast as may be: a sample later they are still stable.
+#: Aim of gains that are tuned for speed, by a criterion or a comparison: stable with one more sample of delay.
 FASTEST = Requirements(delay_margin=1.3)
 
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """What :func:`margins_of` finds; infinite where there is no such crossover.
+    """Result of :func:`margins_of`; a margin is infinite if its crossover does not exist.
 
     Parameters
     ----------
     gain_margin : float
-        Factor by which the gain may grow [dB].
+        Factor by which the gain may increase [dB].
     gain_reduction_margin : float
-        Factor by which it may fall [dB].
+        Factor by which the gain may decrease [dB].
     phase_margin : float
         Smallest distance of the phase from −180 degrees at a gain crossover [degrees].
     delay_margin : float
-        Further delay that the loop bears [s].
+        Tolerated additional delay [s].
     gain_crossovers, phase_crossovers : ndarray
         Frequencies at which the loop has gain one, and phase −180 degrees [Hz].
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float
-        Frequency at which the response to the reference, without feedforward, has first fallen by 3 dB [Hz]; infinite
-        when it does not below half the sample rate.
+        Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if there
+        is none below half the sample rate.
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor, [m/m].
     poles : ndarray
@@ -220,16 +215,11 @@ class Margins:
 
     @property
     def delay_margin_samples(self) -> float:
-        """Further delay that the loop bears, in samples."""
+        """Tolerated additional delay, in samples."""
         return self.delay_margin / self.sample_time
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return what the loop misses of the requirements, a few words each; empty when it meets them all.
-
-        Parameters
-        ----------
-        required : Requirements
-        """
+        """Return the unmet requirements, a few words each; empty when all are met."""
         if not self.stable:
             return ("unstable on its own model",)
         found = []
@@ -252,7 +242,7 @@ class Margins:
 
 
 class Judged(NamedTuple):
-    """What a search asks of a loop, on a coarser grid than :class:`Margins`; an unstable one has an infinite M_s.
+    """Figures of a loop for a search, on a coarser grid than :class:`Margins`; an unstable loop has an infinite M_s.
 
     Parameters
     ----------
@@ -265,11 +255,11 @@ class Judged(NamedTuple):
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor.
     rejection : float
-        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 where a constant one is not.
+        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 if a constant one is not.
     feedback : float
-        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 where it does not at rest.
+        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 if it does not act at rest.
     late_sensitivity_peak : float
-        M_s with a sample of delay more.
+        M_s with an additional sample of delay.
     """
 
     bandwidth: float
@@ -282,12 +272,7 @@ class Judged(NamedTuple):
     late_sensitivity_peak: float
 
     def meets(self, required: Requirements = REQUIRED) -> bool:
-        """Whether the loop meets the requirements; M_s ≤ 2 brings the gain margin of 6 dB with it.
-
-        Parameters
-        ----------
-        required : Requirements
-        """
+        """Whether the loop meets the requirements; M_s ≤ 2 implies the gain margin of 6 dB."""
         least = 1.0 / (1.0 - 10.0 ** (-required.gain_margin / 20.0))
         bounded = self.sensitivity_peak <= min(required.sensitivity_peak, least)
         quiet = self.command_noise_gain <= required.command_noise_gain
@@ -300,7 +285,7 @@ UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf)
 
 
 def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300) -> Judged:
-    """Return what a search asks of a linear loop.
+    """Return the figures of a linear loop for a search.
 
     Parameters
     ----------
@@ -332,7 +317,7 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
 
 
 def _up_to(angles, begun) -> float:
-    """Return the angle at which something has first begun: 0 where it has from the start, π where it never has."""
+    """Return the first angle at which a condition holds: 0 if from the start, π if never."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi
@@ -351,7 +336,7 @@ def _coarse_delay_margin(angles, values) -> float:
 
 
 def _noise_gain(angles, size) -> float:
-    """Return the RMS of what white noise of RMS one becomes through a transfer of this size: (1/π ∫ |H|² dω)^½."""
+    """Return the RMS of white noise of RMS one after a transfer function of this magnitude: (1/π ∫ |H|² dω)^½."""
     square = size * size
     area = np.sum(0.5 * (square[1:] + square[:-1]) * np.diff(angles)) + square[0] * angles[0]
     return float(np.sqrt(area / np.pi))
@@ -384,7 +369,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
     if values[-1].real < 0.0:
         phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
     if _flat_and_negative(loop(LOWEST * np.array([1.0, 2.0]))):
-        phase_at = np.append(LOWEST, phase_at)  # and at rest, where nothing integrates
+        phase_at = np.append(LOWEST, phase_at)  # and at rest, without an integrator
     phases = np.array([np.angle(loop(angle)[0]) for angle in gain_at]) + np.pi
     phases = np.mod(phases, 2.0 * np.pi)
     factors = 20.0 * np.log10([1.0 / max(abs(loop(angle)[0]), 1e-300) for angle in phase_at])
@@ -408,7 +393,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
 
 
 def _feedback(controller: StateSpace, angles) -> np.ndarray:
-    """Return the size of the controller's transfer from measurement to command."""
+    """Return the magnitude of the controller's transfer function from measurement to command."""
     return np.abs(controller.response(np.exp(1j * angles))[:, 0, 1])
 
 
@@ -417,7 +402,7 @@ def _least(values) -> float:
 
 
 def _grid(poles, count: int) -> np.ndarray:
-    """Return angles of 0 … π: evenly in both scales, and dense around the resonances."""
+    """Return angles in 0 … π, uniform in linear and logarithmic scale, and dense around the resonances."""
     parts = [np.geomspace(LOWEST, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
     for pole in poles:
         angle, width = abs(np.angle(pole)), max(1.0 - min(abs(pole), 1.0), 1e-9)
@@ -433,7 +418,7 @@ def _flat_and_negative(values) -> bool:
 
 
 def _crossings(function, angles, values, steps: int = 60) -> np.ndarray:
-    """Return where a function that is sampled at ``angles`` passes zero, refined by steps of bisection."""
+    """Return the zeros of a function sampled at ``angles``, refined by bisection."""
     found = []
     for i in np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0)):
         low, high, below = angles[i], angles[i + 1], values[i] < 0.0
@@ -465,7 +450,7 @@ def _bandwidth(whole: StateSpace, angles, steps: int = 60) -> float:
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and what it may be.
+    """A figure and its range.
 
     Parameters
     ----------
@@ -477,7 +462,7 @@ class Interval:
     high: float
 
     def text(self, digits: str = ".3g", unit: str = "") -> str:
-        """Return it in words.
+        """Return the figure as text.
 
         Parameters
         ----------
@@ -491,13 +476,13 @@ class Interval:
         return f"{self.value:{digits}}{unit} ({self.low:{digits}} … {high})"
 
 
-#: A figure that the band does not show.
+#: A figure that does not occur in the band.
 NOWHERE = Interval(np.inf, np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLoop:
-    """A loop transfer at lines.
+    """A loop transfer function at measured frequencies.
 
     Parameters
     ----------
@@ -506,7 +491,7 @@ class MeasuredLoop:
     loop : ndarray of complex, shape (F,)
         L.
     radius : ndarray, shape (F,)
-        Of the circle that holds the true one with the probability that was asked for.
+        Radius of the circle that contains the true value with the requested probability.
     sample_time : float
         [s]
     """
@@ -533,7 +518,7 @@ class MeasuredLoop:
 
     @property
     def sensitivity_peak(self) -> Interval:
-        """M_s, over the lines."""
+        """M_s over the measured frequencies."""
         distance = np.abs(1.0 + self.loop)
         nearest, farthest = np.maximum(distance - self.radius, 0.0), distance + self.radius
         with np.errstate(divide="ignore"):
@@ -546,7 +531,7 @@ class MeasuredLoop:
 
     @property
     def gain_margin(self) -> Interval:
-        """Factor by which the gain may grow [dB]."""
+        """Factor by which the gain may increase [dB]."""
         L, radius, found = self.loop, self.radius, []
         _, places, parts = self._crossings(L.imag)
         for place, part in zip(places, parts, strict=True):
@@ -567,16 +552,11 @@ class MeasuredLoop:
 
     @property
     def delay_margin(self) -> Interval:
-        """Further delay that the loop bears [samples]."""
+        """Tolerated additional delay [samples]."""
         return self._least_phase(lambda phase, angle: phase / angle, folded=False)
 
     def rows(self, model: Margins | None = None) -> list[tuple[str, str]]:
-        """Return (name, text) of what is printed, beside what the model has.
-
-        Parameters
-        ----------
-        model : Margins, optional
-        """
+        """Return (name, text) of each printed row, with the model's value."""
         crossing = ", ".join(f"{value:.4g} Hz" for value in self.gain_crossovers) or "none in the band"
         rows = [
             ("gain crossover", crossing),
@@ -597,7 +577,7 @@ class MeasuredLoop:
         return [(name, f"{text}; model {other}") for (name, text), other in zip(rows, expected, strict=True)]
 
     def _least_phase(self, figure, folded: bool) -> Interval:
-        """Return the least figure of phase above −180 degrees and angle a sample where |L| is one, and its ends.
+        """Return the least figure of phase above −180 degrees and angle per sample at |L| = 1, with its range.
 
         A circle around L that reaches the unit circle does so at its angle ± α, cos α = (1 + |L|² − r²)/(2 |L|).
         """
@@ -609,7 +589,7 @@ class MeasuredLoop:
             turned = np.angle(self.loop[place + 1] / self.loop[place])
             phase = np.mod(np.angle(self.loop[place]) + part * turned + np.pi, 2.0 * np.pi)
             near = _around(place, touching)
-            # the phases of the lines around, on the same turn
+            # the phases at the adjacent frequencies, in the same turn
             phases = phase + np.angle(self.loop[near] / np.exp(1j * (phase - np.pi)))
             cosine = (1.0 + size[near] ** 2 - self.radius[near] ** 2) / (2.0 * size[near])
             half = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -624,7 +604,7 @@ class MeasuredLoop:
         return min(found, key=lambda one: one.value, default=NOWHERE)
 
     def _crossings(self, values):
-        """Return frequencies [Hz] where values pass zero, the places before, and the parts of the way to the next."""
+        """Return frequencies [Hz] at which values cross zero, the indices before, and the fractions to the next."""
         places = np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0))
         parts = values[places] / (values[places] - values[places + 1])
         frequencies = self.frequency[places] + parts * np.diff(self.frequency)[places]
@@ -634,28 +614,28 @@ class MeasuredLoop:
 def loop_of(
     controller: StateSpace, frequency, plant, radius, sample_time: float, model: StateSpace | None = None
 ) -> MeasuredLoop:
-    """Return the loop of a controller that is known and a plant that was measured.
+    """Return the loop of a known controller and a measured plant.
 
     Parameters
     ----------
     controller : StateSpace
-        Inputs (reference, measured), output command; behind a damping by force what acts as third input.
+        Inputs (reference, measured), with force damping also the quasi-static displacement; output command.
     frequency : ndarray, shape (F,)
         [Hz]
     plant : ndarray of complex, shape (F,)
-        Response from command to measured displacement, of samples at the same time.
+        Response from command to measured displacement, sampled at the same instants.
     radius : ndarray, shape (F,)
-        Of the circles around it.
+        Radius of the circles around it.
     sample_time : float
         [s]
     model : StateSpace, optional
-        From command to the inputs of the controller behind the reference; needed where those are more than one.
+        From command to the controller's inputs without the reference; needed if there is more than one.
     """
     z = np.exp(2j * np.pi * frequency * sample_time)
     feedback = -controller.response(z)[:, 0, 1]
     loop = feedback * plant
     if model is not None:
-        # what acts is gain and delay: nothing that a response would show better
+        # the quasi-static displacement is gain and delay only, which the model knows
         loop = loop + np.sum(loop_parts(controller, model, z)[:, 1:], axis=1)
     return MeasuredLoop(frequency, loop, np.abs(feedback) * radius, sample_time)
 
@@ -665,7 +645,7 @@ def _between(values, place: int, part: float) -> float:
 
 
 def _around(place: int, touching) -> np.ndarray:
-    """Return the places whose circles touch, without a gap around a crossing between ``place`` and the next one."""
+    """Return the indices whose circles touch, contiguous around a crossing between ``place`` and the next one."""
     first, last = place + 1, place
     while first > 0 and touching[first - 1]:
         first -= 1
@@ -675,5 +655,5 @@ def _around(place: int, touching) -> np.ndarray:
 
 
 def _ends(value: float, wide: float, lows, highs) -> tuple[float, float]:
-    """Return the ends of what a figure may be: at the crossing itself, and at the lines around it."""
+    """Return the range of a figure: at the crossing itself and at the frequencies around it."""
     return min([value - wide, *lows]), max([value + wide, *highs])

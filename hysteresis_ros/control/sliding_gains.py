@@ -9,12 +9,11 @@
 
 """Gains of the sliding mode controllers from a model: reaching law and Kalman filter for a bandwidth.
 
-Two numbers decide how fast such a loop is: the pole that sets the bandwidth from the reference, and how far the filter
-trusts the measurement, which sets how fast disturbances are rejected and costs the margins. Both are searched on grids
-that become finer around the best point. Of all points that meet the requirements the best one has the largest product
-of bandwidth and rejection, so that neither is bought with the other. A reference that is followed faster than the
-feedback acts is followed as well as the model is right there, so bandwidth beyond that of the feedback does not count.
-Where no point meets the requirements the one closest to them is returned, for its margins to say so.
+Two numbers determine the speed of such a loop: the pole that sets the bandwidth from the reference, and the bandwidth
+of the filter, which sets the rejection of disturbances and reduces the margins. A search varies both on grids that
+become finer around the best point. Among the points that meet the requirements, the best one has the largest product of
+bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because there tracking depends on the
+accuracy of the model. If no point meets the requirements, the closest one is returned; its margins show that.
 """
 
 from __future__ import annotations
@@ -36,24 +35,24 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.linear_algebra import eigenvalues, product
 
-#: Bandwidth of the pole [cycles a sample]: the fastest, and how often it is halved at most.
+#: Bandwidth of the pole: the highest [cycles per sample], and the largest number of halvings.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Filter: the disturbance wanders by 2 to these powers of the noise in a sample.
+#: Filter: change of the disturbance per sample over the noise, as powers of 2.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
-#: How much a bandwidth beyond that of the feedback counts against a point.
+#: Penalty on bandwidth beyond that of the feedback.
 IN_VAIN = 0.05
 #: Steps of the grids as powers of two, from coarse to fine.
 STEPS = (2.0, 1.0, 0.5)
 
 
 def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
-    """Return the filter for a disturbance that moves by about ``size`` in a sample, its noises in fixed proportions.
+    """Return the filter for a disturbance that changes by about ``size`` per sample, with noises in fixed ratios.
 
     Parameters
     ----------
     given : KalmanParameters
-        Whose form, measurement noise and disturbance's frequency are kept.
+        Parameters whose form, measurement noise and disturbance frequency are kept.
     disturbance : str
         Kind of the disturbance.
     size : float
@@ -61,7 +60,7 @@ def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanP
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {
-        # a filter without a disturbance has to believe the measurement, or nothing of a mismatch is seen
+        # a filter without a disturbance must follow the measurement, or a mismatch is not observed
         "none": {"q": 100.0 * variance},
         "constant": {"q": 0.01 * variance, "q_disturbance": variance},
         "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
@@ -71,27 +70,14 @@ def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanP
 
 
 def scaled(given: KalmanParameters, size: float) -> KalmanParameters:
-    """Return the filter with everything that drives the model ``size`` times as large.
-
-    Parameters
-    ----------
-    given : KalmanParameters
-    size : float
-    """
+    """Return the filter with all process noise ``size`` times as large."""
     names = ("q", "q_disturbance", "q_disturbance_rate", "q_disturbance_periodic")
     noises: dict[str, Any] = {name: getattr(given, name) * size * size for name in names}
     return replace(given, Q=tuple(value * size * size for value in given.Q), **noises)
 
 
 def solved(parameters, sample_time: float):
-    """Return the same design with hyperplane and filter gain as numbers: a search solves no Riccati equation.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Return the same design with numeric hyperplane and filter gain, so that a search solves no Riccati equation."""
     model = parameters.model.dynamics.state_space
     S = design_sliding_mode(parameters.sliding_mode, model).S
     L = filter_gain(parameters.kalman, model, sample_time)
@@ -103,18 +89,19 @@ def solved(parameters, sample_time: float):
 
 
 class GainSearch:
-    """Points of the search: the power of two of the filter, and how often the bandwidth of the pole is halved.
+    """Points of the search: the power of two of the filter, and the number of halvings of the pole's bandwidth.
 
     Parameters
     ----------
     parameters : ControllerParameters
-        With the filter that is scaled.
+        Parameters with the filter to scale.
     sample_time : float
         [s]
     judged : callable
         ``judged(parameters)`` returns a :class:`Judged`.
     place : callable or None
-        ``place(parameters, pole)`` returns them with the pole that sets the bandwidth; None where there is none.
+        ``place(parameters, pole)`` returns the parameters with the pole that sets the bandwidth; None without such a
+        pole.
     aimed : Requirements
     """
 
@@ -135,12 +122,7 @@ class GainSearch:
         return replace(self.parameters, kalman=scaled(self.parameters.kalman, power_of_two(power)))
 
     def score(self, point: tuple[float, float]) -> tuple:
-        """Return a value that is larger for a better point.
-
-        Parameters
-        ----------
-        point : (float, float)
-        """
+        """Return the merit of a point."""
         if point not in self._scores:
             try:
                 self._scores[point] = self._score(*point)
@@ -158,7 +140,7 @@ class GainSearch:
         followed = max(found.feedback, self.own)
         rejected = max(found.rejection, 1e-9 * self.own)
         gained = math.log(rejected) + math.log(min(bandwidth, followed))
-        # rounded: what LAPACK and the C library had a part in decides nothing by its last digits
+        # rounded, so that differences of LAPACK and C libraries in the last digits have no effect
         return True, round(gained - IN_VAIN * max(math.log(bandwidth / followed), 0.0), 6)
 
     def best(self, powers: tuple[float, float]) -> tuple[float, float]:
@@ -187,34 +169,18 @@ class GainSearch:
 
 
 def power_of_two(exponent: float) -> float:
-    """Return 2 to a multiple of a half, rounded correctly.
-
-    Parameters
-    ----------
-    exponent : float
-    """
+    """Return 2 to the power of a multiple of one half, correctly rounded."""
     return math.sqrt(math.ldexp(1.0, round(2.0 * exponent)))
 
 
 def pole_of(halvings: float) -> float:
-    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST` halved so often.
-
-    Parameters
-    ----------
-    halvings : float
-    """
+    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST` after this number of halvings."""
     angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
     return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
 
 
 def excess(found: Judged, aimed: Requirements) -> float:
-    """Return by which factor a loop misses the requirements at most.
-
-    Parameters
-    ----------
-    found : Judged
-    aimed : Requirements
-    """
+    """Return the largest factor by which a loop misses the requirements."""
     return max(
         found.sensitivity_peak / aimed.sensitivity_peak,
         aimed.delay_margin / max(found.delay_margin, 1e-12),
@@ -223,12 +189,12 @@ def excess(found: Judged, aimed: Requirements) -> float:
     )
 
 
-#: Input weight of the LQ problem as a part of the squared DC gain.
+#: Input weight of the LQ problem as a fraction of the squared DC gain.
 INPUT_WEIGHT = 0.025
 #: Largest pole that sets a bandwidth, and how closely the bandwidth is met.
 SLOWEST = 0.99999
 PRECISION = 1e-5
-#: Part of the bandwidth asked by which the slowest pole may be too fast.
+#: Fraction of the requested bandwidth by which the slowest pole may be too fast.
 TOLERANCE = 0.01
 
 
@@ -239,11 +205,12 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     ----------
     task : DesignTask
     name : str
-        Of the design, for messages.
+        Name of the design, for messages.
     place : callable or None
-        ``place(parameters, pole)`` returns them with the pole that sets the bandwidth; None where there is none.
+        ``place(parameters, pole)`` returns the parameters with the pole that sets the bandwidth; None without such a
+        pole.
     disturbed : bool
-        Whether the Kalman filter is to estimate a disturbance.
+        Whether the Kalman filter estimates a disturbance.
 
     Raises
     ------
@@ -272,20 +239,14 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
 
 
 def lq_surface(given, dynamics):
-    """Return the parameters with the hyperplane of an LQ problem on output and input.
-
-    Parameters
-    ----------
-    given : SlidingModeParameters
-    dynamics : LinearDynamics
-    """
+    """Return the parameters with the hyperplane of an LQ problem on output and input."""
     gain = dynamics.matrices.dc_gain
     empty: dict[str, Any] = {name: () for name in ("S", "poles", "poles_imaginary", "lq_state_weight")}
     return replace(given, tracking="target", hyperplane="lq", lq_input_weight=INPUT_WEIGHT * gain * gain, **empty)
 
 
 def _kalman(given, disturbance: str, q: float | None):
-    """Return the filter: a given gain only survives where it fits and no q is asked."""
+    """Return the filter: a given gain is kept if it fits and no q is requested."""
     if given.gain == "given" and disturbance == given.disturbance and q is None:
         return given
     noise = given.q if q is None else q * given.r
@@ -294,37 +255,25 @@ def _kalman(given, disturbance: str, q: float | None):
 
 
 def reaching_law(parameters, pole: float):
-    """Return the parameters with Φ of the reaching law.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    pole : float
-    """
+    """Return the parameters with Φ of the reaching law."""
     return replace(parameters, sliding_mode=replace(parameters.sliding_mode, phi=pole))
 
 
 def sliding_pole(parameters, pole: float):
-    """Return the parameters with the sliding motion's slowest pole; its others are the fastest of the LQ problem.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    pole : float
-    """
+    """Return the parameters with the sliding motion's slowest pole; the others are the fastest of the LQ problem."""
     model = parameters.model.dynamics.state_space
     n, A, B = model.order, model.A, model.B
     S = design_sliding_mode(parameters.sliding_mode, model).S
     sliding = eigenvalues(A - product(B, product(S, A)[np.newaxis]) / product(S, B).item())
     sizes = sorted(math.sqrt(pole.real * pole.real + pole.imag * pole.imag) for pole in sliding)
-    fastest = sizes[1 : n - 1]  # without the pole at 0 that is not of the sliding motion
+    fastest = sizes[1 : n - 1]  # without the pole at 0, which does not belong to the sliding motion
     poles = (pole, *fastest)
     chosen = replace(parameters.sliding_mode, hyperplane="poles", S=(), poles=poles, poles_imaginary=())
     return replace(parameters, sliding_mode=chosen)
 
 
 def _pole_for(task: DesignTask, with_pole) -> float:
-    """Return the pole that gives the bandwidth, which grows as the pole goes from one to zero."""
+    """Return the pole that gives the bandwidth, which increases as the pole decreases from one to zero."""
     bandwidth = task.bandwidth
 
     def reached(pole):
@@ -339,7 +288,7 @@ def _pole_for(task: DesignTask, with_pole) -> float:
     if bandwidth < least * (1.0 - TOLERANCE):
         remedy = (
             f"this controller reaches no less than {least:.4g} Hz on its model: inside the boundary layer eta and "
-            "beta/delta add to the reaching law; lower them, or ask for more"
+            "beta/delta add to the reaching law; lower them, or request more"
         )
         state_feedback.refuse("bandwidth", bandwidth, remedy)
     while slow - fast > PRECISION * (1.0 - slow):
@@ -352,35 +301,18 @@ def _pole_for(task: DesignTask, with_pole) -> float:
 
 
 def surface_row(found) -> tuple[str, str]:
-    """Return name and text of the hyperplane, for the table of a design.
-
-    Parameters
-    ----------
-    found : SlidingModeDesign
-    """
+    """Return name and text of the hyperplane, for the table of a design."""
     return "hyperplane S", ", ".join(f"{value:.6g}" for value in found.S)
 
 
 def filter_row(parameters) -> tuple[str, str]:
-    """Return name and text of the Kalman filter, for the table of a design.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    """
+    """Return name and text of the Kalman filter, for the table of a design."""
     kalman = parameters.kalman
     return "Kalman filter", f"q/r {kalman.q / kalman.r:.4g}" if not kalman.L else "given L"
 
 
 def reaching_rows(parameters, sample_time: float):
-    """Return (name, text) of what a design by Φ of the reaching law prints.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Return (name, text) of each row that a design by Φ of the reaching law prints."""
     law = parameters.sliding_mode
     found = design_sliding_mode(law, parameters.model.dynamics.state_space)
     gains = ", ".join(f"{value:.6g}" for value in found.K)
@@ -388,17 +320,10 @@ def reaching_rows(parameters, sample_time: float):
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:
-    """Return the doubt about a law that integrates what the Kalman filter's model does not explain.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    prefix : str
-        Put before the names of the parameters.
-    """
+    """Return the warning about a law that integrates the innovations of the Kalman filter."""
     if parameters.kalman.disturbance != "none":
         return ()
     return (
-        f"{prefix}kalman.disturbance = none: a disturbance shows to {parameters.type} only through the innovation, "
-        "and a part of it stays; choose constant",
+        f"{prefix}kalman.disturbance = none: {parameters.type} sees a disturbance only through the innovation, and a "
+        "part of it remains; choose constant",
     )

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sliding surface: hyperplane and linear gain, the switching function on the estimated state, and how commands leave.
+"""Sliding surface: hyperplane and linear gain, the switching function of the estimated state, and the output.
 
-With x* the state where the plant should be and x_e = x̂ - x* the distance from it, s = S x_e and Λ = S B:
+With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and Λ = S B:
 
-rest point     x* = N_x r, u* = N_u r: where the model rests under the reference
-trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: where the model is under the feedforward ``inverse_dynamics``
+rest point     x* = N_x r, u* = N_u r: the model's rest point at the reference
+trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
 
 The trajectory starts at rest on the reference. With a static feedforward, whose command is that of the rest point, the
-rest point stays the target: the model answers a static command by ringing, which nobody wants to be followed.
+rest point stays the target, because the trajectory would contain the ringing of the model.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class SlidingModeParameters(Parameters):
         description="Whether S is given, follows from an LQ problem, or from the poles of the sliding motion",
     )
     S: tuple[float, ...] = parameter(
-        (), description="Hyperplane when given: one entry a state, and one for the integral with integral tracking"
+        (), description="Hyperplane when given: one entry per state, and one for the integral with integral tracking"
     )
     lq_state_weight: tuple[float, ...] = parameter(
         (),
@@ -102,8 +102,8 @@ class SlidingModeParameters(Parameters):
         0.5,
         low=-1.0,
         high=1.0,
-        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), how fast it rejects what the filter does not "
-        "explain; 0 at once, nearer to 1 calmer",
+        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), rate of rejection of disturbances that the "
+        "filter does not explain; 0: at once, nearer to 1: smoother",
     )
     eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part over |s| / |S B|")
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
@@ -118,7 +118,7 @@ class SlidingModeParameters(Parameters):
 
 @dataclass(frozen=True, eq=False)
 class SlidingModeDesign:
-    """Gains that follow from the parameters, in the model's units.
+    """Gains computed from the parameters, in the model's units.
 
     Attributes
     ----------
@@ -143,12 +143,12 @@ def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) ->
     ----------
     parameters : SlidingModeParameters
     model : StateSpace
-        Of one input and one output, in its own units.
+        Model with one input and one output, in its own units.
 
     Raises
     ------
     ParameterError
-        Names the parameter of ``sliding_mode`` or ``model.dynamics`` from which no stable controller follows.
+        No stable controller follows; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
     """
     whole = model
     if parameters.tracking == "integral":
@@ -217,25 +217,25 @@ THRESHOLD = 12
 MOVING = 13  # 1.0: the target is the trajectory under the feedforward
 LAMBDA = 14  # S B
 PHI = 15
-OWN = 16  # first of three entries that each law uses for itself
+OWN = 16  # first of three entries of each law
 GAINS = 19
 
 # State array after the common part, then the Kalman filter's, then the trajectory and n places for the next one.
-INTEGRAL = HEADER  # of the error
+INTEGRAL = HEADER  # integral of the error
 LARGEST = HEADER + 1  # largest applied command so far [m]
 LINEAR = HEADER + 2  # K x_e
 TARGET = HEADER + 3  # u*
-MEMORY = HEADER + 4  # first of two entries that each law uses for itself
+MEMORY = HEADER + 4  # first of two entries of each law
 LAST = HEADER + 6  # last command of the law itself, in the model's units
-BEGUN = HEADER + 7  # 0.0: the law has not run yet, or has to begin anew
+BEGUN = HEADER + 7  # 0.0: the law has not run yet, or must restart
 OBSERVER = HEADER + 8
 
 
 @kernel
 def switching_function(p, x, reference, measured):
-    """Update observer, integral and trajectory; return s and leave K x_e, u* and the estimates in x.
+    """Update observer, integral and trajectory; return s and store K x_e, u* and the estimates in x.
 
-    While the measurement is NaN the observer goes on by its model, without an innovation.
+    While the measurement is NaN the observer uses its model only, without an innovation.
     """
     n = int(p[N])
     hyperplane = GAINS + n
@@ -289,7 +289,7 @@ def switching_function(p, x, reference, measured):
 
 @kernel
 def widens(p, x, applied, change):
-    """Tell whether commands are not carried out and ``change`` of the command would lead further beyond the limits."""
+    """Tell whether the command is saturated and ``change`` of it would lead further beyond the limits."""
     excess = x[COMMAND] - applied
     return abs(excess) > p[THRESHOLD] * x[LARGEST] and change * (excess / p[INPUT_SCALE]) > 0.0
 
@@ -306,7 +306,7 @@ def boundary_layer(p, s):
 
 @kernel
 def leave(p, x, s, command):
-    """Note and return the command [m], given in the model's units."""
+    """Store and return the command [m], given in the model's units."""
     command = bounded(command)
     x[LAST] = command
     x[BEGUN] = 1.0
@@ -351,7 +351,7 @@ def pack_surface(parameters, sample_time: float | None):
                 Problem(
                     "kalman.disturbance",
                     kalman.disturbance,
-                    "together with sliding_mode.tracking = 'integral' are two integrators for one offset; "
+                    "and sliding_mode.tracking = 'integral' are two integrators for one offset; "
                     "set kalman.disturbance to none or sliding_mode.tracking to target",
                 )
             ]
@@ -455,19 +455,19 @@ class SlidingController(Controller):
         self.x[STARTED] = predecessor.x[STARTED]
 
     def forget(self) -> None:
-        """Drop what the law has integrated while another one is in charge, whose errors these are."""
+        """Reset the integrated states, because the errors while another law is active are not this law's."""
         self.x[INTEGRAL] = 0.0
 
     def settle(self, applied: float) -> bool:
-        """Set what the law integrates so that the command goes on from ``applied`` [m]; False when it cannot."""
+        """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
         if self.p[INTEGRATING] == 0.0 or self.p[INTEGRAL_GAIN] == 0.0 or self.x[BEGUN] == 0.0:
             return False
-        # forgotten, the integral has no part in the last command
+        # after a reset, the integral is not part of the last command
         self.x[INTEGRAL] = (self.x[LAST] - applied / self.p[INPUT_SCALE]) / self.p[INTEGRAL_GAIN]
         return True
 
     def retune(self, parameters) -> None:
-        """Take new gains or a new model while running; a new model makes the observer start again from rest.
+        """Change gains or model while running; with a new model the observer restarts from rest.
 
         Raises
         ------
@@ -477,5 +477,5 @@ class SlidingController(Controller):
         before = self.parameters.model
         super().retune(parameters)
         if parameters.model != before:
-            # The old estimate is in the coordinates of the old model.
+            # the old estimate is in the coordinates of the old model
             self.x[STARTED] = 0.0

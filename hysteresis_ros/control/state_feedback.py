@@ -38,7 +38,7 @@ RANK_TOLERANCE = 1e-10
 
 
 def refuse(name: str, value, remedy: str) -> NoReturn:
-    """Raise the ParameterError of a design that cannot be made.
+    """Raise a ParameterError about a parameter that makes a design impossible.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
 
 
 def _equilibrated(matrix):
-    """Scale rows, then columns, to length one: the rank stays and no longer depends on units."""
+    """Scale rows, then columns, to length one, so that the numerical rank does not depend on units."""
     for axis in (1, 0):
         length = np.linalg.norm(matrix, axis=axis, keepdims=True)
         matrix = matrix / np.where(length > 0.0, length, 1.0)
@@ -63,7 +63,7 @@ def full_rank(matrix) -> bool:
 
 
 def detectable(A, C) -> bool:
-    """Tell whether every mode of A on or outside the unit circle shows in C (Popov-Belevitch-Hautus test)."""
+    """Tell whether every mode of A on or outside the unit circle is observable by C (Popov-Belevitch-Hautus test)."""
     identity = np.eye(len(A))
     return all(
         full_rank(np.vstack([A - value * identity, C]))
@@ -73,7 +73,7 @@ def detectable(A, C) -> bool:
 
 
 def stabilisable(A, B) -> bool:
-    """Tell whether every mode of A on or outside the unit circle can be moved by B."""
+    """Tell whether every mode of A on or outside the unit circle is controllable by B."""
     return detectable(A.T, B.T)
 
 
@@ -103,7 +103,7 @@ def steady_state(model: StateSpace):
     Parameters
     ----------
     model : StateSpace
-        Of one input and one output.
+        Model with one input and one output.
 
     Returns
     -------
@@ -130,18 +130,18 @@ def steady_state(model: StateSpace):
 def integral_system(model: StateSpace) -> StateSpace:
     """Append the integral z of the tracking error, z_k = z_(k-1) + r_k - y_k, to the model.
 
-    With y_k = C x_k + D u_(k-1) the error of the present sample is already in z_k:
-    z_(k+1) = z_k - C A x_k - (C B + D) u_k + r. Deviations from the rest point obey the system returned.
+    With y_k = C x_k + D u_(k-1), z_k contains the error of the present sample: z_(k+1) = z_k - C A x_k - (C B + D) u_k
+    + r. The returned system describes deviations from the rest point.
 
     Parameters
     ----------
     model : StateSpace
-        Of n states, one input and one output.
+        Model with n states, one input and one output.
 
     Returns
     -------
     StateSpace
-        Of n + 1 states; its output is the model's.
+        System with n + 1 states; its output is the model's.
     """
     A, B, C, D = model.A, model.B, model.C, model.D
     whole = np.block([[A, np.zeros((model.order, 1))], [-product(C, A), np.eye(1)]])
@@ -151,19 +151,19 @@ def integral_system(model: StateSpace) -> StateSpace:
 def disturbance_system(model: StateSpace, A_d=None, c_d=None) -> StateSpace:
     """Append a disturbance d of the input (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the model.
 
-    With y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough takes the disturbance of the sample before, c_d A_d⁻¹ w_k.
+    With y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough takes the previous disturbance, c_d A_d⁻¹ w_k.
 
     Parameters
     ----------
     model : StateSpace
-        Of n states, one input and one output.
+        Model with n states, one input and one output.
     A_d, c_d : ndarray, shapes (m, m) and (m,), optional
         Model of the disturbance, A_d invertible; a constant one by default.
 
     Returns
     -------
     StateSpace
-        Of n + m states.
+        System with n + m states.
     """
     A, B, C, D = model.A, model.B, model.C, model.D
     A_d, c_d = (np.eye(1), np.ones(1)) if A_d is None else (A_d, c_d)
@@ -203,7 +203,9 @@ def sliding_gain(A, B, S, phi: float):
     switching_gain = product(S, B).item()
     if not abs(switching_gain) > RANK_TOLERANCE * np.linalg.norm(S) * np.linalg.norm(B):
         refuse(
-            "sliding_mode.S", given, "S B is zero, so the input cannot move the switching function; choose another S"
+            "sliding_mode.S",
+            given,
+            "S B is zero, so the input does not affect the switching function; choose another S",
         )
     K = (product(S, A) - phi * S) / switching_gain
     require_stable(A - B @ K[np.newaxis], "sliding_mode.S", given, f"the controlled model (phi = {phi:g})")
@@ -267,11 +269,11 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
     Raises
     ------
     ParameterError
-        ``model.dynamics.B`` not stabilisable, or ``sliding_mode.lq_state_weight`` does not see an unstable mode.
+        ``model.dynamics.B`` not stabilisable, or ``sliding_mode.lq_state_weight`` does not weigh an unstable mode.
     """
     given = tuple(np.diag(state_weight).tolist())
     if not stabilisable(A, B):
-        refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "an unstable mode cannot be moved by the input")
+        refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "an unstable mode is not controllable by the input")
     if not detectable(A, state_weight):
         refuse("sliding_mode.lq_state_weight", given, "leaves a mode that does not decay without weight; weigh it")
     P = _riccati(A, B, state_weight, input_weight, "sliding_mode.lq_state_weight", given)
@@ -285,8 +287,8 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
 def kalman_gain(A, C, process_noise, measurement_noise: float):
     """Return the steady filter gain P Cᵀ (r + C P Cᵀ)⁻¹ and P of the Kalman filter [1]_ (eqs 13-15).
 
-    This is the gain of the current (filter) form; A times it is that of the predictor form, which is the one printed
-    in [1]_. P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q (the paper prints L Q Lᵀ for Q) [3]_.
+    This is the gain of the current (filter) form; A times it is the gain of the predictor form, the one printed in
+    [1]_. P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q (the paper prints L Q Lᵀ for Q) [3]_.
 
     Parameters
     ----------
@@ -310,7 +312,7 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
         ``model.dynamics.C`` or ``kalman.q``: no stable filter exists.
     """
     if not detectable(A, C):
-        refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in the output")
+        refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay is not observable in the output")
     given = tuple(np.diag(process_noise).tolist())
     P = _riccati(A.T, C.T, process_noise, measurement_noise, "kalman.q", given)
     gain = product(P, C[0]) / (measurement_noise + product(C, P, C.T).item())
@@ -320,7 +322,7 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
 
 def _riccati(A, B, Q, R, name, value):
     try:
-        # Dividing by R makes the answer independent of the units of Q and R.
+        # dividing by R makes the result independent of the units of Q and R
         P = riccati(A, B, Q / R, np.eye(1)) * R
     except np.linalg.LinAlgError as error:
         refuse(name, value, f"the Riccati equation has no stabilising solution ({error}); change the weights")

@@ -7,18 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plants that a design has to be good for besides its own model: other parameters, or another frequency response.
+"""Uncertainty of the plant in a design: other parameters, or another frequency response than the model.
 
-A design sees linear dynamics, because the compensator inverts hysteresis and creep. What it does not invert, because
-the slope of a hysteresis depends on amplitude and history, acts on a loop as another gain; so it is drawn as one.
+A design uses linear dynamics, because the compensator inverts hysteresis and creep. Residual hysteresis, whose slope
+depends on amplitude and history, acts on a loop as a different gain, and is drawn as one.
 
-A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and then the distance of its
-loop transfer from −1 is at least |1 + L| − l |L|, whose inverse is the worst sensitivity [1]_.
+A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and the distance of its loop
+transfer function from −1 is at least |1 + L| − l |L|, whose inverse is the worst sensitivity [1]_.
 
-Where nothing is known a model says nothing of the plant, not even how large its response is. There a resonance of
-damping :data:`DAMPING` is assumed at whatever frequency suits the loop least: it adds a/(2 DAMPING) of the response at
-rest, which feedback meets by its own gain |C|. The part a of the displacement that passes through it is one, or less
-just above what is known: at f' below its frequency f it changes the response by a/((f/f')² − 1), which would show.
+Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance of damping
+:data:`DAMPING` is assumed at the worst frequency: it adds a/(2 DAMPING) of the response at rest, which the loop
+multiplies by the feedback gain |C|. The fraction a of the displacement that passes through it is one, or less just
+above the known range: at f' below its frequency f it changes the response by a/((f/f')² − 1), which the measurement
+would have shown.
 
 References
 ----------
@@ -39,33 +40,33 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product, rounded, solve
 
-#: Largest part by which gain, slope or times may be off: the sign stays, with a margin.
+#: Largest relative deviation of gain, slope or times: the sign stays, with a margin.
 LARGEST = 0.5
-#: Plants in which gain and slope, times and delay are all at an end of their ranges.
+#: Number of plants in which gain and slope, times and delay are all at an end of their ranges.
 CORNERS = 8
-#: Most plants, and longest further delay [samples].
+#: Maximum number of plants, and longest additional delay [samples].
 MOST = 10_000
 LATEST = 16.0
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far plants may be from the model.
+    """Ranges of the plants around the model.
 
     Parameters
     ----------
     gain : float
-        Largest part by which the gain is off.
+        Largest relative deviation of the gain.
     hysteresis : float
-        Largest part by which the slope of the hysteresis that the inverse leaves is off.
+        Largest relative deviation of the slope by residual hysteresis.
     resonance : float
-        Largest part by which all times are off: frequencies of resonances, time constants, the model's own delay.
+        Largest relative deviation of all times: periods of resonances, time constants, the model's delay.
     delay : float
         Largest delay beyond that of the model [samples].
     draws : int
         Number of plants drawn, besides the corners.
     seed : int
-        Of the draws; equal seeds give equal plants.
+        Seed of the draws; equal seeds give equal plants.
 
     Raises
     ------
@@ -81,7 +82,7 @@ class Uncertainty:
     seed: int = 1
 
     def __post_init__(self):
-        """Refuse ranges that describe no plants."""
+        """Refuse values out of range."""
         highest = {"delay": LATEST, "draws": MOST, "seed": 2**32 - 1}
         problems = [
             Problem(item.name, getattr(self, item.name), f"must be within 0 … {highest.get(item.name, LARGEST):g}")
@@ -94,7 +95,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class PossiblePlant:
-    """A plant that a design is judged on.
+    """A plant for the evaluation of a design.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ class PossiblePlant:
     late : float
         Its delay beyond that of the model [samples].
     description : str
-        How it differs from the model.
+        Its differences from the model.
     """
 
     plant: StateSpace
@@ -111,20 +112,20 @@ class PossiblePlant:
     description: str = "the model"
 
     def closed(self, closing: Callable[[StateSpace], StateSpace]) -> PossiblePlant:
-        """Return it with an inner loop around it.
+        """Return the plant with an inner loop around it.
 
         Parameters
         ----------
         closing : callable
-            Returns the damped plant of a plant.
+            Function from a plant to the damped plant.
         """
         return replace(self, plant=closing(self.plant))
 
 
 def judge_worst(controller: StateSpace, plants, sample_time: float, required: Requirements | None = None) -> Judged:
-    """Return the bandwidth on the first of the plants, and the worst of everything else on all of them.
+    """Return the bandwidth on the first plant, and the worst of all other figures on all plants.
 
-    The delay margin counts from the delay of the model, so that a plant that is later is not asked for it twice.
+    The delay margin counts from the delay of the model, so that an additional delay of a plant is part of it.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
     sample_time : float
         [s]
     required : Requirements, optional
-        With them the first plant that misses them is the last one looked at.
+        With them, the evaluation ends at the first plant that misses them.
     """
     found: list[Judged] = []
     for one in plants:
@@ -158,10 +159,9 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
 
 
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
-    """Return what changes of the dynamics with all times longer by a factor: poles z^(1/slowness), and the delay.
+    """Return the changed parameters of dynamics with times longer by a factor: poles z^(1/slowness), and the delay.
 
-    The DC gain stays. Dynamics with a pole on the negative real axis or at zero belong to no continuous model; there
-    only the other poles move.
+    The DC gain stays. Poles on the negative real axis or at zero have no continuous counterpart and stay.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     Returns
     -------
     dict
-        ``A`` and ``B`` as lists where there are matrices, ``delay`` where there is one.
+        ``A`` and ``B`` as lists if there are matrices, ``delay`` if there is one.
     """
     delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
     model = dynamics.matrices
@@ -187,7 +187,7 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     # logarithms and eigenvectors differ in the last digits from processor to processor
     changed = rounded(exact)
     identity = np.eye(len(A))
-    rest = solve(identity - A, B)  # the state at rest per unit of input, which is to stay
+    rest = solve(identity - A, B)  # the state at rest per unit of input, which must not change
     return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist(), **delayed}
 
 
@@ -211,9 +211,9 @@ def possible_plant(
     gain, slowness : float
         Factors on the gain and on all times.
     late : float
-        Further delay [samples].
+        Additional delay [samples].
     acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
+        Whether to add the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
     """
     changed = slowed(dynamics, slowness) if slowness != 1.0 else {}
     matrices: dict[str, Any] = {name: tuple(changed[name]) for name in ("A", "B") if name in changed}
@@ -237,7 +237,7 @@ def drawn_plants(
         [s]
     uncertainty : Uncertainty
     acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
+        Whether to add the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
 
     Returns
     -------
@@ -266,34 +266,34 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Damping of the resonance that is assumed where nothing is known, and its height over the response at rest. Bare
-#: stacks and flexures of metal without glue have dampings down to this.
+#: Damping ratio of the resonance assumed above the known range, and its height over the response at rest. Bare stacks
+#: and flexures of metal without glue have dampings down to this.
 DAMPING = 0.003
 UNKNOWN = 1.0 / (2.0 * DAMPING)
-#: A resonance nearer to what is known than this factor, through which all of the displacement passes, would show there
-#: by half of the response.
+#: Factor between a resonance of the whole displacement and the known range below which it would change the known
+#: response by half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
-#: A resonance nearer to it than this part is not told from what is known.
+#: Relative distance below which a resonance cannot be separated from the known range.
 NEAREST = 0.12
-#: Distance from −1 that a loop keeps whatever the plant is within its uncertainty.
+#: Required distance from −1 for every plant within the uncertainty.
 KEPT = 0.2
-#: Points of the grid, over so many decades below half the sample rate, and around each pole.
+#: Number of points of the grid, decades below half the sample rate, and points around each pole.
 POINTS, DECADES, AROUND = 500, 5.0, 41
-#: Steps in which the fastest loop is searched for, over the same decades.
+#: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
 
 
 class Borne(NamedTuple):
-    """How a loop bears an uncertainty.
+    """Robustness of a loop to an uncertainty.
 
     Parameters
     ----------
     distance : float
-        Least distance of the loop transfer from −1 that is certain; not above 0: stability is not.
+        Guaranteed distance of the loop transfer function from −1; ≤ 0: stability is not guaranteed.
     frequency : float
-        Where that is [Hz].
+        Frequency of that distance [Hz].
     uncertainty : float
-        l there.
+        l at that frequency.
     nominal : float
         Least distance on the model itself, 1/M_s.
     """
@@ -306,16 +306,16 @@ class Borne(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ResponseUncertainty:
-    """Largest relative error l of a model's frequency response, and what may stand where none is known.
+    """Largest relative error l of a model's frequency response, and an assumed resonance above the known range.
 
     Parameters
     ----------
     frequencies : ndarray, shape (n,)
         [Hz], rising.
     relative : ndarray, shape (n,)
-        l at each; below the first it is that of the first, above the last nothing is known.
+        l at each frequency; constant below the first; the response is unknown above the last.
     known_to : float
-        Frequency [Hz] above which nothing is known; infinite where all is.
+        Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
     """
 
     frequencies: np.ndarray
@@ -323,7 +323,7 @@ class ResponseUncertainty:
     known_to: float
 
     def at(self, frequencies) -> np.ndarray:
-        """Return l, shape (n,), straight between the points; where nothing is known with the height of a resonance.
+        """Return l, shape (n,), linearly interpolated; above the known range with the height of a resonance.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ class ResponseUncertainty:
         return np.where(f > self.known_to, np.maximum(known, self.height(f)), known)
 
     def share(self, frequencies) -> np.ndarray:
-        """Return which part of the displacement may pass through a resonance that nobody saw, shape (n,); 0 if known.
+        """Return the fraction of the displacement that may pass through an unknown resonance, shape (n,); 0 if known.
 
         Parameters
         ----------
@@ -350,7 +350,7 @@ class ResponseUncertainty:
         return np.where(above > UNSEEN, 1.0, np.where(above > 1.0, np.minimum(shown, 1.0), 0.0))
 
     def height(self, frequencies) -> np.ndarray:
-        """Return how high a resonance may stand over the response at rest, shape (n,); 0 where it is known.
+        """Return the largest height of an unknown resonance over the response at rest, shape (n,); 0 if known.
 
         Parameters
         ----------
@@ -360,13 +360,7 @@ class ResponseUncertainty:
         return UNKNOWN * self.share(frequencies)
 
     def assumption(self, sample_time: float) -> str:
-        """Return in words what is assumed where nothing is known, and which gain of the feedback follows; or nothing.
-
-        Parameters
-        ----------
-        sample_time : float
-            [s]
-        """
+        """Return the assumption above the known range and the resulting limit of the feedback gain as text, if any."""
         highest = 0.5 / sample_time
         if self.known_to >= highest:
             return ""
@@ -375,13 +369,13 @@ class ResponseUncertainty:
         most = float(np.max(height))
         onwards = float(frequencies[np.argmax(height >= 0.99 * most)])
         return (
-            f"above {self.known_to:.3g} Hz nothing is known of the plant; a resonance of damping {DAMPING:g} is "
+            f"above {self.known_to:.3g} Hz the plant is unknown; a resonance of damping {DAMPING:g} is "
             f"assumed anywhere there, from {onwards:.3g} Hz on {most:.3g} times as high as the response at rest "
             f"(nearer ones would have shown), which keeps the gain of feedback there below {(1.0 - KEPT) / most:.2g}"
         )
 
     def borne_by(self, controller: StateSpace, plant: StateSpace, sample_time: float) -> Borne:
-        """Return what is certain of a loop.
+        """Return the guaranteed robustness of a loop.
 
         Parameters
         ----------
@@ -403,7 +397,7 @@ class ResponseUncertainty:
         values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
         share = self.share(frequencies)
-        # what passes through a resonance that nobody saw is missing where the model has it
+        # the displacement through an unknown resonance is missing from the model's own response
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
         distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain
@@ -414,7 +408,7 @@ class ResponseUncertainty:
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:
-    """Return an integrator whose loop would cross gain one at a frequency, were the plant one.
+    """Return an integrator whose loop would cross gain one at a frequency with a plant of gain one.
 
     Parameters
     ----------
@@ -429,12 +423,12 @@ def integral_controller(crossover: float, sample_time: float) -> StateSpace:
 
 
 def fastest_integral(plant: StateSpace, sample_time: float, uncertainty: ResponseUncertainty) -> float:
-    """Return the highest crossover [Hz] of integral control with M_s ≤ 2 that is certain to be stable, or 0.
+    """Return the highest crossover [Hz] of integral control with M_s ≤ 2 and guaranteed stability, or 0.
 
     Parameters
     ----------
     plant : StateSpace
-        The model, of unit DC gain.
+        The model, with unit DC gain.
     sample_time : float
         [s]
     uncertainty : ResponseUncertainty

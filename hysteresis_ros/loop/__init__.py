@@ -9,7 +9,7 @@
 
 """One sample of an axis, compiled, and the offline twin that runs it.
 
-Read :mod:`.parameters`, then :mod:`.tick`: source, plant, controller and compensator are its four parts, each a module
-of that name. :mod:`.watch` defines what a part does without input, :mod:`.faults` the faults that replace an input.
-:mod:`.axis` runs the parts from Python, :mod:`.fused` in one thread, :mod:`.simulation` as a whole recorded run.
+Start with :mod:`.parameters`, then :mod:`.tick`: source, plant, controller and compensator are its four parts, each a
+module of that name. :mod:`.watch` defines what a part does without input, :mod:`.faults` the faults that replace an
+input. :mod:`.axis` runs the parts from Python, :mod:`.fused` in one thread, :mod:`.simulation` as a whole recorded run.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis, an actuator's or an inchworm motor's: its parts built from their parameters, and run without ROS."""
+"""An axis with an actuator or an inchworm motor: its parts, built from their parameters and run without ROS."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class Change(NamedTuple):
     #: With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
     #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
     parameters: dict = {}
-    #: Step of the sample that was done before the change: ``measured`` of the plant,
-    #: ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
+    #: Step of the sample that was done before the change: ``measured`` of the plant, ``answered`` of a controller
+    #: before it receives the achieved command; empty: nothing.
     after: str = BEFORE
 
 

@@ -133,7 +133,7 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # in addition to the path's own motion, no faster than to safe
+        # the motion of the path plus at most the slew rate to safe
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -176,7 +176,7 @@ def compensate_adaptive(laws, arrays, row):
 
 @kernel
 def may_learn(own_p, own, limited):
-    """Tell whether the present sample may be used for adaptation, and note why not; 0: it may not."""
+    """Tell whether the present sample may be used for adaptation, and store the reason; 0: it may not."""
     if own[adapting.WAIT] > 0.0:
         own[adapting.WAIT] -= 1.0
         own[adapting.STATE] = adapting.WAITING

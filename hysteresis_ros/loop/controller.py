@@ -238,7 +238,7 @@ def control(laws, arrays, row):
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode == FOLLOWING:
-        # no faster than to safe: if commands are achieved after all, a copy would close a loop of gain one
+        # at the slew rate to safe: without it, an achieved command would close a loop of gain one
         command = towards(command, value, own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     if mode in (TRIPPED, STOPPED, STALE):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device in the plant's place: read and written through its driver in Python, or by machine code at two addresses.
+"""A device that replaces the simulated plant, accessed by its driver in Python or by machine code at two addresses.
 
 The compiled functions need no lock of Python and allocate nothing. The voltages are monitored as those of the simulated
 plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it is made
@@ -102,7 +102,7 @@ if COMPILED:
     from llvmlite import ir
     from numba import extending, types
 
-    #: Numba hands the typing context in itself: who calls gives the other arguments only.
+    #: Numba passes the typing context; callers give the other arguments only.
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int) -> Any:
@@ -177,7 +177,7 @@ def fail_device(arrays, failed, code):
 
 @nested
 def read_device(arrays):
-    """Return the measurement [m] of the device; NaN when there is none."""
+    """Return the measurement [m] of the device; NaN without one."""
     code = call_with(arrays.link, READ, arrays.positions)
     reading = arrays.positions[0]
     if code == NOTHING_NEW:
@@ -263,7 +263,7 @@ class DrivenPlant(Plant):
     After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``.
     """
 
-    #: Nothing of it is compiled.
+    #: Its samples are not compiled.
     kernels = None, None, None
     #: Seconds between two attempts to make the device safe.
     insists_every = INSIST
@@ -293,7 +293,7 @@ class DrivenPlant(Plant):
 
     @property
     def failure(self) -> str:
-        """What is wrong with a device that has stopped the axis, and the voltage that it may still put out."""
+        """Error of a device that has stopped the axis, and the voltage that it may still output."""
         left = self._left  # it ends in the background
         return f"{self._failure}; and it {left}" if left else self._failure
 
@@ -308,7 +308,7 @@ class DrivenPlant(Plant):
         if units != (given.sensor.unit, given.amplifier.unit):
             remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
             remedy += f"{given.amplifier.unit!r}: give the device's units there, with scale, offset and sign"
-            raise DriverError(device, f"the device reads {units[0]!r} and puts out {units[1]!r}", remedy)
+            raise DriverError(device, f"the device reads {units[0]!r} and outputs {units[1]!r}", remedy)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if not 0 <= can.forces <= 1:
@@ -322,21 +322,21 @@ class DrivenPlant(Plant):
             problem += "" if (least, most) == (low, high) else f", which are {least:g} … {most:g} {units[1]}"
             raise DriverError(device, problem, "narrow the limits of plant_simulator and hysteresis_compensator")
         if not rate <= can.highest_rate:
-            raise DriverError(device, f"the device makes at most {can.highest_rate:g} Hz", "lower sample_rate")
+            raise DriverError(device, f"the device supports at most {can.highest_rate:g} Hz", "lower sample_rate")
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
             problem = f"the device's watchdog of {can.watchdog:g} s is no longer than a sample of {1.0 / rate:g} s"
             raise DriverError(device, problem, "raise sample_rate, or the watchdog's time")
 
     @property
     def _opened(self) -> Device:
-        """The device, which is there once :meth:`_open` has been called."""
+        """The device; available after :meth:`_open`."""
         if self._device is None:
             raise RuntimeError(f"driver {self.parameters.driver} is not open")
         return self._device
 
     @property
     def capabilities(self) -> Capabilities:
-        """What the device is able to do."""
+        """Capabilities of the device."""
         return self._opened.capabilities
 
     @property
@@ -381,7 +381,7 @@ class DrivenPlant(Plant):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row; NaN when there is none."""
+        """Read the position into the row; NaN without one."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -433,7 +433,7 @@ class DrivenPlant(Plant):
             self._try_device()
 
     def _acknowledge(self) -> None:
-        """Forget what was wrong: a person has seen it. What is still wrong shows at the next sample."""
+        """Clear the error at a user's request; an error that persists is reported at the next sample."""
         if self._device is not None:
             self._device.desist()
         self._failure = self._left = ""
@@ -533,7 +533,7 @@ class DrivenPlant(Plant):
         self._left = ""
 
     def close(self) -> str:
-        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        """Release the device; return the problem it is left with, empty when there is none."""
         return self._opened.close()
 
 
@@ -561,7 +561,7 @@ def plant_of(parameters: PlantNodeParameters) -> Plant:
 class CompiledPlant(DrivenPlant):
     """One actuator that is a device, read and written by machine code."""
 
-    # places where others have the law of a simulated plant
+    # entries in which other plants have the law of the simulation
     kernels = limits, limits, limits
 
     given = (at.MEASURED, at.TRIPPED, at.FORCE)

@@ -26,10 +26,10 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.block import called, kernel, nested
 from hysteresis_ros.models.sensor import generator_state, uniform
 
-# What a fault acts on.
+# Targets of a fault.
 MEASUREMENT, APPLIED, COMMAND, VOLTAGE, GRIP, STOP, FORCE = range(7)
 
-# What it does to it.
+# Actions of a fault on its target.
 LOST, SPIKE, FREEZE, DELAY, DROP, ADD, DISORDER, SCALE, SET = range(9)
 
 #: Interval of the spikes [samples].
@@ -42,7 +42,7 @@ LONGEST_DELAY = 10000
 class FaultKind:
     """One kind of fault."""
 
-    target: int  #: target, action: the signal it acts on, and its effect.
+    target: int  #: target, action: the affected signal, and the effect.
     action: int
     description: str
     value: float | None = None  #: Default of the value; None: the fault has no value.
@@ -53,24 +53,24 @@ class FaultKind:
 
 
 FAULTS = {
-    "stale": FaultKind(MEASUREMENT, LOST, "no measurement comes"),
+    "stale": FaultKind(MEASUREMENT, LOST, "no measurement arrives"),
     "nan": FaultKind(MEASUREMENT, LOST, "the measurement is not a number"),
     "spike": FaultKind(MEASUREMENT, SPIKE, f"one measurement in {SPIKE_PERIOD} is off by the value", 1e-6, "m"),
-    "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement stays as it is at the beginning"),
+    "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement keeps its value from the beginning"),
     "late": FaultKind(
-        MEASUREMENT, DELAY, "the measurement is the one of that many samples before", 1.0, "samples", 1, LONGEST_DELAY
+        MEASUREMENT, DELAY, "the measurement is delayed by that many samples", 1.0, "samples", 1, LONGEST_DELAY
     ),
-    "drop": FaultKind(MEASUREMENT, DROP, "that part of the measurements is missing, by chance", 0.3, "1", 0.0, 1.0),
+    "drop": FaultKind(MEASUREMENT, DROP, "that fraction of the measurements is missing, at random", 0.3, "1", 0.0, 1.0),
     "offset": FaultKind(MEASUREMENT, ADD, "the measurement is off by the value", 1e-6, "m"),
     "disorder": FaultKind(MEASUREMENT, DISORDER, "every second measurement is the one before, with its old stamp"),
-    "unanswered": FaultKind(APPLIED, LOST, "the controller does not hear what was carried out"),
+    "unanswered": FaultKind(APPLIED, LOST, "the controller does not receive the achieved command"),
     "lost_command": FaultKind(COMMAND, LOST, "no command reaches the compensator"),
     "lost_voltage": FaultKind(VOLTAGE, LOST, "no voltage reaches the plant"),
-    "late_voltage": FaultKind(VOLTAGE, DROP, "that part of the voltages comes too late, by chance", 0.5, "1", 0.0, 1.0),
+    "late_voltage": FaultKind(VOLTAGE, DROP, "that fraction of the voltages is late, at random", 0.5, "1", 0.0, 1.0),
     "lost_grip": FaultKind(
-        GRIP, SCALE, "the front clamp grips with that part of its force", 0.0, "1", 0.0, 1.0, motor=True
+        GRIP, SCALE, "the front clamp grips with that fraction of its force", 0.0, "1", 0.0, 1.0, motor=True
     ),
-    "lost_force": FaultKind(FORCE, LOST, "the force sensor says nothing"),
+    "lost_force": FaultKind(FORCE, LOST, "the force sensor gives no value"),
     "stop": FaultKind(STOP, SET, "the controller is stopped, and started again at the end"),
 }
 
@@ -89,7 +89,7 @@ class Fault:
         Duration [s], more than 0.
     value : float, optional
         Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], others a share); by default
-        that of the kind. A fault of a kind without value takes none.
+        that of the kind of fault. Some kinds have no value.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Fault:
     value: float | None = None
 
     def __post_init__(self):
-        """Check the numbers and fill in the value that the kind has by default."""
+        """Check the numbers and fill in the default value of the kind."""
         given = {"start": self.start, "duration": self.duration}
         if self.value is not None:
             given["value"] = self.value
@@ -122,12 +122,12 @@ class Fault:
 
     @property
     def kind(self) -> FaultKind:
-        """What it is."""
+        """Kind of the fault."""
         return FAULTS[self.name]
 
     @property
     def amount(self) -> float:
-        """Value in the unit of the fault; 0 where it has none."""
+        """Value in the unit of the fault; 0 if it has none."""
         return self.value or 0.0
 
     def __str__(self) -> str:
@@ -136,11 +136,11 @@ class Fault:
 
 
 def checked_value(text: str, name: str, start: float, duration: float, value: float | None) -> float | None:
-    """Return the value of a fault, by default that of its kind; None where the kind has none."""
+    """Return the value of a fault, by default that of its kind; None if the kind has no value."""
     if name not in FAULTS:
         close = difflib.get_close_matches(str(name), FAULTS, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}? " if close else ""
-        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are: {', '.join(FAULTS)}")
+        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are:  {', '.join(FAULTS)}")
     kind = FAULTS[name]
     if not all(math.isfinite(number) for number in (start, duration, value or 0.0)):
         raise ConfigurationError(f"fault '{text}': {FORM}")
@@ -157,7 +157,7 @@ def checked_value(text: str, name: str, start: float, duration: float, value: fl
     return value
 
 
-#: How a fault is written.
+#: Form of a fault, for messages.
 FORM = "write NAME:START:DURATION[:VALUE], times in seconds, for instance stale:0.1:0.05"
 
 
@@ -188,7 +188,7 @@ def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True)
     return Fault(name, numbers[0], numbers[1], value)
 
 
-# Parameter array: how many faults, length of the ring; then five numbers each.
+# Parameter array: number of faults, length of the ring; then five numbers per fault.
 COUNT, RING_LENGTH = 0, 1
 ENTRIES = 2
 TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first one after it, value

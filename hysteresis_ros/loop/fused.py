@@ -115,7 +115,7 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or "this system does not support it"
 
 
-#: Samples per second that are held without Numba: a sample takes up to 0.4 ms (of a motor), and another thread of
+#: Sample rate that the loop holds without Numba [Hz]: a sample takes up to 0.4 ms (of a motor), and another thread of
 #: Python may run for 5 ms, one period.
 INTERPRETED_RATE = 200.0
 #: Time for which samples are kept for readers [s], and least and largest number of samples.
@@ -151,7 +151,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
         np.zeros((at.POSTS, at.POST)),
         np.zeros((at.EVENTS, 2), dtype=np.int64),
         np.zeros(at.BINS, dtype=np.int64),
-        np.full((kept, size), math.nan),  # written, so that the memory is really allocated
+        np.full((kept, size), math.nan),  # written, so that the memory is allocated
         np.full(kept, -1, dtype=np.int64),
         np.full((kept, JOINT_NUMBERS if axis.motor else 0), math.nan),
         np.zeros(2, dtype=np.int64),
@@ -298,7 +298,7 @@ class FusedLoop:
         return sample
 
     def _post(self, values: dict, switch: int = 0, halts: int = 0) -> float:
-        """Post requests for the loop; return the number of the switch."""
+        """Post requests to the loop; return the number of the switch."""
         asked = self._asked
         with self._posting:
             for place, value in values.items():

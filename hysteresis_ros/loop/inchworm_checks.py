@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Checks of an inchworm's gait against its motor, which the sequencer alone cannot make."""
+"""Checks of an inchworm's gait against its motor, which need more than the sequencer's parameters."""
 
 from __future__ import annotations
 

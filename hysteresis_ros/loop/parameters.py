@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameters of an axis: those of each of its nodes, read out of a configuration and checked against each other.
+"""Parameters of an axis: those of each of its nodes, read from a configuration and checked against each other.
 
-They live here and not with the nodes because the offline twin reads the same files.
+They are here and not in the nodes, because the offline twin reads the same files.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from hysteresis_ros.references.moves import SettlingParameters
 
 @dataclass(frozen=True)
 class NodeParameters(Parameters):
-    """What every node of an axis needs; normally given once, under ``/**``."""
+    """Common parameters of all nodes of an axis; normally given once, under ``/**``."""
 
     sample_rate: float = parameter(
         1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="samples per second of the axis"
@@ -62,47 +62,55 @@ class NodeParameters(Parameters):
         choices=("realtime", "lockstep", "fused"),
         read_only=True,
         description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it "
-        "can; fused: all nodes in one process, one compiled thread makes the samples in real time",
+        "can; fused: all nodes in one process, one compiled thread runs the loop in real time",
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
     force_joint: str = parameter(
         "force", read_only=True, description="joint in joint_states whose effort is the measured force in the stack"
     )
-    autostart: bool = parameter(True, read_only=True, description="configure and activate by itself at start")
+    autostart: bool = parameter(
+        True, read_only=True, description="configure and activate the node automatically at its start"
+    )
     use_sim_time: bool = parameter(
         False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
     )
     exit_at_end: bool = parameter(
-        False, read_only=True, description="leave when the plant has published the end of the run"
+        False, read_only=True, description="exit when the plant has published the end of the run"
     )
     partner_timeout: float = parameter(
         10.0,
         unit="s",
         low=0.1,
         high=3600.0,
-        description="lockstep: silence of a partner that ends the run; DDS may take 3 s to repeat what was lost",
+        description="lockstep: time without a message of a partner after which the run ends; DDS may take 3 s to "
+        "repeat a lost message",
     )
     faults: tuple[str, ...] = parameter(
         (),
         read_only=True,
-        description="faults on purpose, each 'NAME:START:DURATION[:VALUE]', times in seconds of the axis' own time; "
+        description="injected faults, each 'NAME:START:DURATION[:VALUE]', times in seconds of the axis' own time; "
         "for all nodes, under '/**'",
     )
     queue_depth: int = parameter(
-        1000, low=1, high=100000, read_only=True, description="lockstep: messages each topic keeps for a slow recorder"
+        1000,
+        low=1,
+        high=100000,
+        read_only=True,
+        description="lockstep: number of messages that each topic keeps for a slow recorder",
     )
     external_plant: bool = parameter(
         False,
         read_only=True,
-        description="realtime: a node of your own publishes joint_states in plant_simulator's place; the source of "
-        "references begins and ends the run; for all nodes, under '/**'",
+        description="realtime: a node of the user publishes joint_states instead of plant_simulator; the reference "
+        "generator begins and ends the run; for all nodes, under '/**'",
     )
 
     measurement_reliability: str = parameter(
         "reliable",
         choices=("reliable", "best_effort"),
         read_only=True,
-        description="how joint_states are subscribed: best_effort where a driver of your own publishes them so; "
+        description="reliability of the subscription to joint_states: best_effort if a driver of the user publishes "
+        "them so;  "
         "realtime only",
     )
 
@@ -110,55 +118,56 @@ class NodeParameters(Parameters):
         "reliable",
         choices=("reliable", "best_effort"),
         read_only=True,
-        description="how setpoint is subscribed: best_effort matches every publisher, and a setpoint may be lost",
+        description="reliability of the subscription to setpoint: best_effort matches every publisher, but a setpoint "
+        "may be lost",
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.measurement_reliability != "reliable" and self.time_mode == "lockstep":
-            remedy = "must be reliable in lockstep, where each sample is answered: give time_mode: realtime"
+            remedy = "must be reliable in lockstep, which waits for every message: give time_mode: realtime"
             yield Problem("measurement_reliability", self.measurement_reliability, remedy)
         if self.external_plant and self.time_mode != "realtime":
-            remedy = "a plant of your own does not wait for anybody: give time_mode: realtime"
+            remedy = "an external plant does not wait for other nodes: give time_mode: realtime"
             yield Problem("external_plant", self.external_plant, remedy)
 
 
 def part(parameters: Parameters, cls):
-    """Return the block's own parameters, out of the parameters of its node; always the same instance of ``cls``."""
+    """Return the block's own parameters from the parameters of its node; always the same instance of ``cls``."""
     kept = parameters.__dict__.setdefault("_parts", {})
     if cls not in kept:
         kept[cls] = cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
     return kept[cls]
 
 
-#: Late voltages that are allowed by default: part of the samples of a second, and the least number.
+#: Default limit of late voltages: fraction of the samples of a second, and the least number.
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
 @dataclass(frozen=True)
 class RealtimeParameters(Parameters):
-    """How the thread of the fused loop is scheduled."""
+    """Scheduling of the thread of the fused loop."""
 
     priority: int = parameter(
         80,
         low=0,
         high=99,
         read_only=True,
-        description="fused: priority of the loop's thread, SCHED_FIFO, where that is permitted; 0: a normal one",
+        description="fused: priority of the loop's thread, SCHED_FIFO, if permitted; 0: normal scheduling",
     )
     cpu: int = parameter(
         -1, low=-1, high=4095, read_only=True, description="fused: processor core of the loop's thread; -1: any"
     )
     lock_memory: bool = parameter(
-        False, read_only=True, description="fused: keep the process in RAM, so that no sample waits for the disk"
+        False, read_only=True, description="fused: lock the process in RAM, so that no sample waits for the disk"
     )
     force: bool = parameter(
-        False, read_only=True, description="fused: run at a rate that this machine does not hold, too"
+        False, read_only=True, description="fused: run also at a rate that this machine does not hold"
     )
 
 
-#: Drivers that have parameters of their own, and their class.
+#: Drivers with parameters, and the class of these.
 _OWN = {name: item.parameters for name, item in DRIVERS.items() if item.parameters is not ActuatorParameters}
 
 
@@ -171,8 +180,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         "actuator",
         choices=("actuator", "inchworm", "camera"),
         read_only=True,
-        description="one actuator; an inchworm motor; or an actuator that a camera sees: the plant publishes images, "
-        "of which displacement_camera makes joint_states",
+        description="one actuator; an inchworm motor; or an actuator observed by a camera: the plant publishes "
+        "images, from which displacement_camera computes joint_states",
     )
     camera: SimulatedCameraParameters = group(SimulatedCameraParameters, variant_of="type")
     inchworm: InchwormParameters = group(InchwormParameters, variant_of="type")
@@ -181,14 +190,14 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         choices=("", *DRIVERS),
         paths=True,
         read_only=True,
-        description="realtime: driver of the device that stands in the simulated plant's place, by its name or as the "
-        "path of a Python file that declares DRIVER or of a shared library; '': none",
+        description="realtime: driver of the device that replaces the simulated plant: its name, or the path of a "
+        "Python file that declares DRIVER or of a shared library; '': none",
         place="start",
     )
     driver_options: tuple[str, ...] = parameter(
         (),
         read_only=True,
-        description="what a driver that is given by its path is opened with, 'NAME=VALUE' each",
+        description="options for opening a driver given by its path, each 'NAME=VALUE'",
         place="start",
     )
     calibration: CalibrationParameters = group(CalibrationParameters)
@@ -201,65 +210,75 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         low=0.1,
         high=1000.0,
         read_only=True,
-        description="fused: how often topics and states show the last sample; a recorder gets all samples",
+        description="fused: rate at which topics and states publish the last sample; a recorder gets all samples",
     )
     samples: int = parameter(
         0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"
     )
     safe_voltage: float = parameter(
-        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage the plant goes to when commands stop"
+        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage to which the plant goes when commands stop"
     )
     safe_slew_rate: float = parameter(
-        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast it goes to the safe voltage"
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="slew rate to the safe voltage"
     )
     voltage_timeout: float = parameter(
-        0.5, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of voltage that starts the watchdog"
+        0.5,
+        unit="s",
+        low=1.0e-3,
+        high=3600.0,
+        description="realtime: time without a voltage after which the output goes to safe_voltage",
     )
     late_limit: int = parameter(
         0,
         low=-1,
         high=10**9,
-        description="late voltages in a row, or together within a second, above which the axis goes to safe until "
-        "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and those that answer an "
-        "earlier sample are put out",
+        description="number of late voltages, in a row or within a second, above which the axis goes to safe until "
+        "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and voltages for an earlier "
+        "sample are output too",
     )
     overtravel: float = parameter(
         0.0,
         unit="m",
         low=-1.0,
         high=1.0,
-        description="actuator: measured so far beyond where it can rest, the axis goes to safe until ~/start; "
-        "0: one stroke; below 0: any",
+        description="actuator: distance of a measurement beyond the static range above which the axis goes to safe "
+        "until ~/start; 0: one stroke; below 0: any",
     )
     realtime: RealtimeParameters = group(RealtimeParameters)
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
     wait_for_recorder: bool = parameter(
-        False, read_only=True, description="begin when a recorder is there; lockstep: run at most `lead` ahead of it"
+        False,
+        read_only=True,
+        description="begin when a recorder is running; lockstep: run at most `lead` samples ahead of it",
     )
     lead: int = parameter(
-        100, low=32, high=900, read_only=True, description="lockstep: samples the plant may be ahead of the recorder"
+        100,
+        low=32,
+        high=900,
+        read_only=True,
+        description="lockstep: largest lead of the plant over the recorder, in samples",
     )
 
     @property
     def allowed_late(self) -> int:
-        """Late voltages that are allowed in a row or within a second; 0: any number."""
+        """Allowed number of late voltages in a row or within a second; 0: any number."""
         if self.late_limit == 0:
             return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
         return max(self.late_limit, 0)
 
     @property
     def allowed_travel(self) -> tuple[float, float]:
-        """Between which measurements [m] an actuator may go on: where its model can rest, and ``overtravel`` beyond."""
+        """Allowed range of the measurement [m]: the static range of the actuator's model, and ``overtravel`` beyond."""
         if self.overtravel < 0.0:
             return -math.inf, math.inf
         low, high = resting_displacements(part(self, ActuatorParameters), 1.0 / self.sample_rate)
-        # a step of the whole range makes an undamped stage swing one stroke too far
+        # a step of the whole range makes an undamped stage overshoot by one stroke
         beyond = self.overtravel or high - low
         return low - beyond, high + beyond
 
     @property
     def driver_parameters(self) -> Parameters:
-        """What the driver is opened with."""
+        """Options of the driver."""
         if self.driver in _OWN:
             return getattr(self, self.driver)
         if self.driver in DRIVERS:
@@ -272,18 +291,18 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         try:
             return driver_of(self.driver).driver.compiled is not Driver.compiled
         except DriverError:
-            return True  # there is none: said elsewhere
+            return True  # a missing driver is reported elsewhere
 
     def _driver_problems(self):
         if self.driver in DRIVERS and self.driver_options:
-            remedy = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
+            remedy = f"belong to a driver given by its path; {self.driver} has its own parameters"
             yield Problem("driver_options", self.driver_options, remedy)
         try:
             self.driver_parameters.validated()
         except DriverError as error:
             yield Problem("driver", self.driver, str(error))
         except ParameterError as error:
-            # those of the registry stand in the table and have been looked at
+            # those of the registry are in the table and have been checked
             yield from error.problems if self.driver not in DRIVERS else ()
 
     def _amplifier_problems(self):
@@ -297,9 +316,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.external_plant:
             yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
         if self.time_mode == "lockstep":
-            remedy = (
-                "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
-            )
+            remedy = "a device does not wait for nodes: give time_mode: realtime, or driver: '' for the simulated plant"
             yield Problem("driver", self.driver, remedy)
         if self.time_mode == "fused" and not self.driver_is_compiled:
             remedy = (
@@ -312,13 +329,11 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
                 "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
             )
         if self.type != "actuator":
-            remedy = (
-                "drives one actuator (type: actuator); an inchworm motor needs a node of its own, see docs/hardware.md"
-            )
+            remedy = "drives one actuator (type: actuator); an inchworm motor needs its own node, see docs/hardware.md"
             yield Problem("driver", self.driver, remedy)
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
             remedy = (
@@ -332,7 +347,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         elif self.driver_options:
             yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
         if self.type == "camera" and self.time_mode == "fused":
-            remedy = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
+            remedy = "the thread of a fused loop has no time to evaluate frames: give time_mode: realtime or lockstep"
             yield Problem("time_mode", self.time_mode, remedy)
         if self.force_sensor.there and self.type != "actuator":
             remedy = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
@@ -349,21 +364,21 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 
 @dataclass(frozen=True)
 class CommandRangeParameters(Parameters):
-    """Least and largest command that is sent."""
+    """Limits of the command."""
 
     command_minimum: float = parameter(
         0.0,
         unit="m",
         low=-1.0,
         high=1.0,
-        description="least command that is sent, whatever the law wants; this and command_maximum 0: a stroke of the "
-        "compensator's model beyond its ends, where the whole axis is known, else any",
+        description="lower limit of the command; this and command_maximum 0: one stroke beyond the range of the "
+        "compensator's model if the whole axis is known, else unlimited",
     )
-    command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="largest command that is sent")
+    command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="upper limit of the command")
 
     @property
     def command_range(self) -> tuple[float, float]:
-        """Least and largest command that is sent [m]."""
+        """Lower and upper limit of the command [m]."""
         if self.command_minimum == self.command_maximum == 0.0:
             return -math.inf, math.inf
         return self.command_minimum, self.command_maximum
@@ -388,22 +403,28 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
         0, low=0, high=10**12, read_only=True, description="external_plant: length of the run in samples; 0: no end"
     )
     wait_for_recorder: bool = parameter(
-        False, read_only=True, description="external_plant: begin when a recorder is there"
+        False, read_only=True, description="external_plant: begin when a recorder is running"
     )
 
 
 @dataclass(frozen=True)
 class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
-    """Parameters of ``inchworm_sequencer``, which takes the place of ``reference_generator``."""
+    """Parameters of ``inchworm_sequencer``, which replaces ``reference_generator``."""
 
     publish_description: bool = parameter(
         True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
     )
     extender_joint: str = parameter(
-        "extender", read_only=True, description="name of the extender in joint_states; joint is the slider's"
+        "extender",
+        read_only=True,
+        description="name of the extender in joint_states; `joint` names the slider",
     )
     measurement_timeout: float = parameter(
-        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that closes both clamps"
+        0.2,
+        unit="s",
+        low=1.0e-3,
+        high=3600.0,
+        description="realtime: time without joint_states after which both clamps close",
     )
 
 
@@ -416,22 +437,29 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
     )
 
     measurement_timeout: float = parameter(
-        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that makes it go safe"
+        0.2,
+        unit="s",
+        low=1.0e-3,
+        high=3600.0,
+        description="realtime: time without joint_states after which the command goes to safe_command",
     )
     spike_limit: float = parameter(
-        0.0, unit="m", low=0.0, high=1.0, description="largest believable change of the measurement a sample; 0: any"
+        0.0, unit="m", low=0.0, high=1.0, description="largest plausible change of the measurement per sample; 0: any"
     )
     spike_samples: int = parameter(
-        3, low=2, high=10**6, description="samples in a row after which a larger change is believed"
+        3, low=2, high=10**6, description="number of samples in a row after which a larger change is accepted"
     )
     frozen_samples: int = parameter(
-        0, low=0, high=10**9, description="equal measurements in a row that count as a frozen sensor; 0: never"
+        0,
+        low=0,
+        high=10**9,
+        description="number of equal measurements in a row after which the sensor counts as frozen; 0: never",
     )
     safe_command: float = parameter(
         0.0, unit="m", low=-1.0, high=1.0, description="command while the measurement is stale"
     )
     safe_slew_rate: float = parameter(
-        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="how fast the command goes to safe_command"
+        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="rate at which the command goes to safe_command"
     )
     controller_state_rate: float = parameter(
         50.0,
@@ -439,12 +467,11 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         low=0.0,
         high=1.0e6,
         read_only=True,
-        description="how often ~/controller_state and ~/pid_state are published where control_msgs is installed; "
-        "0: never",
+        description="rate of ~/controller_state and ~/pid_state, if control_msgs is installed;  0: never",
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         low, high = self.command_range
         if low < high and not low <= self.safe_command <= high:
@@ -458,14 +485,18 @@ class CompensatorNodeParameters(NodeParameters, CompensatorParameters):
 
     adaptation: AdaptationParameters = group(AdaptationParameters)
     command_timeout: float = parameter(
-        0.4, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of command that starts the watchdog"
+        0.4,
+        unit="s",
+        low=1.0e-3,
+        high=3600.0,
+        description="realtime: time without a command after which the voltage goes to safe_voltage",
     )
     safe_slew_rate: float = parameter(
-        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast the voltage goes to safe_voltage"
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="slew rate of the voltage to safe_voltage"
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         yield from self.adaptation.fits(self.hysteresis, self.inverse.type)
 
@@ -475,7 +506,11 @@ class DisplacementCameraNodeParameters(NodeParameters, CameraParameters):
     """Parameters of ``displacement_camera``."""
 
     image_timeout: float = parameter(
-        1.0, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of image after which it says so"
+        1.0,
+        unit="s",
+        low=1.0e-3,
+        high=3600.0,
+        description="realtime: time without an image after which the node reports it",
     )
 
 
@@ -486,16 +521,16 @@ class RecorderNodeParameters(NodeParameters):
     path: str = parameter(
         "recording",
         read_only=True,
-        description="folder of the bag, made anew",
+        description="folder of the bag; it must not exist",
         place="files",
     )
     configuration: str = parameter(
-        "", read_only=True, description="parameter file whose text goes into the bag", place="files"
+        "", read_only=True, description="parameter file whose text is stored in the bag", place="files"
     )
     inchworm: bool = parameter(
         False,
         read_only=True,
-        description="record an inchworm's topics; a configuration with an inchworm_sequencer says so by itself",
+        description="record an inchworm's topics; a configuration with an inchworm_sequencer sets it automatically",
     )
     topics: tuple[str, ...] = parameter(
         (),
@@ -508,7 +543,7 @@ class RecorderNodeParameters(NodeParameters):
         low=0.01,
         high=0.5,
         read_only=True,
-        description="what was recorded is handed to the operating system at least this often",
+        description="interval at which recorded data are written to the operating system at the latest",
     )
     max_bag_size: int = parameter(
         0,
@@ -516,7 +551,7 @@ class RecorderNodeParameters(NodeParameters):
         low=0,
         high=10**15,
         read_only=True,
-        description="size of a file of the bag after which the next one begins; 0: any",
+        description="size of a bag file after which the next one begins; 0: unlimited",
     )
     max_bag_duration: float = parameter(
         0.0,
@@ -524,7 +559,7 @@ class RecorderNodeParameters(NodeParameters):
         low=0.0,
         high=1.0e9,
         read_only=True,
-        description="length of a file of the bag after which the next one begins; 0: any",
+        description="duration of a bag file after which the next one begins; 0: unlimited",
     )
     warn_space: int = parameter(
         2 * 10**9,
@@ -538,7 +573,7 @@ class RecorderNodeParameters(NodeParameters):
         unit="B",
         low=0,
         high=10**15,
-        description="free space on the disk below which it ends the recording, never the axis",
+        description="free space on the disk below which it ends the recording, but not the axis",
     )
 
 
@@ -554,15 +589,15 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 }
 
 
-#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always (0.25 % of
-#: the voltages late, docs/real_time.md), and beyond which such a loop is refused (at 1 kHz 3 to 12 % are late).
+#: Sample rate by the wall clock [Hz] up to which nodes that exchange messages are almost always in time (0.25 % of the
+#: voltages late, docs/real_time.md), and the rate above which such a loop is refused (at 1 kHz 3 to 12 % are late).
 MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
-#: Samples that a run may have at most: beyond this a counter in double precision skips numbers.
+#: Maximum number of samples of a run: beyond this a counter in double precision skips numbers.
 COUNTABLE = 2.0**53
 
 
 def require_message_rate(sample_rate: float, where: str) -> None:
-    """Refuse a real-time loop whose samples [Hz] come faster than messages between nodes can carry them."""
+    """Refuse a real-time loop with a sample rate [Hz] too high for messages between nodes."""
     if sample_rate > HIGHEST_MESSAGE_RATE:
         raise ConfigurationError(
             f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which hold "
@@ -572,7 +607,7 @@ def require_message_rate(sample_rate: float, where: str) -> None:
 
 
 def _inchworm_mismatches(plant, parts) -> list[Problem]:
-    """Return what does not fit between the plant's type, the sequencer and the controller."""
+    """Return a Problem for each inconsistency of the plant's type, the sequencer and the controller."""
     sequencer = parts["inchworm_sequencer"]
     if (plant.type == "inchworm") != (sequencer is not None):
         remedy = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
@@ -585,9 +620,9 @@ def _inchworm_mismatches(plant, parts) -> list[Problem]:
 
 
 def _camera_mismatches(plant, camera) -> list[Problem]:
-    """Return what does not fit between the plant's type and who looks at its images."""
+    """Return a Problem for each inconsistency of the plant's type and the camera node."""
     if plant.type == "camera" and not plant.external_plant and camera is None:
-        remedy = "publishes images: a section displacement_camera has to say how the tip is found in them"
+        remedy = "publishes images: a section displacement_camera must describe how to find the tip in them"
         return [Problem("plant_simulator: type", plant.type, remedy)]
     if camera is not None and plant.type != "camera" and not plant.external_plant:
         remedy = "publishes joint_states itself: leave displacement_camera out, or give type: camera"
@@ -596,19 +631,19 @@ def _camera_mismatches(plant, camera) -> list[Problem]:
 
 
 def _adaptation_problems(controller, compensator):
-    """Yield a Problem where the inverse would take what the controller knows of the dynamics for hysteresis."""
+    """Yield a Problem when the adaptation would identify known dynamics as hysteresis."""
     adaptation = compensator.adaptation
     if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
         remedy = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
         yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, remedy)
     zero = controller.model.preload.offset
     if adaptation.type != "none" and adaptation.offset == "measured" and adaptation.zero != zero:
-        remedy = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
+        remedy = f"must equal the offset of motion_controller's model.preload, {zero:.9g} m"
         yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, remedy)
 
 
 def _force_problems(plant, controller):
-    """Yield a Problem where a damping needs a force that this axis does not measure."""
+    """Yield a Problem when a damping needs a force that this axis does not measure."""
     simulated = not plant.driver and not plant.external_plant
     if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
         remedy = (
@@ -637,7 +672,7 @@ def _short_timeouts(parts):
 
 
 def _fault_problems(plant, inchworm: bool):
-    """Yield a Problem for each fault that there is not, or that this axis cannot have."""
+    """Yield a Problem for each unknown fault, and for each that this axis cannot have."""
     for text in plant.faults:
         try:
             parse_fault(text, plant.sample_rate, inchworm)
@@ -646,7 +681,7 @@ def _fault_problems(plant, inchworm: bool):
 
 
 def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
-    """Return the parameters of a controller whose commands end a stroke beyond what the compensator's model reaches."""
+    """Return the parameters of a controller with commands limited to a stroke beyond the compensator's range."""
     if controller.command_minimum != controller.command_maximum:
         return controller
     amplifiers = () if plant.external_plant else (plant.limits,)
@@ -670,17 +705,19 @@ class AxisParameters:
     hysteresis_compensator: CompensatorNodeParameters
     recorder: RecorderNodeParameters
     inchworm_sequencer: InchwormSequencerNodeParameters | None = None
-    displacement_camera: DisplacementCameraNodeParameters | None = None  #: Who makes joint_states of images.
+    displacement_camera: DisplacementCameraNodeParameters | None = (
+        None  #: The node that computes joint_states from images.
+    )
 
     @classmethod
     def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
-        """Read one axis out of a configuration."""
+        """Read one axis from a configuration."""
         namespace = normalised_namespace(namespace)
         inchworm = configuration.describes("inchworm_sequencer", namespace)
         if inchworm and configuration.describes("reference_generator", namespace):
             raise ConfigurationError(
-                f"{configuration.source}: two sources of the reference: reference_generator and inchworm_sequencer; "
-                "keep the sequencer for an inchworm motor, the generator for anything else"
+                f"{configuration.source}: two reference generators: reference_generator and inchworm_sequencer; keep "
+                "the sequencer for an inchworm motor, the generator for any other axis"
             )
         absent = {"reference_generator" if inchworm else "inchworm_sequencer"}
         if not configuration.describes("displacement_camera", namespace):
@@ -701,9 +738,9 @@ class AxisParameters:
 
     @classmethod
     def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
-        """Put the parameters of nodes together."""
+        """Combine the parameters of nodes."""
         absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
-        found: dict[str, Any] = {**absent, **parts}  # of each node the class that NODE_PARAMETERS names
+        found: dict[str, Any] = {**absent, **parts}  # for each node an instance of its class in NODE_PARAMETERS
         problems: list[Problem] = []
         inchworm = found["inchworm_sequencer"] is not None
         plant, controller = found["plant_simulator"], found["motion_controller"]
@@ -740,7 +777,7 @@ class AxisParameters:
         if not 0.0 < duration < float("inf"):
             raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:
-            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; ask for less")
+            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; give less")
         samples = max(round(duration * self.plant_simulator.sample_rate), 1)
         changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
         if not self.plant_simulator.external_plant:
@@ -753,27 +790,29 @@ class AxisParameters:
 
     @property
     def generator(self) -> ReferenceNodeParameters:
-        """Parameters of the reference generator, for what needs one; raises ConfigurationError where there is none."""
+        """Parameters of the reference generator; raises ConfigurationError without one."""
         if self.reference_generator is None:
-            raise ConfigurationError("an inchworm motor has no reference_generator: its sequencer is the source")
+            raise ConfigurationError(
+                "an inchworm motor has no reference_generator: its sequencer generates the reference"
+            )
         return self.reference_generator
 
     @property
     def sequencer(self) -> InchwormSequencerNodeParameters:
-        """Parameters of the sequencer, for what needs one; raises ConfigurationError where there is none."""
+        """Parameters of the sequencer; raises ConfigurationError without one."""
         if self.inchworm_sequencer is None:
             raise ConfigurationError("the axis has no inchworm_sequencer: it is not an inchworm motor")
         return self.inchworm_sequencer
 
     @property
     def camera(self) -> DisplacementCameraNodeParameters:
-        """Parameters of the camera, for what needs one; raises ConfigurationError where there is none."""
+        """Parameters of the camera; raises ConfigurationError without one."""
         if self.displacement_camera is None:
             raise ConfigurationError("the axis has no displacement_camera: its plant gives the measurement")
         return self.displacement_camera
 
     def with_recorder(self, path: str) -> AxisParameters:
-        """Return the same axis, which begins when its recorder is there."""
+        """Return the same axis, which begins when its recorder is running."""
         plant, source = self.plant_simulator, self.reference_generator
         return replace(
             self,
@@ -788,7 +827,7 @@ class AxisParameters:
         return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
 
     def timeouts(self) -> list[str]:
-        """Return a line for each time-out: what it is called, how long in samples and seconds, what follows."""
+        """Return a line for each time-out: its name, its length in seconds and samples, and its effect."""
         rate, external = self.plant_simulator.sample_rate, self.plant_simulator.external_plant
         lines = []
         for (name, timeout), what in TIMEOUTS.items():
@@ -828,7 +867,7 @@ class AxisParameters:
 
 
 def require_carried(axis: AxisParameters) -> None:
-    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them."""
+    """Refuse an axis with an external plant and a sample rate too high for messages."""
     plant = axis.plant_simulator
     if plant.external_plant and plant.time_mode == "realtime":
         require_message_rate(
@@ -837,7 +876,7 @@ def require_carried(axis: AxisParameters) -> None:
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis fused when messages between its nodes are too slow for its rate in real time."""
+    """Return the axis, fused when messages between its nodes are too slow for its rate in real time."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
         return axis

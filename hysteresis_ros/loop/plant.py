@@ -166,7 +166,7 @@ def plant_mode(p, x, trip, late):
 def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
     """Return the output voltage [V] for the received voltage (NaN: none), after all monitoring.
 
-    It is one call because a node makes it from Python; parameters and states are those of :class:`PlantWatchArrays`.
+    It is one function, because a node calls it from Python; ``p`` and ``x`` are :class:`PlantWatchArrays`.
     """
     late = is_missing(hold_x, voltage)
     watch(trip_p, trip_x, late, measured)
@@ -274,7 +274,7 @@ JOINT_NUMBERS = motors.TRUE_POSITION
 
 @nested
 def no_joints(laws, part, numbers):
-    """Do nothing: the row has everything about an actuator."""
+    """Do nothing, because the row has all signals of an actuator."""
 
 
 @nested
@@ -293,7 +293,7 @@ class Plant:
     """Common part of the plants of an axis: the monitoring of their voltages."""
 
     arrays: Any  #: All arrays of the plant in the loop, of the class by which :data:`sense` finds its kernel.
-    kernels: tuple[Any, Any, Any]  #: Those of the hysteresis of its actuators; where there is none, another stands in.
+    kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -577,7 +577,7 @@ class CameraPart:
         self.tracker.reset()
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Do nothing: faults of the measurement act at the controller."""
+        """Do nothing, because faults of the measurement act at the controller."""
 
 
 class Eye:

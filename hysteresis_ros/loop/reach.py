@@ -22,7 +22,8 @@ files are experiments:
   stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work beyond it, as long as
   there is stroke left. Waveforms with jumps (square) are steps and not checked.
 - A response d samples late, d the relative degree, has an error of 2 sin(π f d Ts) of the amplitude. From
-  f = 1/(6 d Ts) on, standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
+  f = 1/(6 d Ts) on the error is larger than the amplitude. Only ``inverse_dynamics`` with its preview has no such
+  delay.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline simulation: a whole run as a recording; plants that differ from their models or drift; modes of the parts.
+"""Offline simulation: a run as a recording; plants that differ from their models or drift; modes of the parts.
 
 Each draw multiplies these by independent factors 1 + m u, u uniform in ±1: the gain, the loop width of the hysteresis
 (each model declares how, and further factors), the time scale of the linear dynamics and the rate of the creep. The
@@ -222,7 +222,7 @@ PARTS = {
     "compensator_mode": "compensator",
     "plant_mode": "plant",
 }
-#: Most lines of one part; a random fault makes thousands of short entries.
+#: Maximum number of lines per part; a random fault causes thousands of short intervals.
 MOST_LINES = 8
 
 
@@ -241,5 +241,5 @@ def mode_lines(recording: Recording) -> list[str]:
             lines.append(f"{part}: {name} from {first:.6g} to {last:.6g} s ({len(stretch)} samples)")
         if len(stretches) > MOST_LINES:
             counted = int(np.sum(modes != RUNNING))
-            lines.append(f"{part}: … {len(stretches)} such stretches, {counted} samples in all")
+            lines.append(f"{part}: … {len(stretches)} such intervals, {counted} samples in total")
     return lines or ["every part stayed in its normal mode"]

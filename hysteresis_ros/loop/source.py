@@ -125,10 +125,10 @@ class GeneratorSource:
         return np.full(samples, self.parameters.initial_setpoint)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Do nothing: no fault acts on a generator."""
+        """Do nothing, because no fault acts on a generator."""
 
     def stop(self) -> None:
-        """Hold the reference where it is."""
+        """Hold the reference at its present value."""
         self.generator.stop()
 
     def begin_at(self, position: float) -> None:

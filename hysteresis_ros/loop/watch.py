@@ -71,7 +71,7 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    Rejected are values that are not finite, that are not newer than the last one (``stamp``, their sample number), that
+    It rejects values that are not finite, that are not newer than the last one (``stamp``, their sample number), that
     jump too far, and those of a frozen sensor. After a time-out the next finite value is accepted, because nothing
     recent could contradict it.
     """

@@ -9,11 +9,11 @@
 
 """Models as blocks over plain arrays: hysteresis and dynamics of an actuator, their inverses, and sensors.
 
-Read :mod:`.block` (what a kernel and a block are), :mod:`.declaration` and one law of ``hysteresis/``, then
-:mod:`.actuator`, which puts hysteresis, :mod:`.creep` and :mod:`.linear` dynamics together, and :mod:`.compensator`,
-which inverts them. Friction, clamp and inchworm make the motor.
+Start with :mod:`.block` (kernels and blocks), :mod:`.declaration` and one law of ``hysteresis/``, then
+:mod:`.actuator`, which combines hysteresis, :mod:`.creep` and :mod:`.linear` dynamics, and :mod:`.compensator`, which
+inverts them. :mod:`.friction`, :mod:`.clamp` and :mod:`.inchworm` model the inchworm motor.
 
-The package itself has a class for each hysteresis model, whose constructor takes the parameters as keywords:
+The package has a class for each hysteresis model, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists them.
 """
 
@@ -29,7 +29,7 @@ def __getattr__(name: str) -> type[Hysteresis]:
     """Return the class of a hysteresis model; imported at the first use."""
     from hysteresis_ros.registry import find
 
-    # names of modules are asked for while they are imported
+    # Python also looks up names of modules here while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.models.classes import CLASSES

@@ -82,7 +82,7 @@ class ActuatorParameters(Parameters):
 
 @kernel
 def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
-    """Reading [m] of the sensor at the present sample; the true displacement stays in the sensor's state."""
+    """Reading [m] of the sensor at the present sample; the sensor's state keeps the true displacement."""
     displacement = linear_output(dynamics_p, dynamics_x) + sensor_p[PRELOAD]
     sensor_x[DISPLACEMENT] = displacement
     return sensor(sensor_p, sensor_x, displacement)
@@ -96,13 +96,13 @@ def actuator_measure(ps, xs):
 
 @nested
 def actuator_force(ps, xs):
-    """Force in the stack as its sensor reads it [N], NaN without one; once a sample, as :func:`actuator_measure`."""
+    """Return the reading of the force sensor [N], NaN without one; call it once per sample."""
     return force_reading(ps.force, xs.force, linear_output(ps.dynamics, xs.dynamics))
 
 
 @nested
 def actuator_advance(hysteresis, ps, xs, voltage):
-    """Hold ``voltage`` [V] until the next sample; returns the voltage that the amplifier really puts out [V]."""
+    """Hold ``voltage`` [V] until the next sample; return the output voltage of the amplifier [V]."""
     applied = limits(ps.limits, xs.limits, voltage)
     displacement = hysteresis(ps.hysteresis, xs.hysteresis, applied)
     crept = creep(ps.creep, xs.creep, displacement)
@@ -120,14 +120,14 @@ class Actuator(Chain):
     Parameters
     ----------
     parameters : ActuatorParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
 
     Raises
     ------
     ParameterError
-        Names every wrong parameter.
+        A parameter is wrong; the message names all that are.
     """
 
     def __init__(self, parameters: ActuatorParameters, sample_time: float):
@@ -140,7 +140,7 @@ class Actuator(Chain):
         self.sensor = Sensor(parameters.sensor, sample_time)
         p = np.append(self.sensor.p, parameters.preload.offset)
         x = np.append(self.sensor.x, 0.0)
-        self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views: the sensor's block stays usable
+        self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views, so that the sensor's block can be used
         force_p = pack_force(parameters.force_sensor, parameters.dynamics, self.sample_time)
         force_x = force_state(parameters.force_sensor)
         self.ps = ActuatorArrays(self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p, force_p)
@@ -149,7 +149,7 @@ class Actuator(Chain):
         self._settle()
 
     def _settle(self) -> None:
-        """Put creep and dynamics to rest at the voltage that the limits start from."""
+        """Set creep and dynamics to rest at the initial voltage of the limits."""
         start = self.hysteresis.step(self.limits.x[OUTPUT])
         rest = self.creep.settle(start)
         self.dynamics.settle(rest)
@@ -166,7 +166,7 @@ class Actuator(Chain):
         return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:
-        """Hold ``voltage`` [V] for one sample and return what the amplifier really put out [V]."""
+        """Hold ``voltage`` [V] for one sample and return the output voltage of the amplifier [V]."""
         return interpreted(actuator_advance)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
 
     @property
@@ -176,7 +176,7 @@ class Actuator(Chain):
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that the amplifier puts out."""
+        """Output voltage [V] of the amplifier."""
         return float(self.limits.x[OUTPUT])
 
     @property
@@ -185,19 +185,19 @@ class Actuator(Chain):
         return self.limits.saturated
 
     def reset(self) -> None:
-        """Return to rest: virgin hysteresis, noise from its start."""
+        """Return to rest, with the hysteresis in its initial state and the noise restarted."""
         for block in (self.limits, self.hysteresis, self.creep, self.dynamics, self.sensor):
             block.reset()
         self.xs.force[:] = force_state(self.parameters.force_sensor)
         self._settle()
 
     def retune(self, parameters: ActuatorParameters) -> None:
-        """Take new parameters of the same structure while running; the hysteresis goes on from the present point.
+        """Change parameters of the same structure while running; the hysteresis continues from the present point.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
+            The parameters are wrong or change the structure; nothing is changed then.
         """
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)

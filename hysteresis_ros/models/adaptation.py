@@ -9,25 +9,26 @@
 
 """Online adaptation of an inverse: recursive least squares on the weights of its model while the axis runs.
 
-The models in question are linear in their weights, displacement = Σ f_i w_i z_i: f_i is the factor on an identified
-weight w_i, z_i the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i of the voltage that was
-really put out goes through the model's creep, linear dynamics and delay, so that neither is taken for hysteresis; terms
-and measurement then through one and the same high-pass filter, so that neither an offset nor a drift is taken for gain.
-What is left is fitted by least squares that forget exponentially, over the samples k that were used [1]_:
+The models are linear in their weights, displacement = Σ f_i w_i z_i: f_i is the factor on an identified weight w_i, z_i
+the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i of the output voltage passes the model's
+creep, linear dynamics and delay, so that they are not identified as hysteresis. Terms and measurement then pass the
+same high-pass filter, so that an offset or a drift is not identified as gain. The factors are fitted by least squares
+with exponential forgetting, over the used samples k [1]_:
 
 minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)   within  1/range ≤ f_i ≤ range
 
-The normal equations are kept as they are, as running means of φ φ' and φ y: nothing is inverted, nothing can wind up.
-R = ε² P⁻¹ is what is believed beforehand (P: one factor common to all weights, one common to those that open the loops,
-and one of each): what a reference does not excite follows the rest, and forgets to it. The bounds keep weights
-above zero, so that there is an inverse. The minimum is followed by a sweep of coordinate descent a sample, which stays
-within the bounds and moves no factor faster than ``rate``. The displacement of the moment stays: the model's offset
-takes up what the weights would change, so that the voltage does not jump, and then follows what is slow.
+The normal equations are stored as running means of φ φ' and φ y: without an inversion nothing winds up. R = ε² P⁻¹ is
+the prior (P: a factor common to all weights, one common to those of the loop width, and one of each): weights that the
+reference does not excite follow the others and decay to them. The bounds keep weights above zero, so that an inverse
+exists. One sweep of coordinate descent per sample tracks the minimum, within the bounds and with at most ``rate`` per
+factor. The present displacement does not change: the model's offset compensates the change of the weights, so that the
+voltage does not jump, and then follows slow changes.
 
-Dead zones behind the sum bend it. Their thresholds go with the gain g = Σ f_i w_i / Σ w_i, so the displacement is
-homogeneous in f and by Euler's theorem the sum of its derivatives times f: those are the terms then.
+Dead zones behind the sum make it nonlinear. Their thresholds scale with the gain g = Σ f_i w_i / Σ w_i, so the
+displacement is homogeneous in f and, by Euler's theorem, the sum of its derivatives times f; these derivatives are then
+the terms.
 
-Which weights stand where the models say themselves (:class:`~hysteresis_ros.models.declaration.LinearTerms`).
+Each model declares the indices of its weights (:class:`~hysteresis_ros.models.declaration.LinearTerms`).
 
 References
 ----------
@@ -54,45 +55,45 @@ from hysteresis_ros.models.linear_algebra import product, solve
 TERMS = 0
 ZONES = 1
 CREEP_STATES = 2
-FILTER_STATES = 3  # of creep and dynamics together, a term
-SLOW_SHARE = 4  # of a sample in the slow parts, which the high-pass filter takes away
-KEPT_SHARE = 5  # of a sample in the running means
+FILTER_STATES = 3  # number of states of creep and dynamics per term
+SLOW_SHARE = 4  # weight of a sample in the slow parts, which the high-pass filter removes
+KEPT_SHARE = 5  # weight of a sample in the running means
 LARGEST_FACTOR = 6
-LARGEST_STEP = 7  # of a factor in a sample
+LARGEST_STEP = 7  # largest change of a factor per sample
 LEAST_POWER = 8  # [m²]
 STROKE = 9  # [m]
 SETTLING_SAMPLES = 10
-OUTPUT_PLACE = 11  # of the last output in the state of the model, and of the offset in its parameters; NOWHERE
+OUTPUT_PLACE = 11  # indices of the last output in the model's state and of the offset in its parameters; NOWHERE
 OFFSET_PLACE = 12
 OFFSET = 13  # identified [m]
-OFFSET_SHARE = 14  # of what is missing in the offset that it takes up in a sample
+OFFSET_SHARE = 14  # fraction of the offset's error corrected per sample
 OWN_PARAMETERS = 15
 
 # Layout of x.own.
 STATE = 0  # one of those below
-TOLD = 1  # 1 while told not to learn
+TOLD = 1  # 1 while a service has frozen it
 BEGUN = 2  # 1 after the first measurement
-WAIT = 3  # samples before anything is learned
+WAIT = 3  # samples before learning begins
 POWER = 4  # mean square of the modelled displacement behind the filter [m²]
-ERROR_POWER = 5  # mean square of what is left between measurement and model [m²]
+ERROR_POWER = 5  # mean square of measurement minus model [m²]
 LAST = 6  # last measurement [m]
 LAST_MODELLED = 7  # [m]
-UNUSABLE = 8  # measurements in a row that cannot be one
-GAIN = 9  # of all weights, against the identified ones
-MOVED = 10  # the offset, against the identified one [m]
-ZEROED = 11  # 1 once it is known from where the offset counts
-ZERO = 12  # what is measured where the displacement is zero [m]
+UNUSABLE = 8  # implausible measurements in a row
+GAIN = 9  # gain of all weights, relative to the identified ones
+MOVED = 10  # change of the offset from the identified one [m]
+ZEROED = 11  # 1 after the origin of the displacement is known
+ZERO = 12  # measurement at zero displacement [m]
 OWN_STATES = 13
 
-#: What adaptation does: there is none; the weights follow; frozen without excitation, by a service, because the axis is
-#: not running or has not for long, because range or slew rate cut the voltage.
+#: States of the adaptation: none; the weights adapt; frozen without excitation, by a service, because the axis does not
+#: run or has just started, or because range or slew rate limit the voltage.
 OFF, ADAPTING, UNEXCITED, FROZEN, WAITING, SATURATED = range(6)
 STATE_NAMES = (
     "off",
     "adapting",
     "frozen: no excitation",
-    "frozen: told to",
-    "frozen: the axis does not run, or has not for long",
+    "frozen: by a service",
+    "frozen: the axis does not run, or has just started",
     "frozen: the voltage is at a limit",
 )
 
@@ -101,7 +102,7 @@ class AdaptationSettings(NamedTuple):
     """Parameter arrays of an adaptation."""
 
     own: np.ndarray
-    places: np.ndarray  # of the weights in p, of what they multiply in x; of thresholds and slopes of zones in p
+    places: np.ndarray  # indices of weights in p, of what they multiply in x; of thresholds and slopes of zones in p
     nominal: np.ndarray  # identified weights, then thresholds
     prior: np.ndarray  # R, row by row [m²]
     dynamics: np.ndarray
@@ -113,15 +114,15 @@ class AdaptationStates(NamedTuple):
     own: np.ndarray
     factors: np.ndarray
     filters: np.ndarray  # creep and dynamics of each term, then of the offset
-    slow: np.ndarray  # slow part of each term, of the offset and of the measurement [m]
-    terms: np.ndarray  # behind the high-pass filter [m]
+    slow: np.ndarray  # slow parts of each term, of the offset and of the measurement [m]
+    terms: np.ndarray  # terms behind the high-pass filter [m]
     squares: np.ndarray  # running mean of φ φ', row by row [m²]
-    products: np.ndarray  # of φ y [m²]
+    products: np.ndarray  # running mean of φ y [m²]
 
 
 @kernel
 def bent(own, places, p, total, slope):
-    """Sum of the terms behind the dead zones [m]; with ``slope`` not 0 the slope there instead."""
+    """Return the sum of the terms behind the dead zones [m], or the slope there when ``slope`` is not 0."""
     terms, zones = int(own[TERMS]), int(own[ZONES])
     y, steepness = total, 1.0
     for j in range(zones):
@@ -134,14 +135,14 @@ def bent(own, places, p, total, slope):
 
 @kernel
 def signal(places, terms, x_h, voltage, i):
-    """What the i-th weight multiplies [V]."""
+    """Return the factor of the i-th weight [V]."""
     place = int(places[terms + i])
     return x_h[place] if place >= 0 else voltage
 
 
 @kernel
 def summed(own, places, p_h, x_h, voltage):
-    """Sum of all terms of the model before the dead zones [m]."""
+    """Return the sum of all terms of the model before the dead zones [m]."""
     terms = int(own[TERMS])
     total = 0.0
     for i in range(terms):
@@ -151,7 +152,7 @@ def summed(own, places, p_h, x_h, voltage):
 
 @called
 def drive(settings, states, creep_p, p_h, x_h, voltage):
-    """Send the terms of the model at the ``voltage`` [V] that is put out through creep and dynamics to the next sample.
+    """Advance the terms of the model through creep and dynamics by a sample, at the output ``voltage`` [V].
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
     weights = 0.0
     for i in range(terms):
         weights += p_h[int(places[i])]
-    # by how much the thresholds, which go with the gain, move the displacement
+    # change of the displacement by the thresholds, which scale with the gain
     shared = (bent(own, places, p_h, total, 0.0) - slope * total) / weights
     for i in range(terms):
         term = settings.nominal[i] * (slope * signal(places, terms, x_h, voltage, i) + shared)
@@ -186,7 +187,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
 
 @called
 def arrive(settings, states):
-    """Return what the terms make that have arrived at the sensor [m]: without what is slow in them, and whole."""
+    """Return the sum of the terms at the sensor [m], high-pass filtered and unfiltered."""
     own, slow, terms, factors = settings.own, states.slow, states.terms, states.factors
     count, creeping, length = int(own[TERMS]), int(own[CREEP_STATES]), int(own[FILTER_STATES])
     share, begun = own[SLOW_SHARE], states.own[BEGUN] != 0.0
@@ -210,9 +211,9 @@ def arrive(settings, states):
 
 @called
 def believe(settings, states, measured, modelled, whole):
-    """Note the displacement [m] that counts as measured, and tell whether it is one.
+    """Store the displacement [m] that counts as measured, and tell whether it is a measurement.
 
-    Where none was measured, or none that can be true, the model stands in, until it is the model that cannot be true.
+    The model replaces a missing or implausible measurement, until so many are implausible that the model must be wrong.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     level = int(own_p[TERMS]) + 1
@@ -232,7 +233,7 @@ def believe(settings, states, measured, modelled, whole):
 
 @called
 def move(settings, states, fast):
-    """Let products and squares of the terms take the measurement in [m], and lead the factors to what they say."""
+    """Update the running means by the measurement [m], and move the factors towards the minimum."""
     own, terms, factors = settings.own, states.terms, states.factors
     count, kept = int(own[TERMS]), own[KEPT_SHARE]
     for i in range(count):
@@ -253,16 +254,16 @@ def move(settings, states, fast):
 
 @called
 def learn(settings, states, measured, usable):
-    """Compare a measurement with the terms that have arrived, and move the factors; tell whether they have moved.
+    """Compare a measurement with the terms at the sensor, and move the factors; tell whether they have moved.
 
     Parameters
     ----------
     settings : AdaptationSettings
     states : AdaptationStates
     measured : float
-        [m]; NaN: there is none.
+        Measurement [m]; NaN: none.
     usable : float
-        0: learn nothing from this sample.
+        0: do not learn from this sample.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     count, share = int(own_p[TERMS]), own_p[SLOW_SHARE]
@@ -299,9 +300,9 @@ def learn(settings, states, measured, usable):
 
 @called
 def put_in(settings, states, p_h, x_h, voltage):
-    """Put the factors into the weights of the model, such that its output does not move for their sake.
+    """Write the factors into the weights of the model without a jump of its output.
 
-    The offset makes up for what they would change; the memory of the model stays.
+    The offset compensates their change; the memory of the model stays.
     """
     own, places, nominal = settings.own, settings.places, settings.nominal
     terms, zones, offset = int(own[TERMS]), int(own[ZONES]), int(own[OFFSET_PLACE])
@@ -329,7 +330,7 @@ def put_in(settings, states, p_h, x_h, voltage):
 
 @called
 def adapt(settings, states, p_h, x_h, voltage, measured, usable):
-    """Learn from a measurement, and put what was learned into the model; arguments as above.
+    """Learn from a measurement and update the model; arguments as above.
 
     One call, because a node makes it from Python.
     """
@@ -337,15 +338,15 @@ def adapt(settings, states, p_h, x_h, voltage, measured, usable):
         put_in(settings, states, p_h, x_h, voltage)
 
 
-#: Most weights that are adapted: what a sample costs grows with their square.
+#: Maximum number of adapted weights: the computing time grows with its square.
 MOST_WEIGHTS = 32
-#: Standard deviations believed beforehand: of the gain, of the opening, of each weight besides.
+#: Prior standard deviations: of the gain, of the loop width, and additionally of each weight.
 COMMON, OPENING, EACH = 0.3, 0.3, 1.0
-#: ε: what the model leaves unexplained, as a part of the stroke.
+#: ε: residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
-#: Time constants of the high-pass filter that have to pass after the axis was stopped, before anything is learned.
+#: Waiting time after a stop of the axis before learning, in time constants of the high-pass filter.
 SETTLING = 5.0
-#: Time constant with which the offset of the model follows what is slow, in those of the filter.
+#: Time constant with which the offset follows slow changes, in time constants of the filter.
 OFFSET_TIME = 10.0
 
 
@@ -365,36 +366,35 @@ class AdaptationParameters(Parameters):
         description="recursive: least squares on the weights of the model while the axis runs",
     )
     memory: float = parameter(
-        30.0, unit="s", low=1e-3, high=1e7, description="time of running after which a measurement is mostly forgotten"
+        30.0, unit="s", low=1e-3, high=1e7, description="running time after which a measurement is mostly forgotten"
     )
     range: float = parameter(
         2.0, low=1.0, high=10.0, description="largest factor on an identified weight; the smallest is its inverse"
     )
-    rate: float = parameter(0.02, unit="1/s", low=1e-9, high=10.0, description="how fast a factor may change at most")
+    rate: float = parameter(0.02, unit="1/s", low=1e-9, high=10.0, description="largest rate of change of a factor")
     excitation: float = parameter(
         0.005,
         low=1e-9,
         high=1.0,
-        description="RMS of the motion, as a part of the stroke, below which nothing is learned",
+        description="RMS of the motion, as a fraction of the stroke, below which the adaptation pauses",
     )
     slow: float = parameter(
-        0.5, unit="s", low=1e-4, high=1e5, description="what changes more slowly than this counts as offset and drift"
+        0.5, unit="s", low=1e-4, high=1e5, description="time constant above which changes count as offset and drift"
     )
     offset: str = parameter(
         "kept",
         choices=("kept", "measured"),
         read_only=True,
-        description="where the displacement counts from: from where the axis was when learning began, or from zero",
+        description="origin of the displacement: the position at which learning began, or zero",
     )
     zero: float = parameter(
-        0.0, unit="m", low=-1.0, high=1.0, read_only=True, description="what is measured where the displacement is zero"
+        0.0, unit="m", low=-1.0, high=1.0, read_only=True, description="measurement at zero displacement"
     )
     factors: tuple[float, ...] = parameter(
         (),
         low=0.0,
         read_only=True,
-        description="factors on identified weights that are in the weights given already, as ~/save writes them; "
-        "empty: all 1",
+        description="factors already included in the given weights, as ~/save writes them;  empty: all 1",
     )
     save_file: str = parameter(
         "", read_only=True, description="parameter file that ~/save writes; '': none", place="files"
@@ -438,9 +438,9 @@ class Adaptation(Chain):
     Parameters
     ----------
     parameters : AdaptationParameters
-        Of type recursive.
+        Parameters of type recursive.
     compensator : Compensator
-        Whose model it adapts; its parameters hold the factors already.
+        The compensator of the model; its parameters already include the factors.
 
     Attributes
     ----------
@@ -469,7 +469,7 @@ class Adaptation(Chain):
         self.reset()
 
     def _pack(self) -> None:
-        """Fill in the numbers that follow from parameters and identified model."""
+        """Compute the numbers that depend on parameters and identified model."""
         parameters, compensator, time = self.parameters, self.compensator, self.sample_time
         self.identified = self._given.changed(self._given.model.weighted(self._given.chosen, 1.0 / self._initial))
         model = hysteresis_block(self.identified, time)
@@ -502,26 +502,26 @@ class Adaptation(Chain):
 
     @property
     def gain(self) -> float:
-        """Present gain as a part of the identified one."""
+        """Present gain, relative to the identified one."""
         return float(self.xs.own[GAIN])
 
     @property
     def condition(self) -> int:
-        """What it does: one of ``recursive.STATE_NAMES``."""
+        """State of the adaptation: one of ``STATE_NAMES``."""
         return int(self.xs.own[STATE])
 
     @property
     def weighted(self) -> HysteresisParameters:
-        """The model with the weights of now; its offset is the identified one."""
+        """The model with the present weights and the identified offset."""
         return self.identified.changed(self.identified.model.weighted(self.identified.chosen, self.xs.factors.copy()))
 
     @property
     def hysteresis(self) -> HysteresisParameters:
-        """The model as it is now."""
+        """The present model."""
         return self.weighted.shifted(float(self.xs.own[MOVED]))
 
     def freeze(self) -> None:
-        """Learn nothing more."""
+        """Stop learning."""
         self.xs.own[TOLD] = 1.0
 
     def resume(self) -> None:
@@ -529,7 +529,7 @@ class Adaptation(Chain):
         self.xs.own[TOLD] = 0.0
 
     def forget(self) -> None:
-        """Take all factors for 1 again, and nothing for measured; the model's weights are somebody else's matter."""
+        """Reset all factors to 1 and clear the measurements; the caller resets the model's weights."""
         self.xs.factors[:] = 1.0
         self.xs.squares[:] = 0.0
         self.xs.products[:] = 0.0
@@ -538,14 +538,14 @@ class Adaptation(Chain):
         self._count_from_zero()
 
     def reset(self) -> None:
-        """Begin again at rest with the factors of the beginning."""
+        """Return to rest with the initial factors."""
         for x in self.xs:
             x[:] = 0.0
         self.xs.factors[:] = self._initial
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
         self._rest()
-        # wherever it rests, its past is not known
+        # its past is unknown
         self.xs.own[WAIT] = self.settings.own[SETTLING_SAMPLES]
         self._count_from_zero()
 
@@ -554,31 +554,31 @@ class Adaptation(Chain):
         self.xs.own[ZERO] = self.parameters.zero
 
     def _rest(self) -> None:
-        """Let creep and dynamics of each term be at rest where the compensator is."""
+        """Set creep and dynamics of each term to rest at the compensator's present state."""
         compensator, length = self.compensator, int(self.settings.own[FILTER_STATES])
         creep, block = Creep(compensator.creep.parameters, self.sample_time), compensator.hysteresis
         self.dynamics.settle(creep.settle(1.0))
         unit = np.concatenate([creep.x, self.dynamics.x])
         drive(self.settings, self.xs, creep.p, block.p, block.x, compensator.voltage)
         filters = self.xs.filters.reshape(-1, length)
-        # what has come through empty filters is the terms themselves, but for the feedthrough
+        # the output of empty filters is the terms themselves, except for the feedthrough
         terms = filters[:, len(creep.x) + HELD_INPUT] / creep.p[FEEDTHROUGH]
         filters[:] = terms[:, np.newaxis] * unit
 
     def retune(self, parameters: AdaptationParameters, hysteresis: HysteresisParameters) -> None:
-        """Take new settings; with another identified model the factors begin anew.
+        """Change the settings; with another identified model the factors restart.
 
         Parameters
         ----------
         parameters : AdaptationParameters
-            With dynamics of the same order.
+            Parameters with dynamics of the same order.
         hysteresis : HysteresisParameters
-            The model that was given.
+            The given model.
 
         Raises
         ------
         ParameterError
-            The dynamics are of another order; nothing is changed then.
+            The order of the dynamics differs; nothing is changed then.
         """
         self.dynamics.retune(parameters.dynamics)
         self.parameters = parameters

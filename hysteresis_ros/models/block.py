@@ -11,13 +11,13 @@
 
 A *kernel* is a function ``y = kernel(p, x, u)`` over contiguous float64 arrays: parameters ``p`` (read only), state
 ``x`` (updated in place), input ``u`` and output ``y`` scalars. Controllers are ``u = kernel(p, x, r, y)``. Kernels
-allocate nothing and know nothing of ROS. With Numba (optional extra ``fast``) the same source is compiled; without it
+allocate nothing and do not depend on ROS. With Numba (optional extra ``fast``) the same source is compiled; without it
 the same source runs as plain Python and agrees to 1e-12 of full scale.
 
 A *composite* connects kernels that it receives as arguments (plant, compensator, closed loop). Offline loops run it
-compiled; a node, which calls once per sample, runs its Python form over the compiled kernels, because handing
-functions to compiled code costs 25 µs a call and a compiled kernel 0.2 µs. Both forms do the same IEEE arithmetic in
-the same order, so their results are equal bit for bit.
+compiled; a node, which calls once per sample, runs its Python form with compiled kernels, because passing functions to
+compiled code costs 25 µs per call and a compiled kernel 0.2 µs. Both forms do the same IEEE arithmetic in the same
+order, so their results are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 
 
 def _leave_blas_for_later() -> None:
-    """Import what Numba imports for its first kernel, but for the linear algebra of SciPy.
+    """Import what Numba imports for its first kernel, except the linear algebra of SciPy.
 
-    Whether there is a BLAS Numba finds out by importing it, a seventh of the time in which a node starts, and no kernel
-    here uses one. A name that is taken answers the question; who does use a BLAS still imports it then.
+    Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of the start of a node, and no kernel
+    here uses one. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.
     """
     name = "scipy.linalg.cython_blas"
     if name in sys.modules:
         return
     sys.modules[name] = types.ModuleType(name)
     try:
-        # another Numba may have no such module: it imports what it wants when it wants it
+        # another version of Numba may lack this module
         with contextlib.suppress(ImportError):
             import numba.np.arraymath  # noqa: F401
     finally:
@@ -67,10 +67,10 @@ def _leave_blas_for_later() -> None:
 if COMPILED:
     _leave_blas_for_later()
 
-# Kernels allocate nothing, so nobody has to count references to their arrays: left on, the counting (atomic) costs a
-# small kernel up to nine tenths of its time. Off (`_nrt`), a kernel that allocates after all does not compile.
+# Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to nine
+# tenths of the time of a small kernel. Without it (`_nrt`), a kernel that allocates does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-# Within other code: without ways in from Python and from C, each of which would have a body of its own to compile.
+# Called by other compiled code only: without entry points from Python and C, which would each be compiled separately.
 _WITHIN: dict[str, Any] = {
     "error_model": "numpy",
     "_nrt": False,
@@ -82,10 +82,10 @@ _BY_PART: Any = {"forceinline": True, **_WITHIN}
 
 @contextlib.contextmanager
 def _cache_directory():
-    """Point Numba at a cache of this very source while a kernel is declared.
+    """Direct Numba to the cache of these sources while a kernel is declared.
 
-    Numba notices changes of the file a function stands in but not of the functions it calls, so a cache beside the
-    sources would serve stale code after an update; a folder named by a digest of all sources cannot.
+    Numba detects changes of a function's own file, but not of the functions it calls, so a cache beside the sources
+    would return stale code after an update. A folder named by a digest of all sources cannot.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         yield
@@ -107,7 +107,7 @@ CACHE_DAYS = 30
 
 @functools.cache
 def cache_folder() -> pathlib.Path:
-    """Return the folder of these sources' machine code; those of others that nobody used for long are removed."""
+    """Return the folder of these sources' machine code; unused folders of older sources are removed."""
     base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
     root = pathlib.Path(base) / "hysteresis_ros"
     package = pathlib.Path(__file__).parents[1]
@@ -116,33 +116,33 @@ def cache_folder() -> pathlib.Path:
         for path in sorted((package / folder).glob("*.py" if folder == "." else "**/*.py")):
             digest.update(path.read_bytes())
     chosen = root / digest.hexdigest()[:16]
-    # a cache is a convenience: where it cannot be tidied or touched, everything works all the same
+    # an optional clean-up: when it fails, nothing is lost
     with contextlib.suppress(OSError):
         oldest = time.time() - CACHE_DAYS * 86400
         for other in root.iterdir():
             if other != chosen and other.stat().st_mtime < oldest:
                 shutil.rmtree(other, ignore_errors=True)
     with contextlib.suppress(OSError):
-        root.mkdir(mode=0o700, parents=True, exist_ok=True)  # machine code: nobody else may put any there
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)  # machine code: no other user may write here
         os.utime(chosen)
     return chosen
 
 
 def kernel(function):
-    """Mark ``function`` as a kernel or composite: compiled on first use when Numba is there, unchanged otherwise."""
-    # inlined, because handing arrays (seven words each) from kernel to kernel costs more than a small kernel itself
+    """Mark ``function`` as a kernel or composite: compiled on first use with Numba, unchanged without it."""
+    # inlined, because passing arrays (seven words each) between kernels costs more than a small kernel itself
     return _in_two_forms(function, forceinline=True)
 
 
 def called(function):
-    """Mark a kernel that other kernels call rather than copy in: one that is long and seldom does much."""
+    """Mark a kernel that other kernels call instead of inlining it: a long one that seldom runs completely."""
     return _in_two_forms(function)
 
 
 def _in_two_forms(function, **options):
-    """Return a kernel as Python calls it and as it is handed over; where other kernels name it they get its other form.
+    """Return a kernel's form for Python and as an argument; other kernels that name it use its second form.
 
-    Each is compiled on first use: what only kernels call gets no ways in, and no file in the cache.
+    Each is compiled on first use: a kernel that only kernels call gets no entry points and no file in the cache.
     """
     if not COMPILED:
         return function
@@ -155,7 +155,7 @@ def _in_two_forms(function, **options):
 if COMPILED:
 
     class _Within(numba.types.Dispatcher):
-        """Type of a kernel that another one names: compiled once for all numbers that stand in its calls."""
+        """Type of a kernel that another one names: compiled once for all literal numbers in its calls."""
 
         def get_call_type(self, context, args, kws):
             unliteral = numba.types.unliteral
@@ -166,7 +166,7 @@ if COMPILED:
 
     @typeof_impl.register(type(numba.njit(lambda: None)))
     def _type_of_compiled(value, context):
-        """Type of a compiled function: where it stands in the source of another one, that of its form within."""
+        """Type of a compiled function: within the source of another one, that of its internal form."""
         within = getattr(value, "within", None) if context.purpose.name == "constant" else None
         return numba.types.Dispatcher(value) if within is None else _Within(within())
 
@@ -178,9 +178,9 @@ def nested(function):
     """
     if COMPILED:
         register_jitable(forceinline=True, **_WITHIN)(function)
-        # Numba copies a function that says this of itself into the one that names it. It is not compiled on its own
-        # before then, which level upon level, each with all below it, took a third of the time of a cold start. A Numba
-        # that does not look for it uses the form registered above.
+        # Numba inlines a function with this attribute. Without it each level would also be compiled on its own,
+        # including all levels below, a third of the time of a cold start. A version of Numba that ignores the attribute
+        # uses the form registered above.
         function.targetoptions, function.py_func = {"inline": "always"}, function
     return function
 
@@ -201,7 +201,7 @@ def by_part(function):
     choose.__name__ = choose.__qualname__ = function.__name__
     choose.__doc__, choose.__module__ = function.__doc__, function.__module__
     if COMPILED:
-        # not strict: the forms name their arguments as they like
+        # not strict: the forms may name their arguments differently
         @overload(choose, jit_options=_BY_PART, strict=False)
         def compiled_form(laws, part, row):
             return kinds[part.instance_class]
@@ -210,7 +210,7 @@ def by_part(function):
 
 
 def interpreted(function):
-    """Return the Python form of a kernel or composite, for callers that want no machine code."""
+    """Return the Python form of a kernel or composite."""
     return getattr(function, "py_func", function)
 
 
@@ -237,10 +237,10 @@ def specialised(function, *arguments, nogil: bool = False):
     function : function
         Plain function; it is compiled once for each combination of types and cached on disk.
     *arguments
-        What it will be called with: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`, and
-        functions that this function returned.
+        Arguments of its calls: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`, and functions
+        that this function returned.
     nogil : bool
-        Let other threads of Python run meanwhile.
+        Release Python's lock during the call.
     """
     if not COMPILED:
         return function
@@ -253,24 +253,24 @@ def specialised(function, *arguments, nogil: bool = False):
 
 
 def _type_of(argument):
-    """Return Numba's type of an argument; machine code that is handed over is a first-class function."""
+    """Return Numba's type of an argument; machine code passed as an argument is a first-class function."""
     if hasattr(argument, "nopython_signatures"):
         return numba.types.FunctionType(argument.nopython_signatures[0])
     return numba.typeof(argument)
 
 
 def _structure(argument):
-    """Return what decides on the type of an argument: classes of tuples and dimensions of arrays."""
+    """Return a key of the type of an argument: classes of tuples and dimensions of arrays."""
     if isinstance(argument, tuple):
         return type(argument), tuple(map(_structure, argument))
     return getattr(argument, "ndim", None) or type(argument)
 
 
 def signature(*names):
-    """Return the Numba signature made of words.
+    """Return the Numba signature from words.
 
-    The words: ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``; and
-    named tuples whose fields are all arrays.
+    The words are ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``;
+    and named tuples whose fields are all arrays.
     """
     scalar, array = numba.float64, numba.float64[::1]
     kinds = {
@@ -333,7 +333,7 @@ def run_kernel(step, p, x, u, y):
 
 
 class Chain:
-    """Several blocks that work as one; ``xs`` holds the state arrays of its parts."""
+    """Several blocks that work as one; ``xs`` contains the state arrays of its parts."""
 
     #: Named tuple of the state arrays of its parts.
     xs: Any
@@ -380,7 +380,7 @@ class Block:
 
     def pack(self, parameters) -> np.ndarray:
         """Return the kernel's parameter array."""
-        raise TypeError(f"{type(self).__name__} does not say how its parameters are packed")
+        raise TypeError(f"{type(self).__name__} does not define pack(), which packs its parameters")
 
     def initial_state(self) -> np.ndarray:
         """Return the kernel's state array at rest."""
@@ -391,7 +391,7 @@ class Block:
         return self.kernel(self.p, self.x, float(u))
 
     def simulate(self, u) -> np.ndarray:
-        """Return the output, shape (N,), for the inputs ``u``, shape (N,); the state goes on from where it was."""
+        """Return the output, shape (N,), for the inputs ``u``, shape (N,), from the present state on."""
         u = np.ascontiguousarray(u, dtype=np.float64)
         y = np.empty_like(u)
         compiled(run_kernel)(self.kernel, self.p, self.x, u, y)
@@ -411,7 +411,7 @@ class Block:
         self.x[:] = value
 
     def retune(self, parameters) -> None:
-        """Take new parameters of the same structure while running, without a jump in the output.
+        """Change parameters of the same structure while running, without a jump in the output.
 
         Raises
         ------

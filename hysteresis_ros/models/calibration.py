@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What lies between a driver and an axis: readings become displacements in m, voltages what an amplifier is told.
+"""Calibration between a driver and an axis: readings to displacements [m], voltages to values of an amplifier.
 
-A sensor: displacement = sign · scale · P(reading) + offset, an amplifier: value = P(sign · (voltage − offset) / scale).
-P is a polynomial in the driver's own unit that makes a straight line of the characteristic; a simulated plant needs
-none of it. A relative sensor counts from where it was homed.
+A sensor: displacement = sign · scale · P(reading) + offset; an amplifier: value = P(sign · (voltage − offset) / scale).
+P is a polynomial in the driver's unit that linearises the characteristic; a simulated plant needs no calibration. A
+relative sensor counts from the position at which it was homed.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import Block, kernel
 
-#: Most coefficients of a polynomial.
+#: Maximum number of coefficients of a polynomial.
 COEFFICIENTS = 8
 
-# Layout of a sensor's p; the polynomial's coefficients follow, from that of the constant on.
+# Layout of a sensor's p; the polynomial's coefficients follow, the constant first.
 SCALE, OFFSET, LOWEST, HIGHEST, RELATIVE, HOME, HOMING_SAMPLES, SENSOR_POLYNOMIAL = range(8)
 
-# Layout of a sensor's x: the last reading, readings so far beyond the range, what is subtracted [m], readings that
-# homing still waits for, their sum [m].
+# Layout of a sensor's x: the last reading, number of readings beyond the range, subtracted position [m], number of
+# readings still needed for homing, their sum [m].
 READING, BEYOND, ORIGIN, HOMING, SUM = range(5)
 SENSOR_STATES = 5
 
@@ -44,10 +44,10 @@ GAIN, ZERO, AMPLIFIER_POLYNOMIAL = range(3)
 
 @dataclass(frozen=True)
 class LineParameters(Parameters):
-    """What sensor and amplifier have in common."""
+    """Common parameters of sensor and amplifier."""
 
     sign: int = parameter(
-        1, low=-1, high=1, read_only=True, description="1, or -1 where a larger value means a smaller one"
+        1, low=-1, high=1, read_only=True, description="1, or -1 if the displacement falls with a rising value"
     )
     polynomial: tuple[float, ...] = parameter(
         (),
@@ -57,7 +57,7 @@ class LineParameters(Parameters):
     )
 
     def check(self) -> Iterator[Problem]:
-        """Yield what is inconsistent."""
+        """Yield a Problem for each inconsistency."""
         if self.sign == 0:
             yield Problem("sign", self.sign, "must be 1 or -1")
         if len(self.polynomial) > COEFFICIENTS:
@@ -68,16 +68,16 @@ class LineParameters(Parameters):
 
 @dataclass(frozen=True)
 class SensorCalibrationParameters(LineParameters):
-    """From the readings of a driver to displacements."""
+    """Conversion from the readings of a driver to displacements."""
 
-    unit: str = parameter("m", read_only=True, description="unit of the driver's readings, as it says itself")
+    unit: str = parameter("m", read_only=True, description="unit of the driver's readings, as the driver states it")
     scale: float = parameter(
         1.0,
         unit="m per unit",
         low=1.0e-15,
         high=1.0e6,
         read_only=True,
-        description="displacement that a reading stands for",
+        description="displacement per unit of the reading",
     )
     offset: float = parameter(
         0.0, unit="m", low=-10.0, high=10.0, read_only=True, description="displacement at a linearised reading of 0"
@@ -87,56 +87,58 @@ class SensorCalibrationParameters(LineParameters):
         low=-1.0e12,
         high=1.0e12,
         read_only=True,
-        description="lowest reading [unit] that is a measurement; with minimum = maximum = 0 every one is",
+        description="lowest valid reading [unit]; minimum = maximum = 0: all are valid",
     )
     maximum: float = parameter(
-        0.0, low=-1.0e12, high=1.0e12, read_only=True, description="highest reading [unit] that is a measurement"
+        0.0, low=-1.0e12, high=1.0e12, read_only=True, description="highest valid reading [unit]"
     )
     reference: str = parameter(
         "absolute",
         choices=("absolute", "relative"),
         read_only=True,
-        description="relative: the sensor knows changes only, the place at safe_voltage is `home`, found at the start "
-        "and by ~/home",
+        description="relative: the sensor measures changes only; homing, at the start and by ~/home, defines the "
+        "position at safe_voltage as `home`",
     )
     home: float = parameter(
-        0.0, unit="m", low=-10.0, high=10.0, read_only=True, description="relative: displacement where it was homed"
+        0.0, unit="m", low=-10.0, high=10.0, read_only=True, description="relative: displacement at the homing position"
     )
     homing_samples: int = parameter(
-        10, low=1, high=10**6, read_only=True, description="relative: readings whose mean is the place of home"
+        10, low=1, high=10**6, read_only=True, description="relative: number of readings averaged for homing"
     )
 
     @property
     def bounded(self) -> bool:
-        """Whether readings beyond a range are no measurements."""
+        """Whether readings have a valid range."""
         return self.minimum != 0.0 or self.maximum != 0.0
 
     def check(self) -> Iterator[Problem]:
-        """Yield what is inconsistent."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.unit != "m" and self.scale == 1.0:
-            remedy = f"is 1 m per {self.unit}: give the displacement that one {self.unit} of the sensor stands for"
+            remedy = f"is 1 m per {self.unit}: give the displacement per {self.unit} of the sensor"
             yield Problem("scale", self.scale, remedy)
         if self.bounded and not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum = {self.maximum:g} {self.unit}")
         elif len(self.polynomial) > 2 and not self.bounded:
-            yield Problem("maximum", self.maximum, "a polynomial needs the range of readings in which it holds")
+            yield Problem("maximum", self.maximum, "a polynomial needs the range of readings in which it is valid")
         else:
             yield from rising_problems(self.polynomial, self.minimum, self.maximum, self.unit)
 
 
 @dataclass(frozen=True)
 class AmplifierCalibrationParameters(LineParameters):
-    """From voltages at the actuator to what a driver is told."""
+    """Conversion from voltages at the actuator to values of a driver."""
 
-    unit: str = parameter("V", read_only=True, description="unit of what the driver is told, as it says itself")
+    unit: str = parameter(
+        "V", read_only=True, description="unit of the driver's output values, as the driver states it"
+    )
     scale: float = parameter(
         1.0,
         unit="V per unit",
         low=1.0e-12,
         high=1.0e9,
         read_only=True,
-        description="volts at the actuator for one unit that the driver is told: the gain of the amplifier",
+        description="voltage at the actuator per unit of the driver's value: the gain of the amplifier",
     )
     offset: float = parameter(
         0.0,
@@ -144,40 +146,38 @@ class AmplifierCalibrationParameters(LineParameters):
         low=-1.0e4,
         high=1.0e4,
         read_only=True,
-        description="voltage at the actuator when the driver is told 0",
+        description="voltage at the actuator at the driver's value 0",
     )
 
     def check(self) -> Iterator[Problem]:
-        """Yield what is inconsistent."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.unit != "V" and self.scale == 1.0:
-            yield Problem(
-                "scale", self.scale, f"is 1 V per {self.unit}: give the volts that one {self.unit} stands for"
-            )
+            yield Problem("scale", self.scale, f"is 1 V per {self.unit}: give the volts per {self.unit}")
 
 
 @dataclass(frozen=True)
 class CalibrationParameters(Parameters):
-    """What the values of a driver mean; without a driver it has no effect."""
+    """Calibration of a driver's values; it has no effect without a driver."""
 
     sensor: SensorCalibrationParameters = group(SensorCalibrationParameters)
     amplifier: AmplifierCalibrationParameters = group(AmplifierCalibrationParameters)
 
 
 def rising_problems(coefficients: tuple[float, ...], low: float, high: float, unit: str) -> Iterator[Problem]:
-    """Yield a Problem when a polynomial does not rise everywhere from ``low`` to ``high``.
+    """Yield a Problem unless a polynomial rises everywhere from ``low`` to ``high``.
 
     Parameters
     ----------
     coefficients : tuple of float
-        From that of the constant on; none: the polynomial is the value itself.
+        Coefficients, the constant first; empty: the polynomial is the value itself.
     low, high : float
         Range of the value [unit].
     unit : str
     """
     if not coefficients:
         return
-    with np.errstate(all="ignore"):  # what overflows does not rise
+    with np.errstate(all="ignore"):  # an overflow counts as not rising
         slope: Any = np.polynomial.Polynomial(coefficients).deriv()
         places = np.array([low, high, *_turns(slope, low, high)])
         slopes = np.nan_to_num(slope(places), nan=-np.inf)
@@ -185,16 +185,16 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
     if not slopes[worst] > 0.0:
         remedy = (
             f"must rise everywhere from {low:g} to {high:g} {unit}, and has the slope {slopes[worst]:.3g} at "
-            f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; a direction is what sign is for"
+            f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; give a direction by sign"
         )
         yield Problem("polynomial", coefficients, remedy)
 
 
 def _turns(slope: Any, low: float, high: float) -> list[float]:
-    """Return where a polynomial turns between two places."""
+    """Return the extrema of a polynomial between two values."""
     if not low < high:
         return []
-    # in a variable from -1 to 1 coefficients of any unit can be compared: what is nothing beside others is left out
+    # in a variable from -1 to 1 coefficients are comparable: negligible ones are left out
     curve = slope.deriv().convert(domain=[low, high])
     largest = np.max(np.abs(curve.coef))
     if not np.isfinite(largest):
@@ -205,7 +205,7 @@ def _turns(slope: Any, low: float, high: float) -> list[float]:
 
 @kernel
 def evaluated(p, first, value):
-    """Return the polynomial whose coefficients stand in ``p`` from ``first`` on, at ``value``."""
+    """Return the polynomial with the coefficients ``p[first:]`` at ``value``."""
     result = 0.0
     for i in range(COEFFICIENTS - 1, -1, -1):
         result = result * value + p[first + i]
@@ -214,7 +214,7 @@ def evaluated(p, first, value):
 
 @kernel
 def sensor_displacement(p, x, reading):
-    """Displacement [m] of a reading; NaN where it is no measurement, and while a relative sensor is homed."""
+    """Return the displacement [m] of a reading; NaN if it is not valid, and while a relative sensor is homed."""
     x[READING] = reading
     if reading != reading:
         return math.nan
@@ -233,7 +233,7 @@ def sensor_displacement(p, x, reading):
 
 @kernel
 def amplifier_value(p, voltage):
-    """Return what a driver is told for a voltage [V] at the actuator."""
+    """Return the driver's value for a voltage [V] at the actuator."""
     return evaluated(p, AMPLIFIER_POLYNOMIAL, (voltage - p[ZERO]) * p[GAIN])
 
 
@@ -243,7 +243,7 @@ def _padded(coefficients: tuple[float, ...]) -> np.ndarray:
 
 
 class SensorCalibration(Block):
-    """Turns the readings of a driver into displacements [m].
+    """Converts the readings of a driver to displacements [m].
 
     Parameters
     ----------
@@ -263,14 +263,14 @@ class SensorCalibration(Block):
         return np.concatenate([numbers, _padded(parameters.polynomial)])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (5,); a relative sensor still has to be homed."""
+        """Return x, shape (5,); a relative sensor is not homed yet."""
         x = np.zeros(SENSOR_STATES)
         x[READING] = math.nan
         x[HOMING] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0
         return x
 
     def begin_homing(self) -> None:
-        """Take the next readings of a relative sensor for those at home; of an absolute one nothing."""
+        """Home a relative sensor at its next readings; an absolute one is not changed."""
         self.x[HOMING], self.x[SUM] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0, 0.0
 
     @property
@@ -280,19 +280,19 @@ class SensorCalibration(Block):
 
     @property
     def complaint(self) -> str:
-        """What is wrong with the last reading; empty: nothing."""
+        """Error of the last reading; empty: none."""
         reading, low, high = self.x[READING], self.p[LOWEST], self.p[HIGHEST]
         if math.isnan(reading) or low <= reading <= high:
             return ""
         unit, count = self.parameters.unit, int(self.x[BEYOND])
         return (
             f"the sensor reads {reading:.6g} {unit}, beyond calibration.sensor.minimum … maximum = {low:g} … {high:g} "
-            f"{unit}: no measurement ({count} so far); look at the sensor, its cable and its range"
+            f"{unit}: no measurement ({count} so far); check the sensor, its cable and its range"
         )
 
 
 class AmplifierCalibration:
-    """Turns voltages at the actuator into what a driver is told.
+    """Converts voltages at the actuator to values of a driver.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class AmplifierCalibration:
     Attributes
     ----------
     p : ndarray, shape (10,)
-        What :func:`amplifier_value` takes.
+        Parameters of :func:`amplifier_value`.
     """
 
     def __init__(self, parameters: AmplifierCalibrationParameters):
@@ -310,23 +310,23 @@ class AmplifierCalibration:
         self.p = np.concatenate([line, _padded(parameters.polynomial)])
 
     def value(self, voltage: float) -> float:
-        """Return what the driver is told for a voltage [V] at the actuator."""
+        """Return the driver's value for a voltage [V] at the actuator."""
         return amplifier_value(self.p, float(voltage))
 
     def require_range(self, low: float, high: float, prefix: str) -> None:
-        """Check that the polynomial rises between these voltages [V].
+        """Raise ParameterError unless the polynomial rises between these voltages [V].
 
         Parameters
         ----------
         low, high : float
             [V]
         prefix : str
-            Put before the name of the parameter.
+            Prefix of the name of the parameter.
 
         Raises
         ------
         ParameterError
-            It does not: one value would stand for several voltages.
+            The polynomial does not rise: one value would belong to several voltages.
         """
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))

@@ -9,8 +9,8 @@
 
 """Clamp of an inchworm motor: a normally open piezo that presses on the slider.
 
-voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) with the stiffness
-K of clamp and contact together and the wear factor w; friction holds up to μ_s N and slides with μ_k N.
+voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) with the combined
+stiffness K of clamp and contact and the wear factor w. Static friction holds up to μ_s N, sliding friction is μ_k N.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
 
 # Layout of ps.contact, behind the sensor's own parameters.
 GAP = 3  # [m]
-STIFFNESS = 4  # [N/m], the wear factor in it
+STIFFNESS = 4  # [N/m], including the wear factor
 STATIC = 5  # coefficients of friction
 KINETIC = 6
 
@@ -51,7 +51,7 @@ class ClampArrays(NamedTuple):
     contact: np.ndarray
 
 
-#: Samples of 1 ms in which a hysteresis model with dynamics of its own comes to rest.
+#: Samples of 1 ms in which a hysteresis model with internal dynamics comes to rest.
 RESTING_SAMPLES = 20000
 
 
@@ -72,7 +72,7 @@ class SecondOrderParameters(Parameters):
 
 @dataclass(frozen=True)
 class LagParameters(Parameters):
-    """Lag of a clamp: amplifier and mechanics together."""
+    """Lag of a clamp, of amplifier and mechanics together."""
 
     type: str = parameter(
         "first_order", choices=("first_order", "second_order"), description="order of the lag", read_only=True
@@ -102,7 +102,7 @@ class LagParameters(Parameters):
     def settling_time(self, tolerance: float = 0.02) -> float:
         """Return the time [s] after a step beyond which the lag stays within ``tolerance`` of the step.
 
-        Exact without overshoot; for a damping below 1 the time at which the envelope is there.
+        Exact without overshoot; for a damping below 1 the settling time of the envelope.
         """
         if self.type == "first_order":
             return -self.first_order.time_constant * elementary.log(tolerance)
@@ -149,7 +149,7 @@ class ClampParameters(Parameters):
     )
     kick: float = parameter(
         0.0,
-        description="how far the closing clamp pushes the contact along the travel, for each newton it presses with",
+        description="motion of the contact along the travel per newton of normal force, as the clamp closes",
         unit="m/N",
         low=-1e-6,
         high=1e-6,
@@ -159,12 +159,12 @@ class ClampParameters(Parameters):
     sensor: SensorParameters = group(SensorParameters)
 
     def check(self):
-        """Yield what does not fit: friction that grows by sliding, clamps that never grip or never open."""
+        """Yield a Problem for kinetic above static friction, and for a clamp that never grips or never opens."""
         if self.kinetic_friction > self.static_friction:
             remedy = f"must not be above static_friction = {self.static_friction:g}"
             yield Problem("kinetic_friction", self.kinetic_friction, remedy)
         if self.kick != 0.0 and not self.compliance > 0.0:
-            yield Problem("kick", self.kick, "needs a contact that gives way: set compliance, e.g. 2e-8 m/N")
+            yield Problem("kick", self.kick, "needs a compliant contact: set compliance, e.g. 2e-8 m/N")
         low, high = self.limits.minimum, self.limits.maximum
         if not low <= self.initial_voltage <= high:
             remedy = f"must lie within limits.minimum … limits.maximum = {low:g} … {high:g} V"
@@ -181,19 +181,19 @@ class ClampParameters(Parameters):
             yield Problem("gap", self.gap, remedy)
 
     def _displacements(self, voltages) -> list[float]:
-        """Return the displacement [m] at rest under each of the voltages [V], gone through one after the other."""
+        """Return the displacement [m] at rest at each of the voltages [V], applied one after the other."""
         block = hysteresis_block(self.hysteresis, 1e-3)
         low, high = self.limits.minimum, self.limits.maximum
         limited = [min(max(voltage, low), high) for voltage in voltages]
         if block.rate_independent:
             return [float(block.step(voltage)) for voltage in limited]
-        # a model with dynamics of its own is given time to come to rest
+        # a model with internal dynamics needs time to come to rest
         return [float(block.simulate(np.full(RESTING_SAMPLES, voltage))[-1]) for voltage in limited]
 
     def normal_force(self, voltage: float) -> float:
         """Return the normal force [N] at rest at ``voltage`` [V].
 
-        Of the first closing and of one after opening fully (hysteresis): the smaller.
+        The smaller one of the first closing and of a closing after full opening (hysteresis).
         """
         low = self.limits.minimum
         displacement = min(self._displacements((voltage, low, voltage))[::2])
@@ -206,7 +206,7 @@ class ClampParameters(Parameters):
     def settling_time(self, tolerance: float = 0.02) -> float:
         """Return the time [s] after which the displacement stays within ``tolerance`` of a step of the voltage.
 
-        With a slew rate, the time over the whole range is added: an upper bound.
+        With a slew rate it includes the time over the whole range, as an upper bound.
         """
         slew = self.limits.slew_rate
         ramp = (self.limits.maximum - self.limits.minimum) / slew if slew > 0.0 else 0.0
@@ -258,8 +258,10 @@ class Clamp(Chain):
         return np.array([parameters.gap, parameters.stiffness * parameters.wear, *friction])
 
     def _settle(self) -> None:
-        """Put everything to rest at the initial voltage."""
-        self.limits.x[UNQUANTISED] = self.parameters.initial_voltage  # from there, so that a slew rate does not act
+        """Set all states to rest at the initial voltage."""
+        self.limits.x[UNQUANTISED] = (
+            self.parameters.initial_voltage
+        )  # initial value, so that the slew rate does not act
         start = self.hysteresis.step(self.limits.step(self.parameters.initial_voltage))
         self.limits.x[FLAGS] = 0.0
         self.lag.settle(start)
@@ -291,20 +293,20 @@ class Clamp(Chain):
         return float(self.limits.x[OUTPUT])
 
     def reset(self) -> None:
-        """Return to rest at the initial voltage: virgin hysteresis, noise from its start."""
+        """Return to rest at the initial voltage, with the hysteresis in its initial state and the noise restarted."""
         for block in (self.limits, self.hysteresis, self.lag, self.sensor):
             block.reset()
         self._settle()
 
     def check_retune(self, parameters: ClampParameters) -> None:
-        """Raise ParameterError when ``parameters`` cannot be taken while running."""
+        """Raise ParameterError when ``parameters`` cannot change while running."""
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         if parameters.lag.type != self.parameters.lag.type:
             remedy = f"is fixed while running: keep {self.parameters.lag.type}"
             raise ParameterError([Problem("lag.type", parameters.lag.type, remedy)])
 
     def retune(self, parameters: ClampParameters) -> None:
-        """Take new parameters of the same structure while running; the displacement goes on from where it is.
+        """Change parameters of the same structure while running; the displacement does not jump.
 
         Raises
         ------

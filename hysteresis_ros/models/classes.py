@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis models for notebooks: ``hr.models.BoucWen(d_e=…, alpha=…)``, a class for each model there is."""
+"""The hysteresis models for notebooks: ``hr.models.BoucWen(d_e=…, alpha=…)``, one class per model."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
         Returns
         -------
         Hysteresis
-            At rest.
+            The model, at rest.
         """
         return cls(MODELS[cls.type].example, sample_time=sample_time)
 
     def simulate(self, u: ArrayLike) -> np.ndarray:
-        """Return the displacement under a voltage; the state goes on from where it was.
+        """Return the displacement for a voltage; the state continues from the previous call.
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            The voltage is no one-dimensional array of numbers.
+            The voltage is not a one-dimensional array of numbers.
         """
         return super().simulate(samples("voltage", u))
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis compensator: from the wanted displacement to the voltage, what that carries out, and what it can reach."""
+"""Hysteresis compensator: from the commanded displacement to the voltage and the achieved command; its range."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ class CompensatorArrays(NamedTuple):
 
 
 # Layout of xs.out.
-APPLIED = 0  # displacement that the limited voltage carries out [m]
-BIAS = 1  # voltage that keeps the output from jumping at a retune, dying out [V]
+APPLIED = 0  # achieved command: displacement of the model at the limited voltage [m]
+BIAS = 1  # decaying voltage that prevents a jump of the output at a retune [V]
 COMMAND = 2  # last command [m]
 
 # Layout of ps.out.
-DECAY = 0  # of the bias, a sample
+DECAY = 0  # decay of the bias per sample
 
-#: A bias below this is nothing [V].
+#: A bias below this is set to zero [V].
 NEGLIGIBLE_BIAS = 1e-9
 
-#: ``general`` searches this part of the range of the limits beyond its ends, so that saturation shows.
+#: Fraction of the limits' range by which ``general`` searches beyond its ends, so that saturation is detected.
 SEARCH_MARGIN = 0.1
 
 
@@ -75,7 +75,10 @@ class CompensatorParameters(Parameters):
     limits: LimitsParameters = group(LimitsParameters)
     safe_voltage: float = parameter(0.0, description="voltage at stop, exit and after lost commands", unit="V")
     handover_time: float = parameter(
-        0.1, description="time constant with which the old voltage gives way after new parameters", unit="s", low=0.0
+        0.1,
+        description="time constant with which the old voltage fades out after a change of parameters",
+        unit="s",
+        low=0.0,
     )
 
     def check(self):
@@ -89,7 +92,7 @@ class CompensatorParameters(Parameters):
 
 @nested
 def compensator_hold(hysteresis, ps, xs, voltage):
-    """Put out ``voltage`` [V] as far as the limits allow, let the model follow, and return what is put out [V]."""
+    """Output ``voltage`` [V] within the limits, advance the model, and return the output [V]."""
     limited = limits(ps.limits, xs.limits, voltage)
     xs.out[APPLIED] = creep(ps.creep, xs.creep, hysteresis(ps.hysteresis, xs.hysteresis, limited))
     return limited
@@ -97,7 +100,7 @@ def compensator_hold(hysteresis, ps, xs, voltage):
 
 @nested
 def compensator_step(hysteresis, inverse, ps, xs, command):
-    """Voltage [V] for the displacement ``command`` [m]; what is really carried out is left in ``xs.out[APPLIED]``.
+    """Return the voltage [V] for the displacement ``command`` [m]; ``xs.out[APPLIED]`` is the achieved command.
 
     ``ps`` and ``xs`` are :class:`CompensatorArrays`.
     """
@@ -117,7 +120,7 @@ def compensator_step(hysteresis, inverse, ps, xs, command):
 
 @nested
 def compensator_resume(hysteresis, inverse, ps, xs, command):
-    """Let the next voltage for ``command`` [m] go on from the present one; the difference becomes the bias."""
+    """Continue the next voltage for ``command`` [m] from the present one; the difference becomes the bias."""
     out, limited = xs.out, xs.limits
     out[COMMAND] = command
     out[BIAS] = 0.0
@@ -144,9 +147,9 @@ def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
 def inverse_step(inverse):
     """Return an inverse for calls from Python, once per sample, with the arguments of every inverse.
 
-    Handed over from Python, a kernel would become part of the type of what is called: machine code would be made anew
-    in every process, and Numba cannot keep it in its cache. So an inverse that tries the kernel gets it as a
-    first-class function, and a closed form a number in its place.
+    A kernel passed from Python would become part of the called function's type: it would be compiled again in every
+    process, because Numba cannot cache that. So an inverse that evaluates the kernel gets it as a first-class function,
+    and a closed form gets a number in its place.
     """
     if tries_model(inverse):
         return compiled(inverse)
@@ -220,13 +223,13 @@ class Compensator(Chain):
             self.xs.inverse[: len(own.x)] = own.x
 
     def step(self, command: float) -> float:
-        """Return the voltage [V] for the displacement ``command`` [m] wanted from the hysteresis element."""
+        """Return the voltage [V] for the displacement ``command`` [m] of the hysteresis element."""
         return interpreted(compensator_step)(
             self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command)
         )
 
     def simulate(self, commands) -> np.ndarray:
-        """Return the voltages [V], shape (N,), for displacements [m]; the state goes on from where it was."""
+        """Return the voltages [V], shape (N,), for displacements [m]; the state continues from the previous call."""
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         voltages = np.empty_like(commands)
         if tries_model(interpreted(self.inverse_kernel)):
@@ -238,7 +241,7 @@ class Compensator(Chain):
         return voltages
 
     def hold(self, voltage: float) -> float:
-        """Put out a given voltage [V] within the limits, e.g. the safe one; the model follows it."""
+        """Output a given voltage [V] within the limits, e.g. the safe one; the model follows it."""
         return interpreted(compensator_hold)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
 
     @property
@@ -248,12 +251,12 @@ class Compensator(Chain):
 
     @property
     def applied(self) -> float:
-        """Displacement [m] that the model carries out at the voltage that was put out last."""
+        """Displacement [m] of the model at the last output voltage."""
         return float(self.xs.out[APPLIED])
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that was put out last."""
+        """Last output voltage [V]."""
         return float(self.limits.x[OUTPUT])
 
     @property
@@ -262,7 +265,7 @@ class Compensator(Chain):
         return self.limits.saturated
 
     def reset(self) -> None:
-        """Return to rest, with a model that never saw a voltage."""
+        """Return to rest, with the model in its initial state."""
         self.limits.reset()
         self.hysteresis.reset()
         self._settle()
@@ -270,8 +273,8 @@ class Compensator(Chain):
     def retune(self, parameters: CompensatorParameters) -> None:
         """Take new parameters of the same structure while running, without a jump in the voltage.
 
-        The model goes on from the present point (``rebase``). What the new inverse would still change in the voltage
-        for the last command is kept as a bias that dies out with ``handover_time``.
+        The model continues from the present point (``rebase``). The remaining change of the voltage for the last
+        command becomes a bias that decays with ``handover_time``.
 
         Raises
         ------
@@ -292,9 +295,9 @@ class Compensator(Chain):
         self.resume(self.xs.out[COMMAND])
 
     def resume(self, command: float) -> None:
-        """Let the next voltage for ``command`` [m] go on from the present one, e.g. the safe one after :meth:`hold`.
+        """Continue the next voltage for ``command`` [m] from the present one, e.g. the safe one after :meth:`hold`.
 
-        The difference dies out with ``handover_time``.
+        The difference decays with ``handover_time``.
         """
         interpreted(compensator_resume)(self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command))
 
@@ -315,7 +318,7 @@ def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_tim
 
 @lru_cache(maxsize=8)
 def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
-    """Return voltages [V] from zero to one end, through all of the range and back, for each end."""
+    """Return voltages [V] from zero to one end, through the whole range and back, for each end."""
     start = min(max(0.0, low), high)
     return tuple(
         np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
@@ -324,7 +327,7 @@ def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
 
 
 def reachable_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] that the compensator can carry out at rest.
+    """Return the smallest and largest displacement [m] that the compensator can reach at rest.
 
     Parameters
     ----------
@@ -338,10 +341,10 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 
 
 def commandable(compensator: CompensatorParameters, sample_time: float, *amplifiers: LimitsParameters):
-    """Return the smallest and largest displacement [m] that anybody should ask the compensator for.
+    """Return the smallest and largest useful command [m] of the compensator.
 
-    One stroke beyond its ends on either side: quick steps and inverse dynamics ask for more than is reached, for a
-    moment; beyond this nothing changes any more in the voltage.
+    It is one stroke beyond its range on either side: fast steps and inverse dynamics briefly need more than the range;
+    beyond this the voltage no longer changes.
 
     Parameters
     ----------
@@ -350,7 +353,7 @@ def commandable(compensator: CompensatorParameters, sample_time: float, *amplifi
     sample_time : float
         Sample time [s].
     *amplifiers : LimitsParameters
-        Limits to which those of the compensator may be widened while the axis runs.
+        Limits to which a user may widen those of the compensator while the axis runs.
     """
     ranges = compensator.limits, *amplifiers
     widest = LimitsParameters(
@@ -369,14 +372,7 @@ def _reached(hysteresis: HysteresisParameters, limits: LimitsParameters, sample_
 
 
 def resting_displacements(actuator: ActuatorParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] at which the actuator rests, preload included, creep not.
-
-    Parameters
-    ----------
-    actuator : ActuatorParameters
-    sample_time : float
-        Sample time [s].
-    """
+    """Return the smallest and largest displacement [m] of the actuator at rest, with preload, without creep."""
     dynamics = actuator.dynamics
     gain = dynamics.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
     ends = [gain * end for end in _reached(actuator.hysteresis, actuator.limits, sample_time)]

@@ -45,15 +45,15 @@ MARGIN = 2.0
 class LogarithmicCreepParameters(Parameters):
     """Creep ΔL (1 + γ lg(t/t_0)) after a step."""
 
-    rate: float = parameter(description="γ: creep a decade of time, as a part of the step", low=0.0, high=0.2)
+    rate: float = parameter(description="γ: creep per decade of time, as a fraction of the step", low=0.0, high=0.2)
     reference_time: float = parameter(
-        0.1, description="t_0: time after a step at which the step counts", unit="s", low=1e-6
+        0.1, description="t_0: time after a step at which its response is defined as 1", unit="s", low=1e-6
     )
     longest_time: float = parameter(1000.0, description="time up to which the law holds", unit="s", low=1e-6)
     operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
 
     def check(self):
-        """Yield a Problem when the time range is empty or the law leaves nothing for the step itself."""
+        """Yield a Problem when the time range is empty or no immediate step remains."""
         if self.longest_time <= self.reference_time:
             remedy = f"must be above reference_time = {self.reference_time:g} s"
             yield Problem("longest_time", self.longest_time, remedy)
@@ -62,7 +62,7 @@ class LogarithmicCreepParameters(Parameters):
         """Return the feedthrough d, the weights a and the time constants τ [s]."""
         per_decade = self.operators_per_decade
         decades = math.log10(self.longest_time / self.reference_time) + 2.0 * MARGIN
-        # rounded, so that the last digit of a logarithm does not decide whether there is one operator more
+        # rounded, so that the last digit of a logarithm does not change the number of operators
         places = [i / per_decade - MARGIN for i in range(math.ceil(round(decades * per_decade, 9)) + 1)]
         time_constants = np.array([self.reference_time * elementary.pow(10.0, place) for place in places])
         weights = np.full(len(places), self.rate / per_decade)
@@ -74,7 +74,7 @@ class LogarithmicCreepParameters(Parameters):
 class CreepOperatorsParameters(Parameters):
     """Creep as a free sum of first-order operators."""
 
-    weights: tuple[float, ...] = parameter(description="weights a, as parts of the step")
+    weights: tuple[float, ...] = parameter(description="weights a, as fractions of the step")
     time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
 
     def check(self):
@@ -89,7 +89,7 @@ class CreepOperatorsParameters(Parameters):
 
 @dataclass(frozen=True)
 class CreepParameters(Parameters):
-    """Kind of creep and its numbers."""
+    """Type of creep and its parameters."""
 
     type: str = parameter(
         "none", choices=("none", "logarithmic", "operators"), description="law of the creep", read_only=True
@@ -105,22 +105,22 @@ class CreepParameters(Parameters):
 
     @property
     def structure(self) -> dict[str, int | str]:
-        """What cannot change while running."""
+        """Structure that cannot change while running."""
         return {"creep.type": self.type, "number of creep operators": len(self.resolved()[1])}
 
     def check(self):
-        """Yield a Problem when too little of the step comes at once for an inverse."""
+        """Yield a Problem when the immediate part of a step is too small for an inverse."""
         feedthrough, weights, _ = self.resolved()
         if feedthrough <= 0.0:
-            remedy = f"leaves {feedthrough:.3g} of the step at once; lower the rate or the time range"
+            remedy = f"leaves {feedthrough:.3g} of a step as the immediate part; lower the rate or the time range"
             yield Problem("logarithmic.rate", self.logarithmic.rate, remedy)
         elif feedthrough + min(np.cumsum(weights), default=0.0) <= 0.0:
-            yield Problem("operators.weights", self.operators.weights, "takes back the whole step; lower the weights")
+            yield Problem("operators.weights", self.operators.weights, "cancels the whole step; lower the weights")
 
 
 @kernel
 def crept(p, x):
-    """Sum Σ a z of the operators: what creep adds to the output at this sample [m]."""
+    """Return the sum Σ a z of the operators, the creep in the output at this sample [m]."""
     count = int(p[OPERATORS])
     total = 0.0
     for i in range(count):
@@ -165,13 +165,13 @@ class Creep(Block):
         return np.zeros(OPERATOR + int(self.p[OPERATORS]))
 
     def settle(self, u: float) -> float:
-        """Put the operators to rest under the displacement ``u`` [m] and return the output [m]."""
+        """Set the operators to rest at the displacement ``u`` [m] and return the output [m]."""
         self.x[OPERATOR:] = u
         self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + interpreted(crept)(self.p, self.x)
         return float(self.x[OUTPUT])
 
     def retune(self, parameters: CreepParameters) -> None:
-        """Take new weights and time constants while running; the operators keep their values.
+        """Change weights and time constants while running; the operators keep their values.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Creep(Block):
 def creep_inverse(p, x, y):
     """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is left as it is.
 
-    Exact at the samples. The model advances by what is really carried out. Without operators the result is ``y``, bit
+    Exact at the samples. The model advances by the achieved displacement. Without operators the result is ``y``, bit
     for bit.
     """
     return (y - crept(p, x)) / p[FEEDTHROUGH]

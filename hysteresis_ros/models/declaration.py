@@ -7,13 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a hysteresis model declares, and what rate-independent models share.
+"""Declaration of a hysteresis model, and base classes of rate-independent models.
 
-A model is one file, or one folder, in ``models/hysteresis``. It holds the parameters, the law and ``MODEL``, a
-:class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds it.
-``docs/extending.md`` adds one.
+A model is one file, or one folder, in ``models/hysteresis``. It contains the parameters, the law and ``MODEL``, a
+:class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds it. ``docs/extending.md`` shows
+an example.
 
-A rate-independent model knows only the order of the voltages, not their speed. Its kernel takes the voltage at the end
+A rate-independent model depends only on the order of the voltages, not on their speed. Its kernel takes the voltage at
+the end
 of a step along which it moved monotonically and returns the displacement there.
 """
 
@@ -28,34 +29,34 @@ from hysteresis_ros.configuration import ParameterRow, Parameters
 from hysteresis_ros.errors import IdentificationError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.models.block import Block
 
-#: Parts of the linear model that can be found together with a hysteresis.
+#: Parts of the linear model that can be identified together with a hysteresis.
 PARTS = ("lag", "delay", "creep", "modes")
-#: Place of the last output in the state of every model with memory.
+#: Index of the last output in the state of every model with memory.
 DISPLACEMENT_PLACE = 1
-#: No place in the parameters or in the state.
+#: Index for an entry that does not exist in parameters or state.
 NOWHERE = -1
-#: Fits the parameters a model declares as ``free`` from its ``guess`` on.
+#: Default identification: fits the parameters that a model declares as ``free``, starting at its ``guess``.
 PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Where a model that is linear in its weights keeps them: its output is Σ p[weight] x[signal], then dead zones.
+    """Indices of the weights of a model that is linear in them: its output is Σ p[weight] x[signal], then dead zones.
 
     Parameters
     ----------
     weights : tuple of int
-        Places of the weights in p.
+        Indices of the weights in p.
     signals : tuple of int
-        Place in x of what each weight multiplies [V]; ``NOWHERE``: the voltage that is put out.
+        Index in x of the factor of each weight [V]; ``NOWHERE``: the output voltage.
     opening : tuple of bool
-        Which of them open the loops: what they multiply lags behind the voltage.
+        Whether each weight widens the loops, because its factor lags behind the voltage.
     zones : tuple of (int, int)
-        Places in p of threshold [m] and slope of each dead zone behind the sum; a gain multiplies the thresholds.
+        Indices in p of threshold [m] and slope of each dead zone behind the sum; a gain multiplies the thresholds.
     output : int
-        Place in x of the last output [m]; ``NOWHERE``: it is not kept.
+        Index in x of the last output [m]; ``NOWHERE``: it is not stored.
     offset : int
-        Place in p of the constant part of the output [m]; ``NOWHERE``: there is none.
+        Index in p of the constant part of the output [m]; ``NOWHERE``: none.
     """
 
     weights: tuple[int, ...]
@@ -69,8 +70,8 @@ class LinearTerms:
 class HysteresisBlock(Block):
     """Base of the blocks of all hysteresis models, voltage [V] to displacement [m].
 
-    Subclasses set ``kernel`` and, where there is a closed form, ``inverse``; they implement ``pack``,
-    ``initial_state``, ``gain`` and, where there is a history to go on from, ``rebase``.
+    Subclasses set ``kernel`` and, for a closed form, ``inverse``; they implement ``pack``, ``initial_state``, ``gain``
+    and, with memory, ``rebase``.
 
     Parameters
     ----------
@@ -80,26 +81,26 @@ class HysteresisBlock(Block):
         Sample time [s].
     """
 
-    #: Closed-form inverse, a kernel with the arguments of every inverse; None: there is none.
+    #: Closed-form inverse, a kernel with the arguments of every inverse; None: none exists.
     inverse = None  # type: Any
     #: Whether the output depends on the order of the voltages only, not on their speed.
     rate_independent = False
-    #: Whether its output at the end of a step rises with the voltage there, whatever was before: then inverses fit it,
-    #: and linear dynamics stand behind it, not inside.
+    #: Whether its output at the end of a step rises with the voltage there, for any history: then it has an inverse,
+    #: and linear dynamics are behind it, not inside.
     invertible = False
 
     @property
     def terms(self) -> LinearTerms | None:
-        """Where the weights stand in which its output is linear; None: it is not linear in any."""
+        """Indices of the weights in which its output is linear; None: it is not linear in weights."""
         return None
 
     @property
     def gain(self) -> float:
         """Nominal gain [m/V]."""
-        raise TypeError(f"{type(self).__name__} does not say what its nominal gain is")
+        raise TypeError(f"{type(self).__name__} does not define gain, its nominal gain")
 
     def rebase(self) -> None:
-        """Make the model go on from the present point with changed parameters; nothing to do by default."""
+        """Continue from the present point with changed parameters; by default nothing changes."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Option:
         int, float or str.
     description : str
     choices : tuple of str
-        Of a str.
+        Allowed values of a str.
     low, high : float, optional
         Range of a number, both ends allowed.
     """
@@ -129,7 +130,7 @@ class Option:
         Raises
         ------
         IdentificationError
-            It is no such value; the message says what is allowed.
+            The text is not an allowed value; the message states the allowed ones.
         """
         try:
             value = self.kind(text)
@@ -149,14 +150,14 @@ class Option:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How a plant deviates from its model: factors near 1.
+    """Deviation of a plant from its model: factors near 1.
 
     Parameters
     ----------
     gain : float
-        On the displacement.
+        Factor on the displacement.
     opening : float
-        On the opening of the loops.
+        Factor on the loop width.
     factor : callable
         ``factor()`` draws one more factor, ``factor(n)`` an array of n.
     """
@@ -168,21 +169,21 @@ class Deviation:
 
 @dataclass(frozen=True)
 class OwnInverse:
-    """An inverse that a model brings along besides the closed form of its block; a choice of ``inverse.type``.
+    """An inverse that a model declares besides the closed form of its block; a choice of ``inverse.type``.
 
     Parameters
     ----------
     kernel : kernel
         ``inverse(hysteresis, p_i, x_i, p_h, x_h, displacement)``; it does not use ``hysteresis``.
     description : str
-        A few words for the table of parameters.
+        Short description for the table of parameters.
     follows_model : bool
-        It works on the state of this model and fits no other one. False: it has an equation of its own, given by
-        ``parameters`` and ``block``, and stands before any model.
+        True: it uses the state of this model and fits no other one. False: it has its own equation, given by
+        ``parameters`` and ``block``, and fits any model.
     parameters : type, optional
         Dataclass of its parameters, ``inverse.<name>.*``.
     block : type, optional
-        Block of those parameters; its ``p`` and ``x`` are what the kernel gets as ``p_i`` and ``x_i``.
+        Block of those parameters; its ``p`` and ``x`` are the kernel's arguments ``p_i`` and ``x_i``.
     """
 
     kernel: Callable
@@ -201,16 +202,16 @@ class HysteresisModel:
     name : str
         ``hysteresis.type`` in the parameter files, and the prefix of its parameters there.
     title : str
-        What it is, in one line.
+        Description in one line.
     data : str
-        What data an identification needs.
+        Data that an identification needs.
     parameters : type
-        Dataclass of its parameters. Where arrays may have any length it has a property ``structure``: a dict of name
-        to size, which is fixed while running.
+        Dataclass of its parameters. With arrays of any length it has a property ``structure``: a dict of name to size,
+        which is fixed while running.
     block : type
         Block with its law, its closed-form inverse if any, whether it is rate independent and invertible.
     example : Parameters
-        A working set of parameters for 0 … 100 V, of which ``hysteresis models NAME --yaml`` makes an axis.
+        A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` makes an axis.
     scaled : callable
         ``scaled(parameters, factor)`` returns the parameters whose displacement is ``factor`` > 0 times as large.
     shifted : callable, optional
@@ -224,22 +225,22 @@ class HysteresisModel:
     inverses : tuple of str
         Inverses that fit, the default first.
     own_inverses : dict of str to OwnInverse
-        Those it brings along.
+        Inverses that it declares.
     identify : str
         Dotted path ``package.module:function`` of ``identify(data, request)``, see
-        :mod:`hysteresis_ros.identification.procedures`. By default ``free`` is fitted by least squares.
+        :mod:`hysteresis_ros.identification.procedures`. By default least squares fit the parameters in ``free``.
     guess : callable, optional
-        ``guess(voltage, displacement)`` returns parameters from which the default fit starts.
+        ``guess(voltage, displacement)`` returns the initial parameters of the default fit.
     free : tuple of str
-        Names of the single numbers that the default fit changes.
+        Names of the scalar parameters that the default fit changes.
     options : dict of str to Option
-        Of the identification. With the default fit: initial values of the free parameters.
+        Options of the identification; with the default fit, initial values of the free parameters.
     parts : tuple of str
-        Of :data:`PARTS`: what may be found behind it together with it.
+        Those of :data:`PARTS` that can be identified together with it.
     stages : bool
-        Linear dynamics of higher order may be identified behind it.
+        Whether linear dynamics of higher order can be identified behind it.
     response : str
-        Of models with dynamics inside, which are not invertible: dotted path of ``response(parameters, voltage,
+        For models with internal dynamics, which are not invertible: dotted path of ``response(parameters, voltage,
         sample_time, intersample, initial)``, which returns the displacement [m] at the samples.
     """
 
@@ -264,7 +265,7 @@ class HysteresisModel:
     response: str = ""
 
     def __post_init__(self):
-        """Refuse a declaration that lacks what its other parts need."""
+        """Refuse an incomplete declaration."""
         if self.identify == PARAMETRIC:
             if self.guess is None or not self.free:
                 raise TypeError(f"{self.name}: declare guess and free, or identify")
@@ -274,7 +275,7 @@ class HysteresisModel:
             options = {name: Option(float, f"initial value{_unit(initial[name])}") for name in self.free}
             object.__setattr__(self, "options", options)
         if not self.block.invertible and not self.response:
-            raise TypeError(f"{self.name} has dynamics inside: declare response, which predicts it")
+            raise TypeError(f"{self.name} has internal dynamics: declare response, which predicts its displacement")
 
     def rows(self) -> list[ParameterRow]:
         """Return the rows of the table of its parameters."""
@@ -286,14 +287,7 @@ def _unit(row: ParameterRow) -> str:
 
 
 def times(parameters, factor: float, *names: str):
-    """Return parameters of which those with these names, numbers or tuples of numbers, are multiplied by a factor.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    factor : float
-    *names : str
-    """
+    """Return parameters with those of these names, numbers or tuples of numbers, multiplied by a factor."""
     changed: dict[str, Any] = {}
     for name in names:
         value = getattr(parameters, name)
@@ -302,29 +296,22 @@ def times(parameters, factor: float, *names: str):
 
 
 def plus(parameters, offset: float, *names: str):
-    """Return parameters of which those with these names are larger by an offset.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    offset : float
-    *names : str
-    """
+    """Return parameters with those of these names increased by an offset."""
     return replace(parameters, **{name: getattr(parameters, name) + offset for name in names})
 
 
-# The first two places of x in every model with memory.
-VOLTAGE = 0  # at the last step [V]
+# the first two entries of x in every model with memory
+VOLTAGE = 0  # voltage at the last step [V]
 DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
 
 
 def require_structure(present, wanted) -> None:
-    """Raise ParameterError when parameters differ in structure (sizes of arrays) from those in use.
+    """Raise ParameterError when the structure of parameters (sizes of arrays) differs from the present one.
 
     Parameters
     ----------
     present, wanted : Parameters
-        Of the same class. A class whose arrays may have any length has a ``structure``: a dict of name to size.
+        Parameters of the same class. A class with arrays of any length has a ``structure``: a dict of name to size.
     """
     before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
     problems = [
@@ -339,7 +326,7 @@ def require_structure(present, wanted) -> None:
 class InvertibleBlock(HysteresisBlock):
     """Base of the models with memory whose output at the end of a step rises with the voltage there.
 
-    Their parameters change live without a jump, and inverses fit them.
+    Their parameters change live without a jump, and they have inverses.
 
     Parameters
     ----------
@@ -352,7 +339,7 @@ class InvertibleBlock(HysteresisBlock):
     invertible = True
 
     def retune(self, parameters) -> None:
-        """Take new parameters of the same structure while running; the output stays where it is.
+        """Change parameters of the same structure while running; the output does not change.
 
         Raises
         ------

@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Elementary functions in a fixed order: the same bits on every processor, with every C library, compiled or not.
+"""Elementary functions in a fixed order of operations: the same bits on every processor and C library, compiled or not.
 
 The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and another version of
-it rounds otherwise: about one value in a thousand differs in its last digit. What a running axis uses, in a kernel or
-for a parameter of one, is therefore computed here by additions, multiplications and divisions of float64 alone, as
-Java's ``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``, ``floor``,
-``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
+it rounds otherwise: about one value in a thousand differs in its last digit. Values that a running axis uses, in a
+kernel or for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone,
+as Java's ``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``,
+``floor``, ``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
 
 A number that is not finite or outside the domain gives NaN or the infinite limit, never an exception.
 
@@ -47,7 +47,7 @@ _HALF_ROOT = math.sqrt(0.5)
 
 
 def _powers_of_two() -> tuple[np.ndarray, np.ndarray]:
-    """Return 2^(j/32), j = 0 … 31, rounded, and what rounding left, from 50 decimal digits [2]_."""
+    """Return 2^(j/32), j = 0 … 31, rounded, and the rounding error, from 50 decimal digits [2]_."""
     with localcontext() as context:
         context.prec = 50
         exact = [Decimal(2) ** (Decimal(j) / 32) for j in range(32)]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A slider held and carried by friction: set-valued Coulomb friction, time stepping after Moreau, solved exactly.
+"""A slider held and carried by friction: set-valued Coulomb friction, Moreau's time stepping, solved exactly.
 
 The slider has two contacts, one fixed to the body (rear), one on the tip of an elastic extender (front). Over a step h
 from k to k+1, with the extender's free displacement u at k+1 and its stiffness k_e,
@@ -16,25 +16,24 @@ from k to k+1, with the extender's free displacement u at k+1 and its stiffness 
 * rear: λ_r ∈ -R_r Sign(v⁺)
 * front: λ_f ∈ -R_f Sign(h v⁺ - (t⁺ - t)), t⁺ = u - λ_f/k_e (the reaction of *this* step shortens the extender)
 
-where R is the friction limit μ N at k+1. The front's inclusion has the solution λ_f = clip(k_e (u - t - h v⁺), ±R_f),
-a falling function of v⁺, so v⁺ is the only zero of a strictly monotone function with two kinks and one jump: it is
-found in closed form, without iteration and for any step, mass and stiffness (Moreau, "Unilateral contact and dry
-friction in finite freedom dynamics", 1988). A contact that stuck before has the static limit μ_s N, one that slid the
-kinetic μ_k N; one that lets go at its static limit gets the kinetic one within the same step. A sticking contact moves
-by exactly nothing; the grip is remembered as a distance and not as a sum, so nothing drifts. End stops are rigid and
-take all of the speed.
+where R is the friction limit μ N at k+1. The front's inclusion has the solution λ_f = clip(k_e (u - t - h v⁺), ±R_f), a
+decreasing function of v⁺, so v⁺ is the only zero of a strictly monotone function with two kinks and one jump. It has a
+closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and dry friction in finite
+freedom dynamics", 1988). A contact that stuck before has the static limit μ_s N, one that slid the kinetic μ_k N; one
+that begins to slide gets the kinetic limit within the same step. A sticking contact does not move at all; the grip is
+stored as a distance and not as a sum, so nothing drifts. End stops are rigid and stop the slider.
 
-Real contacts give way before they slide, and push the slider aside as they close. With a compliance c of each contact
-the rear one is a spring k_r = 1/c_r to an anchor a, the front one in series with the extender, k_f = 1/(1/k_e + c_f):
+Real contacts deform before they slide, and move the slider as they close. With a compliance c of each contact the rear
+one is a spring k_r = 1/c_r to an anchor a, the front one in series with the extender, k_f = 1/(1/k_e + c_f):
 
 * λ_r = clip(k_r (a - q⁺) - d_r v⁺, ±R_r),  λ_f = clip(k_f (u + g - q⁺) + d_f (u̇ - v⁺), ±R_f)
 
-with dampers d = 2 ζ √(k m). A contact that slides takes its anchor (a, g) along, and one whose normal force grows by ΔN
-moves it by κ ΔN: the kick of a clamp. All is falling in v⁺ again, with four kinks.
+with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a, g), and a normal force that grows by ΔN moves it by
+κ ΔN: the kick of a clamp. The function is again decreasing in v⁺, with four kinks.
 
 The scheme is unconditionally stable. Like every implicit Euler step it damps: slider and extender, while the front
-clamp sticks, oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which stands for the damping of the real joint.
-With compliant contacts that damping is ζ, and a sample is divided into as many steps as make ω h/2 small beside it.
+clamp sticks, oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which replaces the damping of the real joint. With
+compliant contacts that damping is ζ, and a sample is divided into enough steps to make ω h/2 small compared with it.
 """
 
 from __future__ import annotations
@@ -54,42 +53,42 @@ from hysteresis_ros.models.sensor import SensorParameters
 STEP = 0  # sample time [s]
 MASS = 1  # [kg]
 FORCE = 2  # external force and gravity [N], positive: toward larger displacement
-STIFFNESS = 3  # of the extender [N/m]
+STIFFNESS = 3  # stiffness of the extender [N/m]
 MINIMUM = 4  # end stops [m]
 MAXIMUM = 5
-SUBSTEPS = 6  # steps within a sample; 0: the contacts are rigid, and there is one
-FRONT_STIFFNESS = 7  # of compliant contacts, the front one with the extender [N/m]
+SUBSTEPS = 6  # steps within a sample; 0: rigid contacts, one step
+FRONT_STIFFNESS = 7  # stiffness of compliant contacts, the front one in series with the extender [N/m]
 REAR_STIFFNESS = 8
 FRONT_DAMPING = 9  # [N s/m]
 REAR_DAMPING = 10
-FRONT_KICK = 11  # motion of the contact [m] for each newton of the static limit
+FRONT_KICK = 11  # motion of the contact [m] per newton of the static limit
 REAR_KICK = 12
 
 # Layout of x.
-POSITION = 0  # of the slider [m]
+POSITION = 0  # position of the slider [m]
 VELOCITY = 1  # [m/s]
 TIP = 2  # displacement of the extender under its load [m]
-GRIP = 3  # slider - tip while the front contact sticks [m]; with compliant contacts that of its anchor
+GRIP = 3  # slider - tip while the front contact sticks [m]; with compliant contacts its anchor
 FRONT_STUCK = 4  # 1 when the contact stuck in the last step
 REAR_STUCK = 5
 FRONT_FORCE = 6  # friction on the slider in the last step [N]; the extender carries -FRONT_FORCE
 REAR_FORCE = 7
-STOP_FORCE = 8  # of the end stops [N]
-FRONT_SLIP = 9  # how far the slider slid in the contact in the last step [m]
+STOP_FORCE = 8  # force of the end stops [N]
+FRONT_SLIP = 9  # sliding distance in the contact in the last step [m]
 REAR_SLIP = 10
-DISSIPATED = 11  # energy that friction took so far [J]
-FRONT_STATIC = 12  # friction limits of this step [N]: inputs, written by whoever knows the normal forces
+DISSIPATED = 11  # energy dissipated by friction so far [J]
+FRONT_STATIC = 12  # friction limits of this step [N]: inputs, written by the caller
 FRONT_KINETIC = 13
 REAR_STATIC = 14
 REAR_KINETIC = 15
-FREE = 16  # of compliant contacts: free displacement of the extender after the last step [m]
-ANCHOR = 17  # of the rear contact [m]
-BEFORE = 18  # the four friction limits at the last sample [N]
+FREE = 16  # compliant contacts: free displacement of the extender after the last step [m]
+ANCHOR = 17  # anchor of the rear contact [m]
+BEFORE = 18  # the four friction limits of the last sample [N]
 STATES = 22
 
-#: Two contacts can each go once from static to kinetic friction within a step.
+#: Each of two contacts can change once from static to kinetic friction within a step.
 PASSES = 3
-#: Steps within a sample are so many that what they damp is below this part of the damping of the joint.
+#: Numerical damping of the steps within a sample, as a fraction of the damping of the joint.
 CONVERGED = 0.1
 MOST_SUBSTEPS = 1000
 
@@ -104,7 +103,7 @@ def clip(value, bound):
 def slider_velocity(p, velocity, lead, front, rear):
     """Velocity [m/s] at the end of a step, without end stops.
 
-    ``velocity`` [m/s] is that before; ``lead`` [m] how far the extender's free displacement is ahead of the tip;
+    ``velocity`` [m/s] is that before the step; ``lead`` [m] is the extender's free displacement minus the tip;
     ``front`` and ``rear`` [N] are the friction limits.
     """
     step, mass, stiffness = p[STEP], p[MASS], p[STIFFNESS]
@@ -120,15 +119,15 @@ def slider_velocity(p, velocity, lead, front, rear):
         v = step * (drive + front) / mass
     elif carried < -front:
         v = step * (drive - front) / mass
-    # the sign is certain, but rounding could turn a creeping slider against its force
+    # the sign is known, but rounding could move a creeping slider against its force
     return v if v * direction > 0.0 else 0.0
 
 
 @kernel
 def slide(p, x, u):
-    """Position [m] of the slider one sample on, when the extender without load would be at ``u`` [m] then.
+    """Return the slider's position [m] one sample later, with the extender's free displacement ``u`` [m] there.
 
-    The friction limits of both contacts stand in ``x[12:16]``.
+    ``x[12:16]`` contains the friction limits of both contacts.
     """
     step, mass, stiffness = p[STEP], p[MASS], p[STIFFNESS]
     position, before = x[POSITION], x[VELOCITY]
@@ -189,13 +188,13 @@ def slide(p, x, u):
 def elastic_velocity(p, step, velocity, front, rear):
     """Velocity [m/s] at the end of a step between compliant contacts, without end stops.
 
-    ``velocity`` [m/s] is that before. ``front`` and ``rear`` are a [N], b [N s/m] and a bound [N] each: such a contact
-    would carry a − b v, limited to ± its bound.
+    ``velocity`` [m/s] is that before the step. ``front`` and ``rear`` are each a [N], b [N s/m] and a bound [N]: a
+    contact carries a − b v, limited to ± its bound.
     """
     (a_f, b_f, most_f), (a_r, b_r, most_r) = front, rear
     inertia = p[MASS] / step
     drive = inertia * velocity + p[FORCE]
-    # what is missing to balance rises with v; between two kinks it is a straight line
+    # the imbalance rises with v; between two kinks it is linear
     low, high = -math.inf, math.inf
     for kink in ((a_f - most_f) / b_f, (a_f + most_f) / b_f, (a_r - most_r) / b_r, (a_r + most_r) / b_r):
         if inertia * kink - drive - clip(a_f - b_f * kink, most_f) - clip(a_r - b_r * kink, most_r) <= 0.0:
@@ -222,9 +221,9 @@ def elastic_velocity(p, step, velocity, front, rear):
 
 @kernel
 def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
-    """One step between compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s].
+    """Compute a step with compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s].
 
-    ``front_bounds`` and ``rear_bounds`` are what a contact carries at most [N], at rest and sliding.
+    ``front_bounds`` and ``rear_bounds`` are the friction limits [N], static and kinetic.
     """
     (front_static, front_kinetic), (rear_static, rear_kinetic) = front_bounds, rear_bounds
     k_f, k_r, d_f, d_r = p[FRONT_STIFFNESS], p[REAR_STIFFNESS], p[FRONT_DAMPING], p[REAR_DAMPING]
@@ -250,7 +249,7 @@ def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
     front_force, rear_force = clip(a_f - b_f * v, front), clip(a_r - b_r * v, rear)
     x[FRONT_STUCK] = 1.0 if front > 0.0 and math.fabs(a_f - b_f * v) <= front else 0.0
     x[REAR_STUCK] = 1.0 if rear > 0.0 and math.fabs(a_r - b_r * v) <= rear else 0.0
-    # a contact that slides takes its anchor along; an open one has neither spring nor damper
+    # a sliding contact moves its anchor; an open one has neither spring nor damper
     if x[FRONT_STUCK] == 0.0:
         spring = front_force - d_f * (rate - v) if front > 0.0 else 0.0
         slid = spring / k_f - u + following - x[GRIP]
@@ -272,9 +271,9 @@ def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
 
 @kernel
 def slide_elastically(p, x, u):
-    """Position [m] of the slider one sample on, between compliant contacts; as :func:`slide` otherwise.
+    """Return the slider's position [m] one sample later, with compliant contacts; otherwise like :func:`slide`.
 
-    Within the sample the free displacement and the friction limits go straight from the last values to these.
+    Within the sample the free displacement and the friction limits change linearly from the last values.
     """
     steps = int(p[SUBSTEPS])
     step = p[STEP] / steps
@@ -336,7 +335,7 @@ class SliderParameters(Parameters):
     )
     substeps: int = parameter(
         1,
-        description="steps of the friction within a sample, with compliant contacts; 0: as many as converge",
+        description="steps within a sample, with compliant contacts; 0: as many as needed for convergence",
         low=0,
         high=1000,
         read_only=True,
@@ -345,11 +344,11 @@ class SliderParameters(Parameters):
 
     @property
     def force(self) -> float:
-        """External force and the part of the weight along the travel [N]."""
+        """External force plus the component of the weight along the travel [N]."""
         return self.external_force - self.mass * self.gravity * elementary.sin(self.inclination)
 
     def check(self):
-        """Yield a Problem when the travel is empty or does not hold the start."""
+        """Yield a Problem when the travel is empty or does not contain the start."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} m)")
         elif not self.minimum <= self.start <= self.maximum:
@@ -362,14 +361,14 @@ class SliderParameters(Parameters):
 
 @dataclass(frozen=True)
 class Contacts:
-    """What the contacts are besides friction; all 0: rigid.
+    """Compliance and kick of the contacts; all 0: rigid.
 
     Parameters
     ----------
     front_compliance, rear_compliance : float
         [m/N]
     front_kick, rear_kick : float
-        Motion of the contact for each newton of its static friction limit [m/N].
+        Motion of the contact per newton of its static friction limit [m/N].
     """
 
     front_compliance: float = 0.0
@@ -379,7 +378,7 @@ class Contacts:
 
     @property
     def rigid(self) -> bool:
-        """Whether neither contact gives way."""
+        """Whether both contacts are rigid."""
         return not (self.front_compliance > 0.0 and self.rear_compliance > 0.0)
 
 
@@ -395,7 +394,7 @@ class Slider(Block):
     stiffness : float
         Stiffness of the extender that carries the front contact [N/m].
     contacts : Contacts, optional
-        Rigid by default.
+        Compliance of the contacts; rigid by default.
     """
 
     def __init__(
@@ -428,7 +427,7 @@ class Slider(Block):
         return x
 
     def settle(self, free: float) -> None:
-        """Put the slider to rest under its load and the limits in ``x``; the rear contact carries what it can.
+        """Set the slider to rest under its load; the rear contact carries the load up to its limit in ``x``.
 
         Parameters
         ----------

@@ -9,9 +9,9 @@
 
 """Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider they move by friction (K10).
 
-The extender is the actuator of :mod:`hysteresis_ros.models.actuator`; its displacement without load, less the force on
-its tip divided by its stiffness, is where the front clamp is. The clamps are those of
-:mod:`hysteresis_ros.models.clamp`, slider and friction those of :mod:`hysteresis_ros.models.friction`.
+The extender is the actuator of :mod:`hysteresis_ros.models.actuator`; its free displacement minus the force on its tip
+divided by its stiffness is the position of the front clamp. The clamps are those of :mod:`hysteresis_ros.models.clamp`,
+slider and friction those of :mod:`hysteresis_ros.models.friction`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hysteresis_ros.models.limits import limits
 from hysteresis_ros.models.linear import linear, linear_advance, linear_output
 from hysteresis_ros.models.sensor import Sensor, sensor
 
-#: Names of the joints, in the order in which they stand in ``xs.joints``.
+#: Names of the joints, in the order of ``xs.joints``.
 JOINT_NAMES = ("slider", "extender", "front_clamp", "rear_clamp")
 
 # Layout of xs.joints: four numbers each, in the order of JOINT_NAMES.
@@ -46,7 +46,7 @@ EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; 
 TRUE_POSITION = 12  # [m]
 STARTED = 16  # 1 after the first measurement
 JOINT_STATES = 17
-# within each four
+# order within each four
 SLIDER_JOINT, EXTENDER_JOINT, FRONT_JOINT, REAR_JOINT = 0, 1, 2, 3
 
 SAMPLE_RATE = 0  # ps.joints[SAMPLE_RATE] [Hz]
@@ -84,7 +84,7 @@ class InchwormLaws(NamedTuple):
 
 @dataclass(frozen=True)
 class InchwormParameters(Parameters):
-    """What makes an inchworm motor of an actuator: clamps, slider and the extender's stiffness."""
+    """The parts of an inchworm motor besides the actuator: clamps, slider and the extender's stiffness."""
 
     extender_stiffness: float = parameter(
         0.41e6, description="force that shortens the extender by one metre", unit="N/m", low=1.0, high=1e12
@@ -94,20 +94,20 @@ class InchwormParameters(Parameters):
     slider: SliderParameters = group(SliderParameters)
 
     def check(self):
-        """Yield a Problem when only one contact gives way, or what belongs to compliant contacts has rigid ones."""
+        """Yield a Problem when only one contact is compliant, or rigid contacts have parameters of compliant ones."""
         compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
         if compliant[0] != compliant[1]:
             name = "rear_clamp" if compliant[0] else "front_clamp"
-            yield Problem(f"{name}.compliance", 0.0, "the other contact gives way: both or none, e.g. 2e-8 m/N")
+            yield Problem(f"{name}.compliance", 0.0, "the other contact is compliant: both or none, e.g. 2e-8 m/N")
         elif not compliant[0]:
             for name, rest in (("damping", 0.0), ("substeps", 1)):
                 if getattr(self.slider, name) != rest:
-                    remedy = f"is for contacts that give way: set compliance of both clamps, or leave it at {rest}"
+                    remedy = f"is for compliant contacts: set compliance of both clamps, or leave it at {rest}"
                     yield Problem(f"slider.{name}", getattr(self.slider, name), remedy)
 
     @property
     def contacts(self) -> Contacts:
-        """What the contacts are besides friction."""
+        """Compliance and kick of the contacts."""
         front, rear = self.front_clamp, self.rear_clamp
         kicks = [clamp.kick / clamp.static_friction if clamp.static_friction else 0.0 for clamp in (front, rear)]
         return Contacts(front.compliance, rear.compliance, *kicks)
@@ -126,10 +126,10 @@ class InchwormParameters(Parameters):
         front_voltage, rear_voltage : float
             Grip voltages of the gait [V].
         margin : float
-            What must be held, as a multiple of the load. A load that is handed over at once swings to twice its force
-            on the extender, which is a spring: 2 is safe for any gait, 1 the limit of standing still.
+            Required holding force, as a multiple of the load. A load applied suddenly to the extender, which is a
+            spring, oscillates to twice its force: 2 is safe for any gait, 1 is the limit at rest.
         prefix : str
-            Put before the names of the parameters.
+            Prefix of the names of the parameters.
         """
         load = margin * abs(self.slider.force)
         for name, voltage in (("front_clamp", front_voltage), ("rear_clamp", rear_voltage)):
@@ -150,18 +150,18 @@ class InchwormPlantParameters(ActuatorParameters):
     inchworm: InchwormParameters = group(InchwormParameters)
 
     def check(self):
-        """Yield a Problem for noisy sensors that would have the same noise."""
+        """Yield a Problem for noisy sensors with equal noise."""
         yield from super().check()
         yield from seed_problems(self)
 
 
 def seed_problems(parameters):
-    """Yield a Problem for each noisy sensor whose seed another noisy sensor has: their noise would be the same.
+    """Yield a Problem for each noisy sensor with the seed of another noisy sensor, because their noise would be equal.
 
     Parameters
     ----------
     parameters : InchwormPlantParameters
-        Or any other that has ``sensor`` and ``inchworm``.
+        Parameters with ``sensor`` and ``inchworm``.
     """
     motor = parameters.inchworm
     sensors = {
@@ -211,10 +211,10 @@ def inchworm_measure(ps, xs):
 
 @nested
 def inchworm_advance(laws, ps, xs, voltage, front_voltage, rear_voltage):
-    """Hold three voltages [V] until the next sample; returns what the extender's amplifier really puts out [V].
+    """Hold three voltages [V] until the next sample; return the output of the extender's amplifier [V].
 
-    ``laws`` has the kernels of :class:`InchwormLaws`. What the clamps' amplifiers put out is in ``xs.front_limits`` and
-    ``xs.rear_limits``.
+    ``laws`` contains the kernels of :class:`InchwormLaws`. ``xs.front_limits`` and ``xs.rear_limits`` contain the
+    outputs of the clamps' amplifiers.
     """
     applied = limits(ps.limits, xs.limits, voltage)
     wanted = creep(ps.creep, xs.creep, laws.hysteresis(ps.hysteresis, xs.hysteresis, applied))
@@ -251,14 +251,14 @@ class Inchworm(Chain):
     Parameters
     ----------
     parameters : InchwormPlantParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
 
     Raises
     ------
     ParameterError
-        Names every wrong parameter.
+        A parameter is wrong; the message names all that are.
     """
 
     def __init__(self, parameters: InchwormPlantParameters, sample_time: float):
@@ -282,7 +282,7 @@ class Inchworm(Chain):
         self._settle()
 
     def _settle(self) -> None:
-        """Put the slider to rest where the parameters say, held by the clamps as they are."""
+        """Set the slider to rest at its initial position, held by the clamps in their present state."""
         x = self.slider.x
         for clamp, static, kinetic in (
             (self.front_clamp, friction.FRONT_STATIC, friction.FRONT_KINETIC),
@@ -295,13 +295,13 @@ class Inchworm(Chain):
     def measure(self) -> np.ndarray:
         """Return the measured positions [m] of the joints in the order of JOINT_NAMES, shape (4,).
 
-        Call it once per sample: it draws the noise. Velocities and efforts stand in ``joints``.
+        Call it once per sample: it draws the noise. ``joints`` contains velocities and efforts.
         """
         interpreted(inchworm_measure)(self.ps, self.xs)
         return self.joints[POSITION : POSITION + 4].copy()
 
     def advance(self, voltage: float, front_voltage: float, rear_voltage: float) -> float:
-        """Hold three voltages [V] for one sample and return what the extender's amplifier really put out [V]."""
+        """Hold three voltages [V] for one sample and return the output of the extender's amplifier [V]."""
         voltages = float(voltage), float(front_voltage), float(rear_voltage)
         return interpreted(inchworm_advance)(self.hysteresis_kernels, self.ps, self.xs, *voltages)
 
@@ -317,7 +317,7 @@ class Inchworm(Chain):
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Voltages [V] that the amplifiers of extender, front and rear clamp put out."""
+        """Output voltages [V] of the amplifiers of extender, front and rear clamp."""
         return self.extender.voltage, self.front_clamp.voltage, self.rear_clamp.voltage
 
     @property
@@ -326,19 +326,20 @@ class Inchworm(Chain):
         return any(part.limits.saturated for part in (self.extender, self.front_clamp, self.rear_clamp))
 
     def reset(self) -> None:
-        """Return to the start: at rest, virgin hysteresis, noise from its start."""
+        """Return to rest at the start, with the hysteresis in its initial state and the noise restarted."""
         for block in (self.extender, self.front_clamp, self.rear_clamp, self.slider, self.slider_sensor):
             block.reset()
         self.joints[:] = 0.0
         self._settle()
 
     def retune(self, parameters: InchwormPlantParameters) -> None:
-        """Take new parameters of the same structure while running; everything goes on from where it is.
+        """Change parameters of the same structure while running; all states continue.
 
         Raises
         ------
         ParameterError
-            The parameters are wrong, of another structure, or their travel excludes the slider; nothing is changed.
+            The parameters are wrong, change the structure, or exclude the slider from the travel; nothing is changed
+            then.
         """
         motor = parameters.validated().inchworm
         for name in ("front_clamp", "rear_clamp"):

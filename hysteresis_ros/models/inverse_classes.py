@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses for notebooks: ``hr.inverses.General(model, maximum=120.0)``, one for each inverse there is."""
+"""The inverses for notebooks: ``hr.inverses.General(model, maximum=120.0)``, one class per inverse."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from hysteresis_ros.registry import (
     signature_of,
 )
 
-#: Names of classes that would not be names of Python, or not say what the inverse is.
+#: Names of classes whose generated names would be invalid or unclear.
 CLASS_NAMES = {"none": "Gain"}
 
 
 class Inverse(Compensator):  # numpydoc ignore=PR02
-    """A hysteresis compensator from the wanted displacement [m] to the voltage [V]; base of ``hr.inverses``.
+    """A hysteresis compensator from the commanded displacement [m] to the voltage [V]; base of ``hr.inverses``.
 
     Parameters
     ----------
     parameters : CompensatorParameters
-        Checked on construction.
+        Parameters, checked on construction.
     sample_time : float
         Sample time [s].
     """
@@ -52,12 +52,12 @@ class Inverse(Compensator):  # numpydoc ignore=PR02
     type = ""
 
     def simulate(self, displacement: ArrayLike) -> np.ndarray:
-        """Return the voltages for wanted displacements; the state goes on from where it was.
+        """Return the voltages for commanded displacements; the state continues from the previous call.
 
         Parameters
         ----------
         displacement : array_like, shape (N,)
-            Displacement wanted from the hysteresis element at each sample [m].
+            Commanded displacement of the hysteresis element at each sample [m].
 
         Returns
         -------
@@ -67,7 +67,7 @@ class Inverse(Compensator):  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            The displacement is no one-dimensional array of numbers.
+            The displacement is not a one-dimensional array of numbers.
         """
         wanted = samples("displacement", displacement)
         return np.fromiter(map(self.step, wanted.tolist()), dtype=np.float64, count=len(wanted))
@@ -89,7 +89,7 @@ def hysteresis_of(model: Any) -> HysteresisParameters:
     Raises
     ------
     KeywordError
-        It is no hysteresis model.
+        The argument is not a hysteresis model.
     """
     if isinstance(model, HysteresisParameters):
         return model
@@ -130,7 +130,7 @@ def _made(kind: str) -> type[Inverse]:
 Parameters
 ----------
 model : Hysteresis or HysteresisParameters
-    The compensator's own model of the actuator; it gets a state of its own.
+    The compensator's own model of the actuator; its state is separate.
 {described(rows, required)}
 sample_time : float, optional
     Sample time [s]; that of the model by default.
@@ -140,7 +140,7 @@ Raises
 ParameterError
     A parameter is missing, mistyped or out of range, or the inverse does not fit the model.
 KeywordError
-    There is no such parameter; the message names the nearest one.
+    The parameter does not exist; the message names the nearest one.
 """
     members = {"__init__": __init__, "__doc__": document, "__module__": __name__, "keywords": rows, "type": kind}
     made: Any = type(name, (Inverse,), members)

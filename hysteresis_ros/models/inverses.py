@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses by name: exact by root search, approximate by Picard steps, and those that models bring along.
+"""The inverses by name: exact by root search, approximate by Picard steps, and those that models declare.
 
-The inverse ``general``: the model's own kernel is tried on a copy of its state, so whatever the compensator's model is,
-the voltage found is the one at which that model gives the wanted displacement.
+The inverse ``general`` evaluates the model's own kernel on a copy of its state, so for any model it finds the voltage
+at which that model gives the commanded displacement.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from hysteresis_ros.models.hysteresis.proportional import proportional_inverse
 
 # Layout of p_i; the first three are those of the Picard steps.
 GAIN = 2  # nominal gain [m/V]
-LOWEST = 3  # voltages between which is searched [V]
+LOWEST = 3  # first of the two voltages of the search range [V]
 HIGHEST = 4
 
-#: Where the search ends: residual as a part of the displacements at hand; a few units in the last place.
+#: Residual at which the search ends, relative to the displacements; a few units in the last place.
 TOLERANCE = 4.0e-16
 MOST_TRIALS = 120
 
@@ -51,26 +51,26 @@ def _trial(hysteresis, x_i, p_h, x_h, voltage):
 def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is left as it is.
 
-    From the last voltage on, trial voltages go in the direction of the wanted change until the model's output has
-    passed it; then the bracket is narrowed by regula falsi with the Anderson-Björck weights, and by bisection whenever
-    three such trials have not halved it. The number of trials is bounded. A displacement that the model does not reach
-    between the lowest and the highest voltage gives that voltage. NaN gives the last voltage.
+    Trial voltages start at the last voltage and go in the direction of the change until the model's output has passed
+    the target. Then regula falsi with Anderson-Björck weights narrows the bracket, and bisection when three trials have
+    not halved it. The number of trials is bounded. A displacement beyond the model's range gives the lowest or the
+    highest voltage. NaN gives the last voltage.
 
     Parameters
     ----------
     hysteresis : kernel
-        Any model that keeps the last voltage and the last output in ``x[0]`` and ``x[1]``, or has no memory.
+        Any model that stores the last voltage and the last output in ``x[0]`` and ``x[1]``, or has no memory.
     p_i : ndarray, shape (5,)
-        Nominal gain [m/V] in place 2, lowest and highest voltage [V] in places 3 and 4.
+        Nominal gain [m/V] at index 2, lowest and highest voltage [V] at indices 3 and 4.
     x_i : ndarray, shape (>= len(x_h),)
         Scratch.
     p_h, x_h : ndarray
         Parameters and state of the model.
     displacement : float
-        Wanted output [m].
+        Commanded output [m].
     """
     lowest, highest = p_i[LOWEST], p_i[HIGHEST]
-    # a model of one state has no memory: any start serves
+    # a model with one state has no memory: any start is valid
     near = max(lowest, min(highest, x_h[0])) if x_h.shape[0] > 1 else 0.0
     missing = displacement - _trial(hysteresis, x_i, p_h, x_h, near)
     if not abs(missing) > 0.0:
@@ -92,7 +92,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
             return far
         if far_error > 0.0:
             break
-        # by the slope just seen and a little further, at least half as far again
+        # by the last slope and slightly further, at least half as far again
         seen = far_error - near_error
         ahead = 1.1 * step * (-far_error / seen) if seen > 0.0 else 4.0 * step
         step = max(0.5 * step, min(ahead, 8.0 * step))
@@ -106,7 +106,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
         if slow >= 3:
             voltage = near + 0.5 * (far - near)
             slow = 0
-        if (voltage - near) * (voltage - far) >= 0.0:  # no number lies between any more, or the secant left the bracket
+        if (voltage - near) * (voltage - far) >= 0.0:  # no number is left between, or the secant left the bracket
             voltage = near + 0.5 * (far - near)
             if voltage in (near, far):
                 break
@@ -140,8 +140,8 @@ PICARD_GAIN = 2  # nominal gain [m/V]
 def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] for ``displacement`` [m]: V_0 = V_r = displacement/gain, V_{j+1} = V_j + (V_r - R H(V_j)).
 
-    One step is the paper's compensator in the form that works, 2 V_r - R X. Every trial H(V_j) starts from the state
-    ``x_h``, which is left as it is.
+    One step is the paper's compensator in its correct form, 2 V_r - R X. Every trial H(V_j) starts from the state
+    ``x_h``, which is not changed.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Parameters and state of the model.
     displacement : float
-        Wanted output [m].
+        Commanded output [m].
     """
     wanted = displacement / p_i[PICARD_GAIN]
     states = x_h.shape[0]
@@ -167,7 +167,7 @@ def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     return voltage
 
 
-#: What the inverses are that every model may have; ``exact`` is the closed form of the model's own block.
+#: Description and kernel of the general inverses; ``exact`` is the closed form of the model's own block.
 GENERAL_INVERSES = {
     "none": ("voltage = command / gain", proportional_inverse),
     "picard_steps": ("", picard),
@@ -178,14 +178,14 @@ GENERAL_INVERSES = {
 
 @dataclass(frozen=True)
 class BroughtInverse:
-    """An inverse that a model brings along.
+    """An inverse declared by a model.
 
     Parameters
     ----------
     model : str
         Name of the model.
     inverse : OwnInverse
-        What it declares.
+        Its declaration.
     """
 
     model: str
@@ -193,17 +193,17 @@ class BroughtInverse:
 
 
 def _brought() -> dict[str, BroughtInverse]:
-    """Return the inverses that models bring along."""
+    """Return the inverses declared by models."""
     found: dict[str, BroughtInverse] = {}
     for model, declared in MODELS.items():
         for name, inverse in declared.own_inverses.items():
             if name in GENERAL_INVERSES or name in found:
-                raise TypeError(f"{model} brings along an inverse {name!r}: the name is taken")
+                raise TypeError(f"{model} declares an inverse {name!r}: the name is taken")
             found[name] = BroughtInverse(model, inverse)
     return found
 
 
-#: Inverses that models bring along, by name.
+#: Inverses declared by models, by name.
 BROUGHT = _brought()
 #: Names of all inverses.
 NAMES = (*GENERAL_INVERSES, *BROUGHT)
@@ -218,7 +218,7 @@ def _described() -> str:
 @dataclass(frozen=True)
 @variants("type", {name: item.inverse.parameters for name, item in BROUGHT.items() if item.inverse.parameters})
 class InverseParameters(Parameters):
-    """Which inverse of the hysteresis model is used."""
+    """Choice of the inverse of the hysteresis model."""
 
     type: str = parameter("exact", description=f"inverse: {_described()}", choices=NAMES, read_only=True)
     picard_steps: int = parameter(3, description="number of Picard steps", low=1, high=1000)
@@ -227,12 +227,7 @@ class InverseParameters(Parameters):
     )
 
     def fits(self, hysteresis: HysteresisParameters):
-        """Yield a Problem when this inverse does not fit the model.
-
-        Parameters
-        ----------
-        hysteresis : HysteresisParameters
-        """
+        """Yield a Problem when this inverse does not fit the model."""
         kind, model, block = self.type, hysteresis.type, hysteresis.model.block
         brought = BROUGHT.get(kind)
         remedy = ""
@@ -241,7 +236,7 @@ class InverseParameters(Parameters):
         if brought is not None and brought.inverse.follows_model and brought.model != model:
             remedy = f"is the inverse of {brought.model} only, the model is {model}; use general"
         if kind != "none" and not block.invertible:
-            remedy = f"{model} has dynamics inside, no inverse fits it; use none, or another model"
+            remedy = f"{model} has internal dynamics, no inverse fits it; use none, or another model"
         if remedy:
             yield Problem("inverse.type", kind, remedy)
 
@@ -253,12 +248,7 @@ class InverseParameters(Parameters):
             require_structure(getattr(present, self.type), getattr(self, self.type))
 
     def kernel(self, block: HysteresisBlock) -> Callable:
-        """Return the inverse, to be called with the state of the model's ``block``.
-
-        Parameters
-        ----------
-        block : HysteresisBlock
-        """
+        """Return the kernel of the inverse for the model's ``block``."""
         if self.type in BROUGHT:
             return BROUGHT[self.type].inverse.kernel
         kernel: Any = GENERAL_INVERSES[self.type][1] or block.inverse
@@ -270,34 +260,23 @@ class InverseParameters(Parameters):
         return None if brought is None else brought.inverse.block
 
     def own_block(self, sample_time: float):
-        """Return the block of the inverse's own equation, or None: it follows the model.
-
-        Parameters
-        ----------
-        sample_time : float
-            [s]
-        """
+        """Return the block of the inverse's own equation; None if it uses the model's state."""
         block = self._own_block
         return None if block is None else block(getattr(self, self.type), sample_time)
 
     def packed(self, gain: float, lowest: float, highest: float) -> np.ndarray:
-        """Return the array p_i of the inverses that follow a model, shape (5,).
+        """Return the array p_i of the inverses that use a model's state, shape (5,).
 
         Parameters
         ----------
         gain : float
             Nominal gain of the model [m/V].
         lowest, highest : float
-            Voltages between which ``general`` searches [V].
+            Search range of ``general`` [V].
         """
         return np.array([self.picard_steps, self.picard_rate or 1.0 / gain, gain, lowest, highest])
 
 
 def tries_model(inverse) -> bool:
-    """Tell whether an inverse tries the model's kernel; all others are closed forms, which do not use it.
-
-    Parameters
-    ----------
-    inverse : callable
-    """
+    """Tell whether an inverse evaluates the model's kernel; all others are closed forms."""
     return inverse in (picard, general)

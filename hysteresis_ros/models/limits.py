@@ -24,7 +24,7 @@ from hysteresis_ros.models.block import Block, interpreted, kernel
 MINIMUM = 0
 MAXIMUM = 1
 SLEW = 2  # [V] a sample, 0 = unlimited
-STEP = 3  # [V] of the converter's grid, 0 = no quantisation
+STEP = 3  # step of the converter's grid [V]; 0: no quantisation
 
 # Layout of x.
 OUTPUT = 0
@@ -53,10 +53,10 @@ class LimitsParameters(Parameters):
 
 @kernel
 def limits(p, x, u):
-    """Voltage [V] that is really put out when ``u`` [V] is wanted: range, then slew rate, then the converter's grid.
+    """Return the output voltage [V] for the input ``u`` [V]: range, then slew rate, then the converter's grid.
 
-    The slew rate acts on the value before quantisation: a slow slew would otherwise never leave its grid point. NaN
-    holds the last value and counts as out of range.
+    The slew rate acts on the value before quantisation, because a slow slew would otherwise never leave its grid point.
+    NaN holds the last value and counts as out of range.
     """
     flags = 0.0
     last = x[UNQUANTISED]
@@ -94,7 +94,7 @@ def limits(p, x, u):
 
 @kernel
 def is_limited(x):
-    """Return 1.0 when range or slew rate limited the last voltage (the two lower flags; the next is quantisation)."""
+    """Return 1.0 when range or slew rate limited the last voltage (the two lower flags; the third: quantisation)."""
     return 1.0 if x[FLAGS] % 4.0 != 0.0 else 0.0
 
 
@@ -118,7 +118,7 @@ class Limits(Block):
         return np.array([parameters.minimum, parameters.maximum, parameters.slew_rate * self.sample_time, step])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (4,): the voltage of the range and grid next to 0 V, no flags."""
+        """Return x, shape (4,): the voltage in range and grid that is nearest to 0 V, no flags."""
         v = min(max(0.0, self.p[MINIMUM]), self.p[MAXIMUM])
         x = np.array([v, 0.0, 0.0, v])
         unlimited = self.p.copy()
@@ -134,5 +134,5 @@ class Limits(Block):
 
     @property
     def limited_samples(self) -> int:
-        """Samples so far that range or slew rate limited."""
+        """Number of samples so far in which range or slew rate limited the voltage."""
         return int(self.x[LIMITED_SAMPLES])

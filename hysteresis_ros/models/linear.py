@@ -9,16 +9,16 @@
 
 """Linear dynamics of an actuator: discrete state spaces, their kernels, delay and units (K4, K7).
 
-The package holds every linear system in a :class:`StateSpace`. What is measured of a plant is taken before the input of
-its sample changes, y_k = C x_k + D u_(k-1); :meth:`StateSpace.held` is the system from u_k to that y_k.
+Every linear system of the package is a :class:`StateSpace`. A plant is measured before the input of its sample changes,
+y_k = C x_k + D u_(k-1); :meth:`StateSpace.held` is the system from u_k to that y_k.
 
-Matrices stay in the units in which they were published; ``input_scale`` and ``output_scale`` (SI per model unit) join
-them to the SI signals. In a Hammerstein model the dynamics have unit DC gain, which ``input_scale = 0`` arranges.
+Matrices keep the units in which they were published; ``input_scale`` and ``output_scale`` (SI per model unit) convert
+to SI signals. In a Hammerstein model the dynamics have unit DC gain, which ``input_scale = 0`` sets.
 
-A delay τ = (m + f) T of amplifier, converter and transport, of m samples and a part f of one, comes on top of the
-matrices: the input that acts in sample k is w_k = (1 − f) u_(k−m) + f u_(k−m−1), the mean over the sample of the input
-held τ later. For dynamics slow against a sample that is the delayed input exactly; the inputs on their way are states.
-A rate-independent hysteresis and a delay commute, so the delay may stand on either side of it.
+A delay τ = (m + f) T of amplifier, converter and transport, of m samples and a fraction f, is added to the matrices:
+the input acting in sample k is w_k = (1 − f) u_(k−m) + f u_(k−m−1), the mean over the sample of the delayed held input.
+For dynamics slow compared with a sample this is accurate; the delayed inputs are states. A rate-independent hysteresis
+and a delay commute, so the delay may be on either side of it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import Block, interpreted, kernel
 from hysteresis_ros.models.linear_algebra import exponential, product, solve
 
-#: A state nearer to 0 than this becomes 0. What dies out would end as a denormal number, with which processors reckon
-#: up to thirty times more slowly, and stay there: 0.9 · 2.5e-323 rounds to itself. The kernels see to it because a mode
-#: of the processor would not be the same in all threads and processes.
+#: A state nearer to 0 than this becomes 0. A decaying state would become a subnormal number, with which processors
+#: compute up to thirty times more slowly, and stay there: 0.9 · 2.5e-323 rounds to itself. The kernels do this because
+#: a mode of the processor may differ between threads and processes.
 NOTHING = 1e-290
 #: A pole or zero nearer to the unit circle than this counts as on it.
 BOUNDARY = 1e-9
@@ -52,7 +52,7 @@ def accumulate(total, p, row, x, first, n):
 
 @kernel
 def advance(p, matrix, column, x, state, n, u):
-    """x⁺ = A x + B u with A (row by row) from p[matrix] and B from p[column]; behind x stand n places of scratch.
+    """Compute x⁺ = A x + B u with A (row by row) from p[matrix] and B from p[column]; n entries of scratch follow x.
 
     States nearer to 0 than :data:`NOTHING` become 0.
     """
@@ -60,7 +60,7 @@ def advance(p, matrix, column, x, state, n, u):
         x[state + n + i] = accumulate(p[column + i] * u, p, matrix + i * n, x, state, n)
     for i in range(n):
         value = x[state + n + i]
-        # so asked, what is no number stays as it is
+        # this form of the comparison keeps NaN
         x[state + i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
@@ -103,7 +103,7 @@ class StateSpace:
         return float(gain[0, 0]) if gain.size == 1 else gain
 
     def response(self, z) -> np.ndarray:
-        """Return the transfer C (z I - A)⁻¹ B + D.
+        """Return the transfer function C (z I - A)⁻¹ B + D.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class StateSpace:
         Returns
         -------
         StateSpace
-            Of n + m states and without feedthrough.
+            System with n + m states and without feedthrough.
         """
         n, m, q = self.order, self.B.shape[1], len(self.C)
         A = np.block([[self.A, np.zeros((n, m))], [np.zeros((m, n + m))]])
@@ -138,18 +138,18 @@ class StateSpace:
 
     @property
     def shown(self) -> StateSpace:
-        """The system with its first output alone."""
+        """The system with its first output only."""
         return StateSpace(self.A, self.B, self.C[:1], self.D[:1])
 
     def part(self, states, inputs=None) -> StateSpace:
-        """Return the system of some of its states alone, and of some of its inputs.
+        """Return the system restricted to some states and inputs.
 
         Parameters
         ----------
         states : array_like of int
-            States that are kept; the others must not matter to them.
+            States to keep; they must not depend on the others.
         inputs : array_like of int, optional
-            Inputs that are kept; all by default.
+            Inputs to keep; all by default.
         """
         chosen = slice(None) if inputs is None else inputs
         return StateSpace(
@@ -157,9 +157,9 @@ class StateSpace:
         )
 
 
-#: Sample times that differ by less than this part are the same one, written with fewer digits.
+#: Relative difference of sample times below which they count as equal, written with fewer digits.
 SAMPLE_TIME_TOLERANCE = 1e-6
-#: A delay this close to whole samples, in samples, is one of whole samples.
+#: Tolerance for a delay of whole samples [samples].
 DELAY_TOLERANCE = 1e-6
 #: Longest delay [samples].
 LONGEST_DELAY = 64
@@ -178,12 +178,6 @@ STATE = 1
 
 def zero_order_hold(A, B, sample_time: float):
     """Return the discrete (A, B) of continuous ``x' = A x + B u`` whose input is held over ``sample_time`` [s].
-
-    Parameters
-    ----------
-    A : array_like, shape (n, n)
-    B : array_like, shape (n, m)
-    sample_time : float
 
     Returns
     -------
@@ -208,12 +202,11 @@ class LinearParameters(Parameters):
         0.0, description="SI units per model unit of the input; 0: such that the DC gain in SI is one", low=0.0
     )
     output_scale: float = parameter(1.0, description="SI units per model unit of the output", low=1e-15)
-    sample_time: float = parameter(
-        0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
-    )
+    sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
     delay: float = parameter(
         0.0,
-        description="delay of amplifier, converter and transport beyond the matrices, also of parts of a sample; needs "
+        description="delay of amplifier, converter and transport beyond the matrices, also of fractions of a sample; "
+        "needs  "
         "sample_time",
         unit="s",
         low=0.0,
@@ -233,7 +226,7 @@ class LinearParameters(Parameters):
 
     @property
     def delayed_samples(self) -> tuple[int, float]:
-        """The delay as m whole samples and a part f of one, 0 ≤ f < 1."""
+        """The delay as m whole samples and a fraction f, 0 ≤ f < 1."""
         if not self.delay or not self.sample_time:
             return 0, 0.0
         samples = self.delay / self.sample_time
@@ -248,12 +241,12 @@ class LinearParameters(Parameters):
 
     @property
     def state_space(self) -> StateSpace:
-        """The dynamics in model units, one input and one output; the last inputs are its last states under a delay."""
+        """The dynamics in model units, one input and one output; with a delay the last inputs are its last states."""
         model, (whole, part) = self.matrices, self.delayed_samples
         if not whole and not part:
             return model
         n, order, through = model.order, self.order, model.D.item()
-        inputs = np.zeros(order - n + 1)  # parts of u_k, u_(k-1), … in the input that acts
+        inputs = np.zeros(order - n + 1)  # weights of u_k, u_(k-1), … in the acting input
         inputs[whole] = 1.0 - part
         if part:
             inputs[whole + 1] = part
@@ -263,13 +256,13 @@ class LinearParameters(Parameters):
         A[n + 1 :, n : order - 1] = np.eye(order - n - 1)
         B[n] = 1.0
         C[0, :n] = model.C[0]
-        # what is measured sees the input of the sample before, u_(k-1), as its feedthrough, and those before as states
+        # the measurement contains the previous input, u_(k-1), as feedthrough, and earlier ones as states
         C[0, n + 1 :] = through * inputs[1:-1]
         return StateSpace(A, B, C, np.array([[through * inputs[0]]]))
 
     @property
     def acting(self) -> tuple[np.ndarray, float]:
-        """Input that acts in a sample, (row, through): row · x + through · u of the state and the input before it."""
+        """Acting input of a sample as (row, through): row · x + through · u of the state and the input before it."""
         whole, part = self.delayed_samples
         n, row = self._rows, np.zeros(self.order)
         # the last inputs, u_(k-1) first, are the states behind those of the matrices
@@ -289,16 +282,16 @@ class LinearParameters(Parameters):
 
     @functools.cached_property
     def resolved_input_scale(self) -> float:
-        """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
+        """``input_scale``; if it is 0, the value that makes the DC gain in SI one."""
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Refuse to run the matrices at another sample time than the one they state.
+        """Refuse a sample time other than the stated one of the matrices.
 
         Parameters
         ----------
         sample_time : float
-            Of the axis [s].
+            Sample time of the axis [s].
         name : str
             Full name of the parameter, for the message.
 
@@ -318,10 +311,10 @@ class LinearParameters(Parameters):
             raise ParameterError([Problem(name, self.sample_time, remedy)])
 
     def check(self):
-        """Yield what is wrong: sizes, an unstable A, a DC gain not to be normalised, a delay without sample time."""
+        """Yield a Problem for wrong sizes, an unstable A, an unusable DC gain, and a delay without sample time."""
         n = self._rows
         if self.delay and not self.sample_time:
-            yield Problem("delay", self.delay, "needs sample_time, in whose samples it is counted; state it")
+            yield Problem("delay", self.delay, "needs sample_time, because it is counted in samples; give it")
         elif self.delay > LONGEST_DELAY * self.sample_time:
             remedy = f"must be at most {LONGEST_DELAY} samples, {LONGEST_DELAY * self.sample_time:g} s"
             yield Problem("delay", self.delay, remedy)
@@ -353,7 +346,7 @@ class LinearParameters(Parameters):
 
 @kernel
 def linear_output(p, x):
-    """Output [SI] at the present state; the feedthrough acts on the input held last."""
+    """Output [SI] at the present state; the feedthrough acts on the last held input."""
     n = int(p[ORDER])
     c = MATRICES + n * n + n
     y = p[FEEDTHROUGH] * (x[HELD_INPUT] / p[INPUT_SCALE])
@@ -362,7 +355,7 @@ def linear_output(p, x):
 
 @kernel
 def linear_advance(p, x, u):
-    """Hold the input ``u`` [SI] for one sample: the state goes on to the next one."""
+    """Hold the input ``u`` [SI] for one sample and advance the state."""
     n = int(p[ORDER])
     b = MATRICES + n * n
     x[HELD_INPUT] = u
@@ -372,7 +365,7 @@ def linear_advance(p, x, u):
 
 @kernel
 def linear(p, x, u):
-    """Output [SI] one sample after the input ``u`` [SI] was put on: advance, then output."""
+    """Output [SI] one sample after the input ``u`` [SI] was applied: advance, then output."""
     linear_advance(p, x, u)
     return linear_output(p, x)
 
@@ -385,12 +378,12 @@ class LinearDynamics(Block):
     parameters : LinearParameters
         Matrices in discrete time.
     sample_time : float
-        The sample time they are for [s].
+        Sample time of the matrices [s].
 
     Raises
     ------
     ParameterError
-        The parameters are wrong, or state another sample time.
+        The parameters are wrong, or are for another sample time.
     """
 
     kernel = staticmethod(linear)
@@ -411,7 +404,7 @@ class LinearDynamics(Block):
         return interpreted(linear_output)(self.p, self.x)
 
     def settle(self, u: float) -> None:
-        """Put the state to rest under the constant input ``u`` [SI]."""
+        """Set the state to rest at the constant input ``u`` [SI]."""
         model, n = self.parameters.state_space, self.parameters.order
         self.x[:] = 0.0
         self.x[HELD_INPUT] = u
@@ -419,7 +412,7 @@ class LinearDynamics(Block):
             self.x[STATE : STATE + n] = solve(np.eye(n) - model.A, model.B[:, 0] * (u / self.p[INPUT_SCALE]))
 
     def retune(self, parameters: LinearParameters) -> None:
-        """Take new matrices of the same order while running; the state is kept.
+        """Change to matrices of the same order while running; the state is kept.
 
         Raises
         ------

@@ -9,13 +9,13 @@
 
 """Dense linear algebra of small matrices in a fixed order: the same bits on every processor.
 
-BLAS and LAPACK choose their kernels by processor; sums then run in another order, or with fused multiply-add, and the
-last digit differs. What ends in a number that a running axis uses (gains, rest points, input scales, inverse filters)
-is therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of
-float64, each rounded correctly by IEEE 754, in an order that only the sizes decide. NumPy's elementwise operations are
-such steps whatever their vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
+BLAS and LAPACK choose their kernels by processor; sums then have another order, or use fused multiply-add, and the last
+digit differs. Numbers that a running axis uses (gains, rest points, input scales, inverse filters) are therefore
+computed here. Every step is one addition, subtraction, multiplication, division or square root of float64, each rounded
+correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such steps
+whatever their vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
 
-Rank, stability and printed figures may go through ``np.linalg``: they judge and do not enter.
+Rank, stability and printed figures may use ``np.linalg``, because they do not enter these numbers.
 
 References
 ----------
@@ -32,21 +32,21 @@ import math
 
 import numpy as np
 
-#: Newton steps of a Riccati solution have settled at this relative change, or where it no longer falls below the other
-#: (a slow closed loop multiplies rounding errors); and how many there may be.
+#: Newton steps of a Riccati solution have converged at the first relative change, or when it stops falling below the
+#: second (a slow closed loop multiplies rounding errors); and their maximum number.
 NEWTON_CHANGE = 1e-13
 LARGEST_NEWTON_CHANGE = 1e-8
 NEWTON_STEPS = 12
-#: Doublings after which a Riccati iteration has failed: 2^60 samples of the closed loop.
+#: Number of doublings after which a Riccati iteration has failed: 2^60 samples of the closed loop.
 DOUBLINGS = 60
-#: QR steps for one eigenvalue after which the iteration has failed.
+#: Number of QR steps for one eigenvalue after which the iteration has failed.
 QR_STEPS = 60
 EPSILON = 2.0**-52
-#: Entries below this part of the largest do not count when a matrix is balanced.
+#: Fraction of the largest entry below which entries are ignored in balancing.
 NEGLIGIBLE = 2.0**-100
 #: Significant digits of :func:`rounded`.
 DIGITS = 13
-#: Coefficients of the diagonal Padé approximant of exp of degree 13 [3]_, and the norm up to which it is exact enough.
+#: Coefficients of the diagonal Padé approximant of exp of degree 13 [3]_, and the norm up to which it is accurate.
 PADE = tuple(
     math.factorial(26 - k) * math.factorial(13) // (math.factorial(k) * math.factorial(13 - k)) for k in range(14)
 )
@@ -59,7 +59,7 @@ def product(*factors) -> np.ndarray:
     Parameters
     ----------
     *factors : array_like, shapes (n, m) or (m,)
-        As ``@`` takes them.
+        Factors as for ``@``.
     """
     result = np.asarray(factors[0], dtype=float)
     for factor in factors[1:]:
@@ -75,11 +75,6 @@ def product(*factors) -> np.ndarray:
 def solve(matrix, right) -> np.ndarray:
     """Return x of ``matrix x = right`` by Gaussian elimination with partial pivoting [1]_.
 
-    Parameters
-    ----------
-    matrix : array_like, shape (n, n)
-    right : array_like, shape (n,) or (n, m)
-
     Raises
     ------
     numpy.linalg.LinAlgError
@@ -87,7 +82,7 @@ def solve(matrix, right) -> np.ndarray:
     """
     upper, given = np.array(matrix, dtype=float), np.array(right, dtype=float)
     n = len(upper)
-    x = given if given.ndim == 2 else given[:, np.newaxis]  # worked on in place
+    x = given if given.ndim == 2 else given[:, np.newaxis]  # changed in place
     for j in range(n):
         pivot = j + int(np.argmax(np.abs(upper[j:, j])))
         if not abs(upper[pivot, j]) > 0.0:
@@ -145,12 +140,12 @@ def polynomial(roots) -> np.ndarray:
     Parameters
     ----------
     roots : sequence of complex, shape (n,)
-        Complex ones in conjugate pairs, in any order.
+        Roots, complex ones in conjugate pairs, in any order.
     """
     coefficients = np.ones(1)
     for root in map(complex, roots):
         if root.imag < 0.0:
-            continue  # its conjugate stands for both
+            continue  # its conjugate represents both
         pair = (-2.0 * root.real, root.real * root.real + root.imag * root.imag)
         factor = pair if root.imag > 0.0 else (-root.real,)
         longer = np.append(coefficients, np.zeros(len(factor)))
@@ -161,21 +156,16 @@ def polynomial(roots) -> np.ndarray:
 
 
 def rounded(values) -> np.ndarray:
-    """Return an array rounded to :data:`DIGITS` significant digits, for what LAPACK or the C library had a part in."""
+    """Return an array rounded to :data:`DIGITS` significant digits, for results of LAPACK or the C library."""
     values = np.asarray(values, dtype=float)
     return np.array([float(f"{value:.{DIGITS}g}") for value in values.ravel()]).reshape(values.shape)
 
 
 def balance(matrix) -> np.ndarray:
-    """Return the powers of two t, shape (n,), that make rows and columns of ``matrix[i, j] t[j] / t[i]`` alike in size.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (n, n)
-    """
+    """Return the powers of two t, shape (n,), that balance rows and columns of ``matrix[i, j] t[j] / t[i]``."""
     size, scale = np.abs(np.array(matrix, dtype=float)), np.ones(len(matrix))
     np.fill_diagonal(size, 0.0)
-    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # they would ask for powers that overflow
+    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # they would need powers that overflow
     for _ in range(20):
         before = scale.copy()
         for i in range(len(size)):
@@ -193,7 +183,7 @@ def balance(matrix) -> np.ndarray:
 def riccati(A, B, Q, R) -> np.ndarray:
     """Return the stabilising P of P = Aᵀ P A − Aᵀ P B (R + Bᵀ P B)⁻¹ Bᵀ P A + Q by structure-preserving doubling [2]_.
 
-    Newton steps follow until they change nothing, which is the check of the residual.
+    Newton steps follow until convergence, which also checks the residual.
 
     Parameters
     ----------
@@ -229,7 +219,7 @@ def riccati(A, B, Q, R) -> np.ndarray:
             if settled:
                 break
         else:
-            raise np.linalg.LinAlgError("the iteration does not settle")
+            raise np.linalg.LinAlgError("the iteration does not converge")
     P = _refined(A, B, Q, R, P)
     return P / scale / scale[:, np.newaxis]
 
@@ -243,9 +233,9 @@ def _feedback(A, B, R, P):
 
 
 def _refined(A, B, Q, R, P):
-    """Return P after Newton steps: each the cost of the feedback of the one before, summed by doubling.
+    """Return P after Newton steps: each is the cost of the previous feedback, summed by doubling.
 
-    Doubling alone loses digits where the input costs next to nothing.
+    Doubling alone loses digits when the input weight is small.
     """
     last = math.inf
     for _ in range(NEWTON_STEPS):
@@ -262,20 +252,16 @@ def _refined(A, B, Q, R, P):
         if change <= NEWTON_CHANGE * size or last <= change <= LARGEST_NEWTON_CHANGE * size:
             return P
         last = change
-    raise np.linalg.LinAlgError("the solution found does not stabilise")
+    raise np.linalg.LinAlgError("the solution does not stabilise")
 
 
 def eigenvalues(matrix) -> np.ndarray:
     """Return the eigenvalues of a real matrix by double-shift QR steps [1]_: complex, shape (n,), in exact pairs.
 
-    Parameters
-    ----------
-    matrix : array_like, shape (n, n)
-
     Raises
     ------
     numpy.linalg.LinAlgError
-        The iteration does not settle (for instance: an entry is not finite).
+        The iteration does not converge (for instance because an entry is not finite).
     """
     scale = balance(matrix)
     H = np.array(matrix, dtype=float) * scale / scale[:, np.newaxis]
@@ -295,7 +281,7 @@ def eigenvalues(matrix) -> np.ndarray:
             continue
         steps += 1
         if steps > QR_STEPS:
-            raise np.linalg.LinAlgError("the eigenvalues do not settle")
+            raise np.linalg.LinAlgError("the eigenvalues do not converge")
         _qr_step(H[start:end, start:end], exceptional=steps % 10 == 0)
     return np.array(found[::-1], dtype=complex)
 
@@ -332,7 +318,7 @@ def _qr_step(H, exceptional: bool) -> None:
 
 
 def _to_hessenberg(H, width: int) -> None:
-    """Bring a matrix to Hessenberg form in place; ``width`` > 0 says how far below the diagonal entries reach."""
+    """Bring a matrix to Hessenberg form in place; ``width`` > 0 is the number of subdiagonals with entries."""
     for j in range(len(H) - 2):
         last = len(H) if not width else min(len(H), j + 1 + width)
         _reflect(H, H[j + 1 : last, j].copy(), j + 1)

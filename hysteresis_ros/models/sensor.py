@@ -16,15 +16,18 @@ The stage is a mass m on a flexure k_f and a damper c, moved by a stack of stiff
 
 m y″ + c y′ + k_f y = F,  F = k_a (δ − y)
 
-At rest y = k_a δ/(k_a + k_f), which is the displacement d that hysteresis and creep give and the dynamics, of unit gain
-at rest, make y of. So the force needs no dynamics of its own whatever is between d and y, if y is where the stack is:
+At rest y = k_a δ/(k_a + k_f) equals d, the displacement from hysteresis and creep, because the dynamics from d to y
+have unit DC gain. So the force needs no dynamics of its own, for any dynamics between d and y, if y is the position of
+the stack:
 
 F = (k_a + k_f) d − k_a y
 
 with k_f y at rest, and zeros at ω √(k_f/(k_a + k_f)), below the poles at ω. Like the displacement it is read before the
-voltage of its sample changes: d is what has acted until then, behind amplifier and delay. The preload is not in it.
+voltage of its sample changes: d is the displacement that has acted until then, behind amplifier and delay, without the
+preload.
 
-A piezoelectric sensor with its amplifier loses what is constant: a first-order high-pass, of the samples here.
+A piezoelectric sensor with its amplifier does not measure constant forces: it is modelled as a discrete first-order
+high-pass.
 
 References
 ----------
@@ -49,7 +52,7 @@ NOISE = 0
 RESOLUTION = 1
 OFFSET = 2
 
-# Layout of x: six words of the generator, the second normal of the last pair, whether there is one, the last reading.
+# Layout of x: six words of the generator, the second normal number of the last pair, a flag for it, the last reading.
 GENERATOR = 0
 SPARE = 6
 HAS_SPARE = 7
@@ -76,13 +79,13 @@ def generator_state(seed: int) -> np.ndarray:
         state = (state + 0x9E3779B97F4A7C15) % 2**64
         mixed = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
         mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) % 2**64
-        words.append(1 + (mixed ^ (mixed >> 31)) % (modulus - 1))  # never 0: three zeros would stay zero for ever
+        words.append(1 + (mixed ^ (mixed >> 31)) % (modulus - 1))  # never 0: three zeros would stay zero
     return np.array(words, dtype=np.float64)
 
 
 @kernel
 def uniform(x):
-    """Next number in (0, 1) of MRG32k3a with the words ``x[0:6]``; all products stay below 2⁵³ and are exact."""
+    """Return the next number in (0, 1) of MRG32k3a with the words ``x[0:6]``; all products are below 2⁵³ and exact."""
     first = 1403580.0 * x[1] - 810728.0 * x[0]
     first -= math.floor(first / MODULUS_1) * MODULUS_1
     x[0] = x[1]
@@ -101,7 +104,7 @@ def uniform(x):
 
 @kernel
 def normal(x):
-    """Next standard normal number; Box-Muller gives two, the second waits in the state."""
+    """Return the next standard normal number; Box-Muller gives two, and the state stores the second."""
     if x[HAS_SPARE] > 0.0:
         x[HAS_SPARE] = 0.0
         return x[SPARE]
@@ -149,38 +152,38 @@ class Sensor(Block):
         return x
 
 
-# Layout of p, empty where there is no sensor; the row that d is of the dynamics' states follows.
+# Layout of p, empty without a sensor; the row from the dynamics' states to d follows.
 FORCE_NOISE = 0  # [N] rms
 WHOLE = 1  # k_a + k_f [N/m]
 STACK = 2  # k_a [N/m]
-RATE = 3  # part of the force that the high-pass takes off a sample later; 0: there is none
-THROUGH = 4  # part of d that is of the input itself
+RATE = 3  # fraction of the force that the high-pass removes one sample later; 0: no high-pass
+THROUGH = 4  # feedthrough from the input to d
 ROW = 5
 
 # Layout of x: eight numbers of the noise's generator, then
 ACTING = 8  # d [m], acting since the last sample
-SLOW = 9  # what the high-pass takes off [N]
+SLOW = 9  # slow part of the force, which the high-pass removes [N]
 FORCE_STATES = 10
 
 
 @dataclass(frozen=True)
 class ForceParameters(Parameters):
-    """Stack and flexure of a stage with a force sensor, and how slow a force the sensor reads."""
+    """Stiffness of stack and flexure of a stage with a force sensor, and the sensor's high-pass."""
 
     stack_stiffness: float = parameter(
-        0.0, unit="N/m", low=0.0, high=1e12, description="of the stack with its force sensor; 0: there is no sensor"
+        0.0, unit="N/m", low=0.0, high=1e12, description="stiffness of the stack with its force sensor; 0: no sensor"
     )
     flexure_stiffness: float = parameter(
-        0.0, unit="N/m", low=0.0, high=1e12, description="of the flexure that the stack pushes against"
+        0.0, unit="N/m", low=0.0, high=1e12, description="stiffness of the flexure against which the stack pushes"
     )
     high_pass: float = parameter(
-        0.0, unit="Hz", low=0.0, description="corner below which the sensor reads nothing (charge amplifier); 0: none"
+        0.0, unit="Hz", low=0.0, description="corner of the sensor's high-pass (charge amplifier); 0: none"
     )
 
     def check(self):
-        """Yield that a stage has no flexure."""
+        """Yield a Problem when a stage with a sensor has no flexure."""
         if self.stack_stiffness and not self.flexure_stiffness:
-            remedy = "must be above 0: a stack that pushes against nothing has no force at rest"
+            remedy = "must be above 0: without a flexure the stack has no force at rest"
             yield Problem("flexure_stiffness", self.flexure_stiffness, remedy)
 
     @property
@@ -194,28 +197,18 @@ class ForceParameters(Parameters):
         return self.stack_stiffness + self.flexure_stiffness
 
     def require_same(self, present: ForceParameters) -> None:
-        """Refuse a sensor that comes or goes while running.
-
-        Parameters
-        ----------
-        present : ForceParameters
+        """Refuse to add or remove the sensor while running.
 
         Raises
         ------
         ParameterError
         """
         if self.there != present.there:
-            remedy = f"must stay {'above' if present.there else 'at'} 0 while running: clean up and configure anew"
+            remedy = f"must stay {'above' if present.there else 'at'} 0 while running: clean up and configure again"
             raise ParameterError([Problem("force_sensor.stack_stiffness", self.stack_stiffness, remedy)])
 
     def slow_part(self, sample_time: float) -> float:
-        """Return which part of the force the high-pass has taken off a sample later.
-
-        Parameters
-        ----------
-        sample_time : float
-            [s]
-        """
+        """Return the fraction of the force that the high-pass removes one sample later."""
         return -elementary.expm1(-2.0 * math.pi * self.high_pass * sample_time)
 
 
@@ -229,7 +222,7 @@ class ForceSensorParameters(ForceParameters):
 
 @kernel
 def note_acting(p, x, dynamics_x, u):
-    """Keep what acts on the dynamics of state ``dynamics_x`` in the sample in which their input is ``u`` [m]."""
+    """Store the displacement d acting on the dynamics with state ``dynamics_x`` and input ``u`` [m] in this sample."""
     n = p.shape[0] - ROW
     if n >= 0:
         x[ACTING] = accumulate(p[THROUGH] * u, p, ROW, dynamics_x, linear.STATE, n)
@@ -237,7 +230,7 @@ def note_acting(p, x, dynamics_x, u):
 
 @called
 def force_reading(p, x, displacement):
-    """Return what the sensor reads [N] while the dynamics are at ``displacement`` [m]; NaN: there is none."""
+    """Return the sensor's reading [N] while the dynamics are at ``displacement`` [m]; NaN: no sensor."""
     if p.shape[0] == 0:
         return math.nan
     reading = p[WHOLE] * x[ACTING] - p[STACK] * displacement - x[SLOW]
@@ -248,13 +241,13 @@ def force_reading(p, x, displacement):
 
 
 def pack_force(parameters: ForceSensorParameters, dynamics: LinearParameters, sample_time: float) -> np.ndarray:
-    """Return the parameter array of a force sensor, empty where there is none.
+    """Return the parameter array of a force sensor, empty without one.
 
     Parameters
     ----------
     parameters : ForceSensorParameters
     dynamics : LinearParameters
-        Between hysteresis and displacement.
+        Dynamics between hysteresis and displacement.
     sample_time : float
         [s]
     """
@@ -267,12 +260,7 @@ def pack_force(parameters: ForceSensorParameters, dynamics: LinearParameters, sa
 
 
 def force_state(parameters: ForceSensorParameters) -> np.ndarray:
-    """Return the state of a force sensor before the first sample, empty where there is none.
-
-    Parameters
-    ----------
-    parameters : ForceSensorParameters
-    """
+    """Return the state of a force sensor before the first sample, empty without one."""
     if not parameters.there:
         return np.zeros(0)
     x = np.zeros(FORCE_STATES)
@@ -281,16 +269,16 @@ def force_state(parameters: ForceSensorParameters) -> np.ndarray:
 
 
 def settle_force(p: np.ndarray, x: np.ndarray, acting: float, displacement: float) -> None:
-    """Put a sensor to rest.
+    """Set a sensor to rest.
 
     Parameters
     ----------
     p, x : ndarray
         Changed in place.
     acting : float
-        What acts on the dynamics [m].
+        Displacement d that acts on the dynamics [m].
     displacement : float
-        At which they rest [m].
+        Displacement of the dynamics at rest [m].
     """
     if p.size:
         x[ACTING] = acting

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""References: where an axis is to be at each sample.
+"""References: the desired position of an axis at each sample.
 
-Read :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
-(:mod:`.declaration`). The inchworm's setpoints go through :mod:`.inchworm_sequencer`, whose steps and walk stand in
-files of their own. :mod:`.recipes` has the excitations of identifications, :mod:`.scan` and ``scans/`` the paths of
-several axes over a plane.
+Start with :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
+(:mod:`.declaration`). :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes`
+contains the excitations for identification,
+:mod:`.scan` and ``scans/`` the paths of several axes over a plane.
 
-The package itself has a class for each waveform, whose constructor takes the parameters as keywords:
+The package has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
 """
 
@@ -44,7 +44,7 @@ def __getattr__(name: str) -> type[Reference]:
     """Return the class of a waveform; imported at the first use."""
     from hysteresis_ros.registry import find
 
-    # names of modules are asked for while they are imported
+    # Python also looks up names of modules here while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.references.classes import CLASSES

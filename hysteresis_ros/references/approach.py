@@ -21,26 +21,26 @@ the setpoint by at most d = V Ts a sample, and two moving averages of N1 and N2 
 * jerk: Δ³y = (Δq_k − Δq_{k−N1} − Δq_{k−N2} + Δq_{k−N1−N2})/(N1 N2), so |Δ³y|/Ts³ ≤ 4 V/(N1 N2 Ts²) ≤ J for
   N2 ≥ 4 V/(N1 J Ts²).
 
-The factors 2 and 4 (1 and 2 would do from rest to rest) are what a reversal at full speed needs.
+A reversal at full speed needs the factors 2 and 4; motions from rest to rest would need 1 and 2 only.
 
-**Overshoot.** y is a weighted mean, with weights ≥ 0, of past values of q, and q never passes the setpoint: from rest
-y goes monotonically to the setpoint, and it never leaves the interval spanned by the setpoints that were given since
-it last rested. A setpoint that comes closer, or turns back, while the motion is under way can be passed by the motion
-already begun (no bounded deceleration can avoid that in general), within that interval.
+**Overshoot.** y is a weighted mean, with weights ≥ 0, of past values of q, and q never passes the setpoint: from rest y
+goes monotonically to the setpoint, and it never leaves the interval spanned by the setpoints received since it last
+rested. When a new setpoint is nearer, or on the other side, the motion in progress may pass it (in general no bounded
+deceleration can avoid that), but it stays within that interval.
 
 **Exact arrival.** A distance D takes ceil(D/d) + N1 + N2 − 2 samples, and then y *is* the setpoint, bit for bit. The
-filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position) held in float64,
-and running sums are kept in two words of less than 2⁵³: every addition is exact, so nothing drifts however long it
-runs, and the last step from the grid to the setpoint is of the order of the float64 rounding of the position itself.
+filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position) held in float64, and
+running sums are kept in two words of less than 2⁵³: every addition is exact, so the sums never drift, and the last step
+from the grid to the setpoint is of the order of the float64 rounding of the position itself.
 
-**Zero means no limit of its own.** Where a limit is 0 but one of a higher derivative is not, the value is used that
-makes the full stroke R fastest: the time R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all three
-zero the output is the setpoint.
+**A limit of zero is free.** When a limit is 0 and that of a higher derivative is not, it takes the value that makes the
+full stroke R fastest: the time R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all three zero the
+output is the setpoint.
 
-ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode,
-z = exp((−ζ ω + i ω √(1 − ζ²)) T), and a sum of one: three equations. In continuous time these are the two impulses of
-[1]_; placed between samples they would leave something behind. ZVD is ZV twice: a double zero, so that what a wrong
-frequency leaves is of second order.
+ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode, z =
+exp((−ζ ω + i ω √(1 − ζ²)) T), and a sum of one: three equations. In continuous time these are the two impulses of [1]_;
+rounded to samples they would leave a residual vibration. ZVD is ZV applied twice: a double zero, so that the residual
+vibration is of second order in the error of the frequency.
 
 References
 ----------
@@ -61,11 +61,11 @@ from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import Block, called, kernel
 from hysteresis_ros.models.linear_algebra import solve
 
-#: Parameters. WEIGHT = N1 N2, SPLIT = size of the lower word; setpoints outside LOW … HIGH are ignored.
+#: Parameters: WEIGHT = N1 N2, SPLIT = size of the lower word; setpoints outside LOW … HIGH are ignored.
 QUANTUM, STEP, WINDOW1, WINDOW2, WEIGHT, SPLIT, LOW, HIGH = range(8)
 
-#: State; WHOLE + REST/WEIGHT is the output in quanta, SLEWED the output of the slew limiter. The sums of the windows
-#: have an upper and a lower word. Behind it: ring buffers of N1 increments and 2 × N2 sums.
+#: State: WHOLE + REST/WEIGHT is the output in quanta, SLEWED the output of the slew limiter. The sums of the windows
+#: have an upper and a lower word. The ring buffers of N1 increments and 2 × N2 sums follow.
 SETPOINT, SLEWED, WHOLE, REST, SUM1_UPPER, SUM1_LOWER, SUM2_UPPER, SUM2_LOWER, INDEX1, INDEX2, ARRIVED = range(11)
 RINGS = 11
 
@@ -74,7 +74,7 @@ LONGEST_WINDOWS = 2**20
 
 @dataclass(frozen=True)
 class ApproachParameters(Parameters):
-    """How fast the reference moves to a new setpoint; 0 = unlimited."""
+    """Limits of the motion to a new setpoint; 0 = unlimited."""
 
     maximum_velocity: float = parameter(
         0.0, description="largest velocity of the approach, 0 = unlimited", unit="m/s", low=0.0, read_only=True
@@ -87,13 +87,13 @@ class ApproachParameters(Parameters):
     )
     steps: bool = parameter(
         False,
-        description="whether the jumps of a waveform (steps, square, staircase) keep these limits too; needed where "
-        "the feedforward inverts the dynamics",
+        description="true: the jumps of a waveform (steps, square, staircase) keep these limits too; required by "
+        "a feedforward that inverts the dynamics",
         read_only=True,
     )
     start_time: float = parameter(
         0.1,
-        description="time in which start returns to the setpoint where the approach is unlimited",
+        description="time in which an unlimited approach returns to the setpoint after a start",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -102,7 +102,7 @@ class ApproachParameters(Parameters):
 
     @property
     def unlimited(self) -> bool:
-        """Whether the approach passes setpoints through."""
+        """Whether all limits are 0, so that setpoints pass unchanged."""
         return not (self.maximum_velocity or self.maximum_acceleration or self.maximum_jerk)
 
 
@@ -124,7 +124,7 @@ def effective_limits(parameters: ApproachParameters, stroke: float) -> tuple[flo
 
 @kernel
 def quotient(a, m):
-    """Floor of a/m for whole numbers below 2⁵³, without the rounding of the division."""
+    """Return the floor of a/m for whole numbers below 2⁵³, without the rounding error of a division."""
     n = math.floor(a / m)
     rest = a - n * m
     if rest < 0.0:
@@ -136,7 +136,7 @@ def quotient(a, m):
 
 @kernel
 def approach(p, x, u):
-    """Advance towards setpoint ``u`` [m] and return the position [m]; anything outside LOW … HIGH or NaN is ignored."""
+    """Advance towards setpoint ``u`` [m] and return the position [m]; NaN and values outside LOW … HIGH are ignored."""
     if u >= p[LOW] and u <= p[HIGH]:
         x[SETPOINT] = u
     target = math.floor(x[SETPOINT] / p[QUANTUM] + 0.5)
@@ -175,7 +175,7 @@ def approach(p, x, u):
 
 @kernel
 def rest(p, x, position, setpoint):
-    """Be at ``position`` [m] with velocity zero, before the way to ``setpoint`` [m]."""
+    """Set the state to rest at ``position`` [m], before the motion to ``setpoint`` [m]."""
     for i in range(x.shape[0]):
         x[i] = 0.0
     x[SETPOINT] = setpoint
@@ -196,12 +196,12 @@ class Approach(Block):
     minimum, maximum : float
         Range of the reference [m]; fixes the quantum of the arithmetic and, where limits are 0, the stroke.
     initial_setpoint : float
-        Where it rests at first [m].
+        Initial position, at rest [m].
 
     Raises
     ------
     ParameterError
-        The limits are so low that the approach would not fit into memory or arithmetic.
+        The limits are too low for the memory or for exact arithmetic.
     """
 
     kernel = staticmethod(approach)
@@ -217,7 +217,7 @@ class Approach(Block):
         """Return the kernel's parameters; their layout is at the top of the module."""
         low, high = self._range
         velocity, acceleration, jerk = effective_limits(parameters, high - low)
-        # Four times the range: where a start begins, setpoint and waveform apart may lie outside of it.
+        # Four times the range: at a start, setpoint and waveform may each lie outside of the range.
         exponent = math.frexp(max(abs(low), abs(high)))[1] + 2
         quantum = math.ldexp(1.0, exponent - 52)
         step = 2.0**52
@@ -251,7 +251,7 @@ class Approach(Block):
         rest(self.p, self.x, position, self.x[SETPOINT])
 
     def duration(self, distance: float) -> float:
-        """Time [s] from a new setpoint at ``distance`` [m], at rest, to the exact arrival."""
+        """Return the time [s] from a new setpoint at ``distance`` [m], given at rest, to the exact arrival."""
         moving = max(math.ceil(abs(distance) / (self.p[STEP] * self.p[QUANTUM])), 1)
         return (moving + self.p[WINDOW1] + self.p[WINDOW2] - 2.0) * self.sample_time
 
@@ -264,23 +264,23 @@ class Approach(Block):
             Unless the parameters are the present ones.
         """
         if parameters != self.parameters:
-            text = "fixed while the generator exists; clean up and configure anew"
+            text = "fixed while the node is configured; clean up and configure again"
             raise ParameterError([Problem("approach", parameters.to_mapping(), text)])
 
 
-#: How often the filter of each type is applied.
+#: Number of times that each type applies the filter.
 TYPES = {"none": 0, "zv": 1, "zvd": 2}
-#: Positions that are kept: the longest delay of a tap is one less.
+#: Number of stored positions: the longest delay of a tap is one less.
 RING = 4096
-#: Most taps besides the first one.
+#: Maximum number of taps besides the first one.
 MOST = 5
 
-# Parameters: taps besides the first one, then delay [samples] and weight of each.
+# Parameters: number of taps besides the first one, then delay [samples] and weight of each.
 TAPS = 0
 FIRST = 1
 PARAMETERS = FIRST + 2 * MOST
 
-# State: whether it runs (0.0: the next call starts at rest at REST_AT), place of the newest position, then the ring.
+# State: 1.0 while it runs (0.0: the next call starts at rest at REST_AT), index of the newest position, then the ring.
 STARTED, NEWEST, REST_AT = range(3)
 POSITIONS = 3
 
@@ -292,17 +292,23 @@ class ShapingParameters(Parameters):
     type: str = parameter(
         "none",
         choices=tuple(TYPES),
-        description="none; zv: in two parts, half a period apart; zvd: in three, less sensitive to the frequency",
+        description="none; zv: two impulses, half a period apart; zvd: three, less sensitive to errors of the "
+        "frequency",
     )
     frequency: float = parameter(
-        0.0, unit="Hz", low=0.0, description="of the mode that is not to vibrate; changes while the setpoint rests"
+        0.0,
+        unit="Hz",
+        low=0.0,
+        description="natural frequency of the mode to suppress; can change while the setpoint is constant",
     )
-    damping: float = parameter(0.0, low=0.0, high=0.9, description="of that mode, part of the critical one")
+    damping: float = parameter(0.0, low=0.0, high=0.9, description="damping ratio of that mode")
 
     def check(self):
-        """Yield that there is no frequency."""
+        """Yield a Problem when the frequency is missing."""
         if self.type != "none" and not self.frequency > 0.0:
-            yield Problem("frequency", self.frequency, "must be above 0: that of the mode, see `hysteresis design`")
+            yield Problem(
+                "frequency", self.frequency, "must be above 0, the frequency of the mode; `hysteresis design` finds it"
+            )
 
 
 def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.ndarray:
@@ -320,7 +326,7 @@ def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.n
     Raises
     ------
     ParameterError
-        ``shaping.frequency``: not below half the sample rate, or too low to be kept in mind.
+        ``shaping.frequency``: not below half the sample rate, or too low for the stored positions.
     """
     omega = 2.0 * math.pi * frequency * math.sqrt(1.0 - damping * damping)
     half = math.pi / (omega * sample_time)
@@ -362,14 +368,14 @@ def shaped(p, x, position):
         place = newest - int(p[FIRST + 2 * i])
         if place < 0:
             place += RING
-        # what rests is the position itself, whatever the weights add up to
+        # at rest the output is the position itself, whatever the rounded weights add up to
         found += p[FIRST + 2 * i + 1] * (x[POSITIONS + place] - position)
     return found
 
 
 @called
 def rest_shaper(x, position):
-    """Be at rest at ``position`` [m]."""
+    """Set the state to rest at ``position`` [m]."""
     x[STARTED] = 0.0
     x[REST_AT] = position
 
@@ -386,7 +392,7 @@ class Shaper(Block):
     Raises
     ------
     ParameterError
-        ``shaping.frequency``: there is none, or it is too high or too low for the sample rate.
+        ``shaping.frequency`` is missing, or too high or too low for the sample rate.
     """
 
     kernel = staticmethod(shaped)
@@ -413,9 +419,9 @@ class Shaper(Block):
 
     @property
     def resting(self) -> bool:
-        """Whether all positions that count are the same."""
+        """Whether all positions within the filter's length are equal."""
         return self.x[STARTED] == 0.0 or bool(np.ptp(self.x[POSITIONS:]) == 0.0)
 
     def rest_at(self, position: float) -> None:
-        """Be at rest at ``position`` [m]."""
+        """Set the state to rest at ``position`` [m]."""
         self.x[STARTED], self.x[REST_AT] = 0.0, float(position)

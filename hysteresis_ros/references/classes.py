@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The waveforms for notebooks: ``hr.references.Sine(amplitude=1e-6, frequency=10.0)``, a class for each there is."""
+"""The waveforms for notebooks: ``hr.references.Sine(amplitude=1e-6, frequency=10.0)``, one class per waveform."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from hysteresis_ros.registry import block_class, class_name
 
 
 class Reference(Waveform):  # numpydoc ignore=PR02
-    """A waveform that knows its samples; base of the classes in ``hr.references``.
+    """A waveform with a counter of its samples; base of the classes in ``hr.references``.
 
     Parameters
     ----------
     parameters : WaveformParameters
-        What to play.
+        Parameters of the waveform.
     sample_time : float
         Sample time [s].
     """
 
     def samples(self, count: int | None = None) -> np.ndarray:
-        """Return the next samples; the waveform goes on from where it was.
+        """Return the next samples; the waveform continues after the previous ones.
 
         Parameters
         ----------
         count : int, optional
-            Number of samples N; by default as many as the waveform has.
+            Number of samples N; by default the whole waveform.
 
         Returns
         -------
@@ -50,7 +50,7 @@ class Reference(Waveform):  # numpydoc ignore=PR02
         if count is None:
             count = self.duration_samples
             if not count:
-                raise HysteresisError("the waveform has no end: say how many samples, or give cycles")
+                raise HysteresisError("the waveform has no end: give the number of samples, or cycles")
         if count < 0:
             raise HysteresisError(f"count = {count}: must be 0 or more samples")
         return self.simulate(np.zeros(count))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a waveform declares, and where it is within its cycle.
+"""Declaration of a waveform, and its position within the cycle.
 
 The state ``x`` is the sample counter k (exact up to 2⁵³). The position within the cycle is never accumulated:
 ``frequency · sample_time`` is written once as a fraction a/b with b ≤ 2²⁶ plus a residual d, and the position is
@@ -39,13 +39,13 @@ COUNTER = 0
 
 #: Parameters common to all waveforms: END is the sample from which FINAL is held (0 = endless).
 OFFSET, AMPLITUDE, NUMERATOR, DENOMINATOR, RESIDUAL, PHASE, END, FINAL = range(8)
-#: First parameter of each waveform's own.
+#: Index of the first own parameter of each waveform.
 OWN = 8
-#: Of waveforms with a polarity the first of their own: 1 from the offset upwards, 0 symmetric.
+#: First own parameter of waveforms with a polarity: 1 from the offset upwards, 0 symmetric.
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi
-#: Edges of square and staircase that fall on a sample belong to that sample in spite of rounding [cycles].
+#: Tolerance by which an edge of square and staircase that falls on a sample belongs to it despite rounding [cycles].
 EDGE = 1e-9
 LARGEST_DENOMINATOR = 2**26
 
@@ -62,7 +62,7 @@ def cycles_per_sample(frequency: float | Fraction, sample_time: float) -> tuple[
 
 @kernel
 def turns(p, k):
-    """Position within the cycle at sample ``k``, in [0, 1)."""
+    """Return the position within the cycle at sample ``k``, in [0, 1)."""
     b = p[DENOMINATOR]
     position = ((k % b) * p[NUMERATOR]) % b / b + k * p[RESIDUAL] + p[PHASE]
     position -= math.floor(position)
@@ -71,7 +71,7 @@ def turns(p, k):
 
 @kernel
 def whole_turns(p, k):
-    """Whole cycles before sample ``k`` (for phase 0)."""
+    """Return the number of whole cycles before sample ``k`` (for phase 0)."""
     b = p[DENOMINATOR]
     rest = k % b
     product = rest * p[NUMERATOR]
@@ -81,7 +81,7 @@ def whole_turns(p, k):
 
 @kernel
 def triangle_shape(position, unipolar):
-    """Triangle of height one: 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric), ``position`` in [0, 1)."""
+    """Return a triangle of height one: 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric), ``position`` in [0, 1)."""
     if unipolar > 0.0:
         return 2.0 * position if position < 0.5 else 2.0 - 2.0 * position
     if position < 0.25:
@@ -100,15 +100,15 @@ class Packed:
     Parameters
     ----------
     p : ndarray
-        Parameters of the kernel, laid out as :mod:`hysteresis_ros.references.declaration` says.
+        Parameters of the kernel, in the layout of :mod:`hysteresis_ros.references.declaration`.
     kernel : callable
         ``y = kernel(p, x, u)``; the state is the sample counter.
     lowest, highest : float
-        Range [m], offset included.
+        Range [m], including the offset.
     period : int or None
-        Samples after which the output repeats bit for bit; None where it does not.
+        Number of samples after which the output repeats bit for bit; None without such a number.
     crest_factor : float or None
-        Peak over root mean square, without the offset, where that is known.
+        Peak over root mean square, without the offset; None if unknown.
     """
 
     p: np.ndarray
@@ -129,34 +129,34 @@ def _end(p) -> int:
 
 @dataclass(frozen=True, eq=False)
 class WaveformShape:
-    """A waveform: its type and parameters, and what the rest of the package asks of it.
+    """A waveform: its type, its parameters, and its properties for the rest of the package.
 
     Parameters
     ----------
     name : str
         ``type`` of the waveform.
     pack : callable
-        ``pack(parameters, sample_time)`` returns :class:`Packed` for WaveformParameters; :func:`cyclic` makes one of a
-        kernel.
+        ``pack(parameters, sample_time)`` returns :class:`Packed` for WaveformParameters; :func:`cyclic` makes ``pack``
+        from a kernel.
     parameters : type of Parameters, optional
-        Own parameters, a group of the waveform's name.
+        Own parameters, in a group with the waveform's name.
     takes_frequency, takes_phase, takes_polarity : bool, optional
-        Which of the parameters that waveforms share it uses.
+        Whether it uses these shared parameters.
     check : callable, optional
         ``check(parameters)`` yields a Problem for each inconsistency, names relative to WaveformParameters.
     extent : str, optional
-        Name of the parameter that says how far it goes.
+        Name of the parameter that determines its amplitude.
     periodic : bool, optional
-        Whether it has one frequency, for which an axis can be too slow; experiments (chirp, multisine) have not.
+        Whether it has one frequency, for which an axis may be too slow; False for experiments (chirp, multisine).
     fundamental : callable, optional
-        ``fundamental(parameters)`` returns the amplitude of its fundamental as a part of half its height; None for
-        waveforms with jumps, which are steps and no frequency.
+        ``fundamental(parameters)`` returns the amplitude of its fundamental relative to half its height; None for
+        waveforms with jumps, which are steps.
     jumps : bool, optional
         Whether it jumps from one level to another; with ``approach.steps`` a jump keeps the limits of the approach.
     duration : callable, optional
-        ``duration(p)`` returns the samples until it has been played, 0 when it has no end.
+        ``duration(p)`` returns its length in samples, 0 when it has no end.
     example : Parameters, optional
-        Own parameters of an example, where there are required ones.
+        Own parameters of an example; needed where parameters are required.
     """
 
     name: str
@@ -175,7 +175,7 @@ class WaveformShape:
 
 
 def refuse(name: str, value, remedy: str) -> NoReturn:
-    """Raise the ParameterError of a waveform that cannot be played.
+    """Raise a ParameterError about a parameter of a waveform.
 
     Raises
     ------
@@ -186,31 +186,26 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
 
 
 def head(parameters) -> np.ndarray:
-    """Return the parameters that all kernels share, shape (8,), with offset and amplitude.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    """
+    """Return the parameters common to all kernels, shape (8,), with offset and amplitude."""
     p = np.zeros(OWN)
     p[[OFFSET, AMPLITUDE, DENOMINATOR]] = parameters.offset, parameters.amplitude, 1.0
     return p
 
 
 def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
-    """Write how the counter becomes a position, and the end, into ``p``; return the samples after which it repeats.
+    """Write the rule from counter to position, and the end, into ``p``; return the samples of a repetition.
 
     Parameters
     ----------
     p : ndarray
-        Of :func:`head`.
+        Parameter array of :func:`head`.
     parameters : WaveformParameters
     sample_time : float
         [s]
     rate : Fraction
         Cycles per second.
     fastest : (str, float)
-        Name and value of the highest frequency in it [Hz].
+        Name and value of its highest frequency [Hz].
 
     Raises
     ------
@@ -241,20 +236,20 @@ def first_value(kernel, p) -> float:
 
 
 def cyclic(kernel, own=None, final=None, polarity: bool = False, repeats: bool = True):
-    """Return the ``pack`` of a waveform whose kernel makes one cycle of offset ± amplitude from the position.
+    """Return the ``pack`` of a waveform whose kernel computes one cycle of offset ± amplitude from the position.
 
     Parameters
     ----------
     kernel : callable
     own : callable, optional
-        ``own(parameters, sample_time)`` returns the numbers of the waveform's own in ``p``, behind that of the polarity
-        where it has one.
+        ``own(parameters, sample_time)`` returns the waveform's own numbers in ``p``, after the polarity if it has one.
     final : callable, optional
-        ``final(parameters, p)`` returns what is held after the last cycle; by default where a next one would begin.
+        ``final(parameters, p)`` returns the value held after the last cycle; by default the first value of a next
+        cycle.
     polarity : bool
-        Whether it can stay above the offset.
+        Whether it has the parameter ``polarity``.
     repeats : bool
-        Whether a cycle is like the one before.
+        Whether every cycle is equal to the previous one.
     """
 
     def pack(parameters, sample_time: float) -> Packed:

@@ -50,12 +50,12 @@ from hysteresis_ros.references.trajectory import (
 )
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
-#: Parameters and state of the range: FADE is what start() found between the held reference and the setpoint with an
-#: unlimited approach; it fades over FADE_SAMPLES. SMOOTHED: 1 where the waveform jumps and passes an approach.
+#: Parameters and state of the range: FADE is the difference between the held reference and the setpoint at a start with
+#: an unlimited approach; it fades over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes an approach.
 MINIMUM, MAXIMUM, FADE_SAMPLES, SMOOTHED = range(4)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
-#: What RUNNING may be: the reference is held; waveform and moves; moves, while the waveform waits for its start.
+#: Values of RUNNING: the reference is held; waveform and moves; moves, while the waveform waits for its start.
 HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
 
 
@@ -74,7 +74,7 @@ class ReferenceParameters(Parameters):
     trajectory: TrajectoryParameters = group(TrajectoryParameters)
 
     def check(self):
-        """The range is not empty and contains the initial setpoint."""
+        """Yield a Problem when the range is empty or does not contain the initial setpoint."""
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
         elif not self.minimum <= self.initial_setpoint <= self.maximum:
@@ -95,9 +95,9 @@ class GeneratorArrays(NamedTuple):
 
 @nested
 def base(ps, xs, setpoint):
-    """Return the position [m] of this sample under the waveform: that of the approach, or of a trajectory.
+    """Return the position [m] of this sample, of the approach or of a trajectory, without the waveform.
 
-    Where a trajectory has ended the axis stays, until a setpoint comes that is another than before.
+    After a trajectory the axis stays until a different setpoint is received.
     """
     p, x = ps.trajectory, xs.trajectory
     is_new = setpoint != x[following.GIVEN] and setpoint != x[following.TARGET]
@@ -129,7 +129,7 @@ def base(ps, xs, setpoint):
 
 @nested
 def setpoint_in_force(xs, setpoint):
-    """Return the setpoint [m] that counts: the end of a trajectory takes the place of the one before."""
+    """Return the valid setpoint [m]: the end of a trajectory replaces the previous one."""
     x = xs.trajectory
     target, after = x[following.TARGET], x[following.AFTER]
     if x[following.ACTIVE] != following.IDLE and after < following.NOWHERE:
@@ -139,7 +139,7 @@ def setpoint_in_force(xs, setpoint):
 
 @nested
 def abandon(ps, xs):
-    """Give up a trajectory, and stay where it has led."""
+    """Abort a trajectory and stay at its present position."""
     x = xs.trajectory
     if x[following.ACTIVE] != following.IDLE:
         if x[following.ACTIVE] == following.FOLLOWING:
@@ -154,8 +154,7 @@ def abandon(ps, xs):
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach or trajectory + waveform, clipped to minimum … maximum.
 
-    ``ps``, ``xs`` are :class:`GeneratorArrays`. While stopped the reference does not change and
-    nothing advances.
+    ``ps``, ``xs`` are :class:`GeneratorArrays`. While stopped, reference and states do not change.
     """
     p, x = ps.range, xs.range
     if x[RUNNING] == HELD:
@@ -184,7 +183,7 @@ def run_reference(waveform, ps, xs, setpoints, references):
 
 
 class ReferenceGenerator(Chain):
-    """Setpoints and waveform to reference. It runs from construction on.
+    """Generate the reference from setpoints and a waveform. It runs from construction on.
 
     Parameters
     ----------
@@ -246,7 +245,7 @@ class ReferenceGenerator(Chain):
     def _adopt(self) -> None:
         """Connect the present waveform."""
         low, high = self.parameters.minimum, self.parameters.maximum
-        # With the waveform on top the sum stays inside.
+        # with the waveform added, the sum stays inside
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
@@ -268,7 +267,7 @@ class ReferenceGenerator(Chain):
 
     @property
     def moving(self) -> bool:
-        """Whether the way to a setpoint, or a trajectory, is not over."""
+        """Whether a motion to a setpoint, or a trajectory, is in progress."""
         x = self.xs.trajectory
         if x[following.ACTIVE] != following.IDLE or not self.shaper.resting:
             return True
@@ -276,11 +275,11 @@ class ReferenceGenerator(Chain):
 
     @property
     def setpoint(self) -> float:
-        """The last setpoint that was not refused [m]."""
+        """The last accepted setpoint [m]."""
         return float(self.approach.x[SETPOINT])
 
     def step(self, setpoint: float) -> float:
-        """Return the reference [m] of this sample; a setpoint that is refused leaves the last good one in force."""
+        """Return the reference [m] of this sample; a refused setpoint changes nothing."""
         return interpreted(reference_step)(self.waveform_kernel, self.ps, self.xs, float(setpoint))
 
     def simulate(self, setpoints) -> np.ndarray:
@@ -291,14 +290,14 @@ class ReferenceGenerator(Chain):
         return references
 
     def refuse(self, setpoint: float) -> str | None:
-        """Say why a setpoint [m] is refused, with value and range; None when it is not."""
+        """Return why a setpoint [m] is refused, with value and range; None when it is accepted."""
         low, high = self.approach.p[LOW], self.approach.p[HIGH]
         if low <= setpoint <= high:
             return None
         waveform = self.waveform
         around = ""
         if waveform.lowest != 0.0 or waveform.highest != 0.0:
-            around = f" with the waveform {waveform.lowest:g} … {waveform.highest:g} m on top"
+            around = f" with the waveform {waveform.lowest:g} … {waveform.highest:g} m added"
         reason = "out of range" if math.isfinite(setpoint) else "not a finite number"
         return f"setpoint {setpoint:g} m refused: {reason}, allowed: {low:g} … {high:g} m{around}"
 
@@ -309,11 +308,11 @@ class ReferenceGenerator(Chain):
 
     @property
     def unasked(self) -> bool:
-        """Whether nobody has asked for anything since :meth:`begin_at`."""
+        """Whether no setpoint or trajectory was received since :meth:`begin_at`."""
         return bool(self.xs.trajectory[following.TARGET] == self._begun)
 
     def begin_at(self, position: float) -> None:
-        """Begin at rest where the axis is [m], as far as it is in the range: the waveform waits for :meth:`start`."""
+        """Begin at rest at the axis' position [m], clipped to the range; the waveform waits for :meth:`start`."""
         position = min(max(position, self.parameters.minimum), self.parameters.maximum)
         self.reset()
         rest(self.approach.p, self.approach.x, position, position)
@@ -324,30 +323,30 @@ class ReferenceGenerator(Chain):
         self._begun = position
 
     def stop(self) -> None:
-        """Freeze the reference at its last value; setpoints are without effect until :meth:`start`."""
+        """Hold the reference at its last value; setpoints have no effect until :meth:`start`."""
         self._range[1][RUNNING] = HELD
         interpreted(abandon)(self.ps, self.xs)
 
     def follow(self, times, positions, velocities=(), accelerations=()) -> None:
-        """Follow a trajectory from the next sample on, in the place of whatever moved before.
+        """Follow a trajectory from the next sample on; it replaces the present motion.
 
-        Where it ends is the setpoint from then on. Lines join positions alone, cubics positions and velocities,
-        quintics all three.
+        Its end becomes the setpoint. Positions alone are joined by lines, positions and velocities by cubics, all three
+        by quintics.
 
         Parameters
         ----------
         times : sequence of float, shape (N,)
-            Of each point since the beginning [s]; a first point at 0 must be where the axis is.
+            Time of each point since the beginning [s]; a first point at 0 must be at the axis' position.
         positions : sequence of float, shape (N,)
-            [m]; the waveform comes on top.
+            Positions [m]; the waveform is added to them.
         velocities, accelerations : sequence of float, shape (N,), optional
             [m/s], [m/s²]
 
         Raises
         ------
         ParameterError
-            The generator is stopped, the points are no trajectory, or its path leaves the range, or the velocity and
-            acceleration of the approach where these are limited; nothing is changed then.
+            The generator is stopped, the points are not a trajectory, or the path exceeds the range, or the velocity or
+            acceleration of a limited approach; nothing is changed then.
         """
         if not self.running:
             raise ParameterError([Problem("trajectory", len(times), "refused: the generator is stopped; call start")])
@@ -357,7 +356,7 @@ class ReferenceGenerator(Chain):
         if points.times[0] == 0.0 and not abs(points.positions[0] - x[following.POSITION]) <= self.start_tolerance:
             text = (
                 f"m at 0 s: the axis is at {x[following.POSITION]:g} m, allowed: within {self.start_tolerance:g} m of "
-                "that (trajectory.start_tolerance); give the way there a time"
+                "that (trajectory.start_tolerance); give the first point a later time"
             )
             raise ParameterError([Problem("trajectory positions", float(points.positions[0]), text)])
         segments = points.segments(*x[following.POSITION : following.ACCELERATION + 1].tolist())
@@ -369,27 +368,27 @@ class ReferenceGenerator(Chain):
 
     @property
     def start_tolerance(self) -> float:
-        """How far a first point at time 0 may be from the axis [m]."""
+        """Largest distance of a first point at time 0 from the axis [m]."""
         own = self.parameters
         return own.trajectory.start_tolerance or 0.01 * (own.maximum - own.minimum)
 
     def hold(self) -> None:
-        """Come to rest from the next sample on, whatever moves under the waveform, and stay there."""
+        """Bring the present motion to rest, beginning with the next sample, and stay there; the waveform continues."""
         interpreted(brake)(self.ps.trajectory, self.xs.trajectory, following.NOWHERE, following.HELD)
 
     @property
     def trajectory(self) -> tuple[int, int]:
-        """Number of the last trajectory, from 1 on, and how it has ended (a code of ``trajectory``)."""
+        """Number of the last trajectory, counted from 1, and how it ended (a code of ``trajectory``)."""
         x = self.xs.trajectory
         return int(x[following.NUMBER]), int(x[following.OUTCOME])
 
     def start(self) -> None:
-        """Run the waveform from its beginning, from the present reference without a jump.
+        """Run the waveform from its beginning, without a jump of the reference.
 
-        The approach begins, at rest, where the waveform's first sample on top of it gives the held reference, and
-        moves to the setpoint within its limits; steps that pass an approach begin there too. An unlimited approach
-        cannot do that: there the difference fades out over ``approach.start_time``. Where nobody has asked for another
-        since :meth:`begin_at`, the setpoint is the initial one.
+        The approach begins at rest where its sum with the waveform's first sample is the held reference, and moves to
+        the setpoint within its limits; steps that pass an approach begin there too. An unlimited approach jumps to the
+        setpoint instead, and the difference fades out over ``approach.start_time``. When no setpoint was received since
+        :meth:`begin_at`, the setpoint is the initial one.
         """
         if self.unasked:
             self.approach.x[SETPOINT] = self.parameters.initial_setpoint
@@ -430,13 +429,13 @@ class ReferenceGenerator(Chain):
         self._range[1][:] = (WHOLE, output, 0.0, 0.0)
 
     def retune(self, parameters: ReferenceParameters) -> None:
-        """Take another waveform while stopped, played from its beginning at the next :meth:`start`, or another shaping.
+        """Change the waveform while stopped, or the shaping.
 
         Raises
         ------
         ParameterError
-            The generator runs, or moves with a shaping to change, the new parameters are wrong, or anything else
-            differs; nothing is changed then.
+            The generator runs, or is moving while the shaping would change, the new parameters are wrong, or another
+            parameter differs; nothing is changed then.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()
@@ -445,9 +444,11 @@ class ReferenceGenerator(Chain):
         for name in changed:
             if name.startswith("shaping."):
                 if self.moving:
-                    problems.append(Problem(name, new.get(name), "can change only while the setpoint rests; wait"))
+                    problems.append(Problem(name, new.get(name), "can change only while the reference rests; wait"))
             elif not name.startswith("waveform."):
-                problems.append(Problem(name, new.get(name), "fixed while configured; clean up and configure anew"))
+                problems.append(
+                    Problem(name, new.get(name), "fixed while the node is configured; clean up and configure again")
+                )
             elif self.running:
                 problems.append(Problem(name, new.get(name), "can change only while stopped; call stop"))
         if problems:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Arrays of the inchworm sequencer: places of parameters, state and signals, and the codes of its states."""
+"""Arrays of the inchworm sequencer: indices of parameters, state and signals, and the codes of its states."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ from __future__ import annotations
     CONTINUOUS,  # not 0: continuous walking is a motion over the phase of the cycle, below
     WALKING_STEP,  # [m] a cycle
     BLEND,  # part of the carrying motion in which its speed rises, and in which it falls
-    LEAD,  # how far the outputs are ahead of the path [samples]
-    BOUND,  # of the correction [m]
+    LEAD,  # lead of the outputs over the path [samples]
+    BOUND,  # largest correction [m]
     LEARNING_GAIN,
-    LEARNING_RATE,  # of the cycles from which is learned [1/sample]
-    INERTIA,  # extension in advance for each acceleration [samples²]
-    SPLINES,  # of the correction
-    BINS,  # of the error
+    LEARNING_RATE,  # rate of the cycles that the learning uses [1/sample]
+    INERTIA,  # additional extension per acceleration [samples²]
+    SPLINES,  # number of splines of the correction
+    BINS,  # number of bins of the error
 ) = range(43)
-#: Phases at which the processes of a cycle forward end, and of one backward (named below).
+#: Phases at which the processes of a forward cycle end, and of a backward one (named below).
 FORWARD_BOUNDS = 43
 BACKWARD_BOUNDS = 51
 #: Learning matrices (SPLINES, BINS) forward and then backward, row by row.
@@ -68,72 +68,72 @@ PARAMETERS = 59
 #: rear clamp begins to close, front clamp to open, returning begins. The middle of returning is phase 0.
 RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN = range(8)
 
-#: State x: first what others read and write, then what the sequencer keeps for itself.
+#: State x: first the public signals, then the internal state.
 (
-    REFERENCE,  # wanted extension, or wanted slider position less origin [m]
+    REFERENCE,  # commanded extension, or commanded slider position minus origin [m]
     FRONT_VOLTAGE,  # [V]
     REAR_VOLTAGE,  # [V]
     ORIGIN,  # [m]; the motion controller's measurement is slider - origin
     PHASE,
     STEPS,  # whole and partial steps so far, those forward minus those backward
     DIRECTION,  # +1, -1 or 0
-    SLIP,  # extension of the last step less what the slider moved [m]
+    SLIP,  # extension of the last step minus the motion of the slider [m]
     ERROR,
     MODE,
     ARRIVED,  # 1 while the slider is at the setpoint within the tolerance
     MISSED,  # steps that moved the slider by less than the missed part of the extension
     TOTAL_STEPS,  # forward and backward steps so far
     REFUSED,  # setpoints outside of the travel so far
-    LIMITED_SPEED,  # 1 when the wanted speed is beyond the gait's
-    COMMANDED_STEP,  # length the last finished step was to have [m], with the sign of its direction
-    ACHIEVED_STEP,  # length it had by the measured slider [m]
-    TARGET,  # setpoint in force [m]
-    REQUEST,  # written by others, taken at the next sample
-    SPEED,  # wanted speed of continuous walking [m/s], written by others; 0: walk to the setpoint
-    RECEIVED,  # last setpoint that was received [m]
+    LIMITED_SPEED,  # 1 when the requested speed exceeds the gait's
+    COMMANDED_STEP,  # commanded length of the last finished step [m], with the sign of its direction
+    ACHIEVED_STEP,  # its achieved length by the measured slider [m]
+    TARGET,  # present setpoint [m]
+    REQUEST,  # input: request, taken at the next sample
+    SPEED,  # input: requested speed of continuous walking [m/s]; 0: walk to the setpoint
+    RECEIVED,  # last received setpoint [m]
     SLIDER,  # last good measurements [m]
     EXTENDER,
     BAD,  # samples since the last good measurement
     STARTED,  # 1 once both clamps have closed for the first time
     TIMER,  # samples since the present phase began
-    SOURCE,  # what the controller's measurement is
-    BIAS,  # extender less reference when the extender was let go [m]; fades out over the next motion
+    SOURCE,  # source of the controller's measurement
+    BIAS,  # extender minus reference when its feedback began [m]; fades out over the next motion
     FRONT_FROM,  # clamp ramps: voltage at the beginning and at the end [V], samples so far
     FRONT_TO,
     FRONT_COUNT,
     REAR_FROM,
     REAR_TO,
     REAR_COUNT,
-    MOVE_FROM,  # motion of the extender: from, to [m], progress 0 … 1, samples, rate 0 … 1, samples of rest so far
+    MOVE_FROM,  # motion of the extender: start, end [m], progress 0 … 1, samples, rate 0 … 1, samples of rest so far
     MOVE_TO,
     MOVE_DONE,
     MOVE_SAMPLES,
     MOVE_RATE,
     MOVE_RESTED,
-    EXTENSION,  # of the coming or present step, as part of the stroke
+    EXTENSION,  # extension of the next or present step, as a fraction of the stroke
     FINAL,  # 1 when fine positioning follows the step
     STEP_LENGTH,  # commanded length of the step [m], without sign
-    STEP_FROM,  # slider when the step began to carry [m]
-    JUDGE,  # 1 when a step has been carried out and not been judged
+    STEP_FROM,  # slider position when the step began to carry [m]
+    JUDGE,  # 1 when a finished step has not been evaluated
     WALKED,  # 1 after continuous walking, until the motor holds its position
     STILL,  # steps in a row in which the slider did not move
     RETURNS,  # returns in a row without a step
-    ANCHOR,  # where the runaway guard measures from [m]
+    ANCHOR,  # origin of the runaway guard [m]
     FINE_POSITION,
     FINE_VELOCITY,
-    FINE_ERROR,  # smoothed setpoint less slider [m]
+    FINE_ERROR,  # smoothed setpoint minus slider position [m]
     FINE_SLIP,  # smoothed slip of the front clamp [m]
     FINE_LATE,  # samples outside of the tolerance
     FINE_GOAL,
-    TIP,  # wanted extension [m]: the reference without the pretension
+    TIP,  # commanded extension [m]: the reference without the pretension
     LOAD,  # learned deflection of the extender by the load [m]
-    PRETENSION,  # part of the load that the reference takes off [m], and the ends of its ramp
+    PRETENSION,  # part of the load's deflection subtracted from the reference [m], and the ends of its ramp
     PRETENSION_FROM,
     PRETENSION_TO,
-    GIVEN_WAY,  # sum over the samples of a step of how far the extender is from where it should be [m]
-    FELT,  # how many samples those are
-    WEIGHED,  # steps from which the load was learned so far
-    FINE_DRIFT,  # the part of the slip that is taken for drift [m]
+    GIVEN_WAY,  # sum of the extender's deflection over the samples of a step [m]
+    FELT,  # number of these samples
+    WEIGHED,  # number of steps from which the load was learned
+    FINE_DRIFT,  # part of the slip that counts as drift [m]
 ) = range(64)
 #: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.inchworm_steps`).
 FORWARD_MODEL = 64
@@ -142,18 +142,18 @@ BACKWARD_MODEL = 69
 #: Continuous walking.
 (
     CYCLE,  # 1 while the extender moves by the phase
-    CYCLE_PHASE,  # of the path, 0 … 1
+    CYCLE_PHASE,  # phase of the path, 0 … 1
     CYCLE_RATE,  # [1/sample]
-    BRAKING,  # by how much the rate falls in a sample when the motor stops
-    PATH,  # of the slider when the cycle began [m]
-    PATH_ERROR,  # path less measured slider [m]
-    CORRECTION,  # of the extension [m]
-    LEARNS,  # 1: every whole cycle corrects the correction
-    FORGETS,  # 1: it is to be forgotten at the next cycle
-    WHOLE,  # 1 while the present cycle is one to learn from
-    STAND_SUM,  # of the slider while it stands, and of how many samples
+    BRAKING,  # decrease of the rate per sample when the motor stops
+    PATH,  # position of the path when the cycle began [m]
+    PATH_ERROR,  # path minus measured slider position [m]
+    CORRECTION,  # correction of the extension [m]
+    LEARNS,  # 1: every whole cycle updates the correction
+    FORGETS,  # 1: the next cycle resets the correction
+    WHOLE,  # 1 while the present cycle can be used for learning
+    STAND_SUM,  # sum of the slider positions while it stands, and number of samples
     STAND_COUNT,
-    SQUARES,  # sum of the squared errors of the present cycle, and of how many samples
+    SQUARES,  # sum of the squared errors of the present cycle, and number of samples
     SQUARE_COUNT,
     RIPPLE,  # RMS of the error over the last whole cycle [m]
     LEARNED_CYCLES,  # so far
@@ -197,7 +197,7 @@ RUN, STOP, LET_GO, FAILED = range(4)
 NO_REQUEST, START_REQUEST, STOP_REQUEST, HOME_REQUEST, RELEASE_REQUEST = range(5)
 LEARN_REQUEST, FREEZE_REQUEST, FORGET_REQUEST = range(5, 8)
 
-#: Errors. A bad sensor heals itself; the others stay until start.
+#: Errors. That of a sensor ends when good measurements return; the others stay until start.
 NO_ERROR, SENSOR_ERROR, NO_MOTION_ERROR, RUNAWAY_ERROR, SLIP_ERROR = range(5)
 ERROR_NAMES = ("", "sensor", "no_motion", "runaway", "slip")
 

@@ -11,21 +11,21 @@
 
 The rear clamp sits on the body, the front clamp on the tip of the extender, and a slider runs through both. With the
 front clamp closed and the rear one open the slider is *carried*: it follows the extender. With the rear clamp closed
-and the front one open it stands, and the extender *returns*. One cycle is
+and the front one open it stands still, and the extender *returns*. One cycle is
 
     release rear, carry, grip rear, release front, return, grip front
 
-where carry extends and return contracts when the slider moves forward, and the other way round backward. Extension
-profiles are cycloidal, e(s) = s − sin(2 π s)/(2 π): velocity and acceleration are zero at both ends.
+where carry extends and return contracts in forward motion, and the reverse in backward motion. Extension profiles are
+cycloidal, e(s) = s − sin(2 π s)/(2 π): velocity and acceleration are zero at both ends.
 
-What deviates from the path in the same way in each cycle (hysteresis that the inverse leaves over, clamps that push the
-slider aside as they close, a step of the wrong length) depends on where the motor is in its cycle and hardly on how
-fast it goes through it. A correction over the phase, learned at one speed, is therefore right at others [1]_.
+Deviations from the path that repeat in every cycle (residual hysteresis, motion of the slider as a clamp closes, a
+wrong step length) depend on the phase of the cycle and hardly on its speed. A correction as a function of the phase,
+learned at one speed, is therefore valid at other speeds [1]_.
 
 With θ the coefficients of a periodic cubic spline and e the mean error of the slider in each bin of the phase, a cycle
-changes θ by γ L e with L = (MᵀM + S)⁻¹ Mᵀ, the norm-optimal update of iterative learning [2]_. M says what the extender
-can do: the slider follows it while the front clamp has gripped and the rear one is open, and keeps what it had when the
-rear clamp closes. S weighs the change and its curvature.
+changes θ by γ L e with L = (MᵀM + S)⁻¹ Mᵀ, the norm-optimal update of iterative learning [2]_. M is the effect of the
+extender: the slider follows it while the front clamp is closed and the rear one is open, and keeps its position when
+the rear clamp closes. S weighs the change and its curvature.
 
 References
 ----------
@@ -87,10 +87,10 @@ def _duration(default: float, description: str):
 class GaitParameters(Parameters):
     """Durations, voltages and strokes of the gait."""
 
-    release: float = _duration(3.0e-3, "duration of the ramp that opens a clamp")
-    grip: float = _duration(3.0e-3, "duration of the ramp that closes a clamp")
-    extend: float = _duration(6.0e-3, "duration of the extender's motion to larger displacement")
-    contract: float = _duration(6.0e-3, "duration of the extender's motion to smaller displacement")
+    release: float = _duration(3.0e-3, "duration of the voltage ramp that opens a clamp")
+    grip: float = _duration(3.0e-3, "duration of the voltage ramp that closes a clamp")
+    extend: float = _duration(6.0e-3, "duration of the extender's motion to the larger displacement")
+    contract: float = _duration(6.0e-3, "duration of the extender's motion to the smaller displacement")
     settle: float = parameter(
         1.0e-3, unit="s", low=0.0, high=100.0, read_only=True, description="rest of the extender before a clamp closes"
     )
@@ -117,7 +117,7 @@ class GaitParameters(Parameters):
         low=-1.0e4,
         high=1.0e4,
         read_only=True,
-        description="voltage of both clamps before the start: that at which they stand",
+        description="voltage of both clamps before the start, as the amplifiers output it",
     )
     threshold_voltage: float = parameter(
         50.0,
@@ -146,14 +146,15 @@ class GaitParameters(Parameters):
         unit="m",
         low=0.0,
         read_only=True,
-        description="how far fine positioning may go beyond either end before the extender is re-centred",
+        description="largest extension of fine positioning beyond either end; beyond it the extender is re-centred",
     )
     fine_window: float = parameter(
         1.0e-6,
         unit="m",
         low=1.0e-9,
         read_only=True,
-        description="fine positioning begins this near to the middle of the range; the extender is re-centred for it",
+        description="largest distance from the middle of the range at which fine positioning begins; beyond it the "
+        "extender is re-centred",
     )
     walking_speed: float = parameter(
         0.0,
@@ -194,7 +195,7 @@ class GaitParameters(Parameters):
         return opens - closed
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Say why the gait cannot walk at ``speed`` [m/s], with the number; None when it can."""
+        """Return why the gait cannot walk at ``speed`` [m/s], with the number; None when it can."""
         if math.isfinite(speed) and abs(speed) <= self.speed * (1.0 + 1e-9):
             return None
         return (
@@ -203,7 +204,7 @@ class GaitParameters(Parameters):
         )
 
     def check(self):
-        """Yield what does not fit together: voltages, durations, strokes, overlap and speed."""
+        """Yield a Problem for each inconsistency of voltages, durations, strokes, overlap and speed."""
         low, level, high = self.release_voltage, self.threshold_voltage, self.grip_voltage
         if not low < high:
             yield Problem("grip_voltage", high, f"must be above release_voltage = {low:g} V")
@@ -233,24 +234,25 @@ class GaitParameters(Parameters):
             yield Problem("walking_speed", self.walking_speed, refused)
 
 
-#: Bins of the error for each spline.
+#: Number of bins of the error per spline.
 BINS_PER_SPLINE = 4
-#: Weights of the change of the coefficients and of its curvature, as parts of the mean of the diagonal of MᵀM.
+#: Weights of the change of the coefficients and of its curvature, relative to the mean of the diagonal of MᵀM.
 CHANGE_WEIGHT = 1.0e-3
 CURVATURE_WEIGHT = 1.0e-2
-#: How far off the motor may be from what the learning assumes: part of the extender's motion that reaches the slider,
-#: when a clamp grips or lets go, as a part of its ramp, and the frequency of the slider's swing.
+#: Largest deviations of the motor from the learning's model: of the fraction of the extender's motion that reaches the
+#: slider, of the instant at which a clamp grips or releases, as a fraction of its ramp, and of the slider's natural
+#: frequency.
 GAIN_RANGE = 0.1
 GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
-#: Steps of the swing in a bin.
+#: Integration steps of the slider's oscillation per bin.
 STEPS_PER_BIN = 8
-#: A mode of the learning that no cycle sees stays as it is; rounding may put it this far above one.
+#: A mode of the learning that is not observable has the eigenvalue one; tolerance for its rounding.
 ROUNDING = 1.0e-9
 
 
 class Offset(NamedTuple):
-    """How a motor differs from what is assumed: factor on its motion, part of a clamp's ramp, factor on the swing."""
+    """Deviations of a motor from the model: factor on its motion, fraction of a ramp, factor on the frequency."""
 
     gain: float = 1.0
     grip: float = 0.0
@@ -262,12 +264,12 @@ NOMINAL = Offset()
 
 @dataclass(frozen=True)
 class WalkParameters(Parameters):
-    """Continuous walking over the phase of the cycle, and the correction that is learned over it."""
+    """Continuous walking as a function of the phase of the cycle, with a learned correction."""
 
     continuous: bool = parameter(
         False,
         read_only=True,
-        description="walk at a speed without a rest: extender and clamps move over the phase of the cycle",
+        description="walk at a speed without pauses: extender and clamps are functions of the phase of the cycle",
     )
     step: float = parameter(
         6.0e-6, unit="m", low=1.0e-12, high=1.0, read_only=True, description="length of a cycle of continuous walking"
@@ -277,7 +279,8 @@ class WalkParameters(Parameters):
         low=0.05,
         high=0.5,
         read_only=True,
-        description="part of the carrying motion in which its speed rises, and in which it falls; the rest is straight",
+        description="fraction of the carrying motion in which the speed rises, and in which it falls; it is constant "
+        "between",
     )
     lead: float = parameter(
         0.0,
@@ -285,11 +288,11 @@ class WalkParameters(Parameters):
         low=0.0,
         high=1.0,
         read_only=True,
-        description="delay of drive and sensor, which the outputs are ahead by, beside the half sample they are held",
+        description="delay of drive and sensor, by which the outputs lead the path, in addition to half a sample",
     )
     learning: bool = parameter(False, read_only=True, description="learn from the start; ~/learn, ~/freeze")
     gain: float = parameter(
-        0.5, low=0.0, high=2.0, read_only=True, description="part of the error that a cycle takes away"
+        0.5, low=0.0, high=2.0, read_only=True, description="fraction of the error that one cycle removes"
     )
     bound: float = parameter(
         1.0e-6, unit="m", low=0.0, high=1.0, read_only=True, description="largest coefficient of the correction"
@@ -303,7 +306,7 @@ class WalkParameters(Parameters):
         low=1.0e-12,
         high=1.0,
         read_only=True,
-        description="speed at which is learned (within 2 %); at others what was learned is used",
+        description="speed at which the correction is learned (within 2 %); at other speeds it is only applied",
     )
     touch_voltage: float = parameter(
         25.0,
@@ -319,15 +322,15 @@ class WalkParameters(Parameters):
         low=0.0,
         high=1.0e6,
         read_only=True,
-        description="natural frequency of the slider on the extender: sqrt(stiffness/mass)/2π; 0: it does not swing",
+        description="natural frequency of the slider on the extender, sqrt(stiffness/mass)/2π; 0: rigid",
     )
     swing_damping: float = parameter(
-        0.03, low=1.0e-4, high=0.9, read_only=True, description="damping ratio of the slider's swing"
+        0.03, low=1.0e-4, high=0.9, read_only=True, description="damping ratio of this oscillation"
     )
     file: str = parameter(
         "",
         read_only=True,
-        description="file of what was learned, as ~/save writes it, to begin with; empty: nothing",
+        description="file of an initial correction, as ~/save writes it; empty: none",
         place="files",
     )
     save_file: str = parameter(
@@ -336,19 +339,19 @@ class WalkParameters(Parameters):
 
     @property
     def inertia(self) -> float:
-        """How far the extender goes ahead of the slider for each acceleration of it [s²]: 1/ω² of the swing."""
+        """Lead of the extender over the slider per acceleration of the slider [s²]: 1/ω² of its oscillation."""
         return 1.0 / (2.0 * math.pi * self.swing) ** 2 if self.swing > 0.0 else 0.0
 
     def fastest(self, gait: GaitParameters) -> float:
-        """Return the highest speed [m/s]: a step in the gait's period."""
+        """Return the highest speed [m/s]: one step per period of the gait."""
         return self.step / gait.period
 
     def gait_problems(self, gait: GaitParameters):
-        """Yield what does not fit the gait: overlap, step, bound, and a learning that would not contract."""
+        """Yield a Problem for each inconsistency with the gait, and for a learning that would not converge."""
         if not self.continuous:
             return
         if gait.overlap > 0.0:
-            yield Problem("gait.overlap", gait.overlap, "must be 0 with walk.continuous, which knows no overlap")
+            yield Problem("gait.overlap", gait.overlap, "must be 0 with walk.continuous, which has no overlap")
         spare = 0.5 * (gait.stroke - self.step)
         if not self.bound <= spare * (1.0 + 1e-9):
             remedy = (
@@ -366,7 +369,7 @@ class WalkParameters(Parameters):
             worst = max(contraction(self, gait, direction) for direction in (1, -1))
             if worst > 1.0 + ROUNDING:
                 remedy = (
-                    f"would not contract at walk.learning_speed = {self.learning_speed:g} m/s: on a motor off by "
+                    f"would not converge at walk.learning_speed = {self.learning_speed:g} m/s: on a motor off by "
                     f"{100 * GAIN_RANGE:g} % a cycle multiplies an error by {worst:.3g}; lower one of them"
                 )
                 yield Problem("walk.gain", self.gain, remedy)
@@ -404,7 +407,7 @@ def basis(phases, splines: int) -> np.ndarray:
 
 
 def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, float]:
-    """Return A, row by row, of the slider's swing over ``dt`` [s]; states: displacement from the tip and velocity/ω."""
+    """Return A of the slider's oscillation over ``dt`` [s] by rows, for displacement from the tip and velocity/ω."""
     omega = 2.0 * math.pi * walk.swing
     damping = walk.swing_damping
     root = math.sqrt(1.0 - damping * damping)
@@ -414,10 +417,10 @@ def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, 
 
 
 def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Offset = NOMINAL) -> np.ndarray:
-    """Return M, shape (bins, splines): how the slider moves with the coefficients, by phase, at the speed of learning.
+    """Return M, shape (bins, splines): the slider's motion per coefficient, by phase, at the learning speed.
 
-    The front contact takes the extension at which it grips for its zero. From when the rear clamp is open the slider
-    follows, swinging; where the rear clamp grips it stays.
+    The extension at which the front clamp grips is the zero. While the rear clamp is open the slider follows with its
+    oscillation; when the rear clamp grips it stays.
 
     Parameters
     ----------
@@ -426,7 +429,7 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
     direction : int
         1 forward, −1 backward.
     off : Offset
-        How the motor differs from what is assumed.
+        Deviation of the motor from the model.
     """
     bounds = phase_bounds(gait, direction)
     span = gait.grip_voltage - gait.release_voltage
@@ -473,9 +476,9 @@ def learning_matrix(walk: WalkParameters, gait: GaitParameters, direction: int) 
 
 @functools.cache
 def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> float:
-    """Return by how much a cycle multiplies an error on the worst motor: the spectral radius of I − γ L M.
+    """Return the factor by which a cycle multiplies an error on the worst motor: the spectral radius of I − γ L M.
 
-    The motors are the corners around the assumed one: :data:`GAIN_RANGE`, :data:`GRIP_RANGE` and :data:`SWING_RANGE`.
+    The motors are the corners of :data:`GAIN_RANGE`, :data:`GRIP_RANGE` and :data:`SWING_RANGE` around the model.
     """
     learned, worst = learning_matrix(walk, gait, direction), 0.0
     for gain in (1.0 - GAIN_RANGE, 1.0 + GAIN_RANGE):
@@ -488,10 +491,10 @@ def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> f
 
 @dataclass(frozen=True)
 class FineParameters(Parameters):
-    """Fine positioning: the front clamp holds the slider, the controller measures the slider."""
+    """Fine positioning: the front clamp holds the slider, whose position is the controller's measurement."""
 
     enabled: bool = parameter(
-        True, read_only=True, description="finish on the extender in closed loop; false: on steps, with both clamps"
+        True, read_only=True, description="true: finish a move with the extender in closed loop; false: with steps only"
     )
     tolerance: float = parameter(
         10.0e-9,
@@ -499,7 +502,7 @@ class FineParameters(Parameters):
         low=1.0e-12,
         high=1.0,
         read_only=True,
-        description="distance to the setpoint (smoothed) at which the motor has arrived",
+        description="smoothed distance to the setpoint within which the motor has arrived",
     )
     speed: float = parameter(
         1.0e-3, unit="m/s", low=1.0e-12, high=1.0, read_only=True, description="highest speed of the reference"
@@ -518,7 +521,7 @@ class FineParameters(Parameters):
         low=1.0e-3,
         high=1.0e4,
         read_only=True,
-        description="time outside of the tolerance after which the motor grips anew and tries again",
+        description="time outside of the tolerance after which the motor grips again and repeats",
     )
     smoothing_time: float = parameter(
         5.0e-3,
@@ -536,7 +539,7 @@ def _model(default: float, which: str, unit: str = ""):
 
 @dataclass(frozen=True)
 class LearningParameters(Parameters):
-    """Learned step length: movement of the slider = gain · extension + offset, for either direction."""
+    """Learned step length: motion of the slider = gain · extension + offset, for each direction."""
 
     enabled: bool = parameter(True, read_only=True, description="learn from the measured steps")
     forgetting: float = parameter(
@@ -544,28 +547,32 @@ class LearningParameters(Parameters):
         low=0.5,
         high=1.0,
         read_only=True,
-        description="weight of the past at each step (least squares)",
+        description="forgetting factor of the recursive least squares, per step",
     )
-    forward_gain: float = _model(1.0, "gain to start from, forward")
-    forward_offset: float = _model(0.0, "offset to start from, forward; negative: a load holds back", "m")
-    backward_gain: float = _model(1.0, "gain to start from, backward")
-    backward_offset: float = _model(0.0, "offset to start from, backward, along the motion", "m")
-    load_deflection: float = _model(0.0, "deflection of the extender by the load to start from", "m")
+    forward_gain: float = _model(1.0, "initial gain, forward")
+    forward_offset: float = _model(0.0, "initial offset, forward; negative: a load pulls back", "m")
+    backward_gain: float = _model(1.0, "initial gain, backward")
+    backward_offset: float = _model(0.0, "initial offset, backward, along the motion", "m")
+    load_deflection: float = _model(0.0, "initial deflection of the extender by the load", "m")
 
 
 @dataclass(frozen=True)
 class GuardParameters(Parameters):
-    """What counts as a fault."""
+    """Limits beyond which the sequencer reports an error."""
 
     still_steps: int = parameter(
-        5, low=1, high=1000, read_only=True, description="steps in a row without motion after which the motor gives up"
+        5,
+        low=1,
+        high=1000,
+        read_only=True,
+        description="steps in a row without motion after which the motor stops with an error",
     )
     missed_part: float = parameter(
         0.5,
         low=0.1,
         high=0.99,
         read_only=True,
-        description="a step is missed when the slider moves by less than this part of the extension",
+        description="fraction of the extension; a step that moves the slider by less counts as missed",
     )
     runaway: float = parameter(
         2.0e-6,
@@ -573,7 +580,7 @@ class GuardParameters(Parameters):
         low=1.0e-12,
         high=1.0,
         read_only=True,
-        description="motion of a held slider, or beyond what a step can do, that is an error",
+        description="motion of a held slider, or beyond that of a step, that is an error",
     )
     slip: float = parameter(
         1.0e-6,
@@ -581,7 +588,7 @@ class GuardParameters(Parameters):
         low=1.0e-12,
         high=1.0,
         read_only=True,
-        description="slip of the front clamp in fine positioning after which the motor grips anew",
+        description="slip of the front clamp in fine positioning after which the motor grips again",
     )
     drift: float = parameter(
         2.0e-8,
@@ -589,7 +596,7 @@ class GuardParameters(Parameters):
         low=0.0,
         high=1.0,
         read_only=True,
-        description="slower than this the grip of the front clamp only seems to slip: sensors drift and creep",
+        description="slower apparent slip of the front clamp counts as drift of the sensors or creep",
     )
     sensor_timeout: float = parameter(
         1.0e-3,
@@ -603,18 +610,16 @@ class GuardParameters(Parameters):
 
 @dataclass(frozen=True)
 class ScheduleParameters(Parameters):
-    """Setpoints over time, so that a run needs no hands."""
+    """Setpoints over time, for runs without a user."""
 
     values: tuple[float, ...] = parameter((), unit="m", read_only=True, description="setpoints; empty: none")
     times: tuple[float, ...] = parameter(
-        (), unit="s", low=0.0, read_only=True, description="when each of them is given, in rising order"
+        (), unit="s", low=0.0, read_only=True, description="times of the setpoints, in rising order"
     )
-    duration: float = parameter(
-        0.0, unit="s", low=0.0, read_only=True, description="length of a run; 0: the configuration does not say"
-    )
+    duration: float = parameter(0.0, unit="s", low=0.0, read_only=True, description="length of a run; 0: not stated")
 
     def check(self):
-        """There are as many times as values, in rising order."""
+        """Yield a Problem when times and values differ in number or the times do not rise."""
         if len(self.times) != len(self.values):
             yield Problem("times", self.times, f"must be {len(self.values)} numbers, one for each of values")
         elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
@@ -630,7 +635,7 @@ class InchwormSequencerParameters(Parameters):
     initial_setpoint: float = parameter(
         0.0, description="setpoint until the first one is received", unit="m", read_only=True
     )
-    home_position: float = parameter(0.0, description="where the service home goes", unit="m", read_only=True)
+    home_position: float = parameter(0.0, description="setpoint of the service home", unit="m", read_only=True)
     resting_extension: float = parameter(
         0.0, description="extension after release, with the front clamp open", unit="m", read_only=True
     )
@@ -642,7 +647,7 @@ class InchwormSequencerParameters(Parameters):
     setpoints: ScheduleParameters = group(ScheduleParameters)
 
     def check(self):
-        """The travel is not empty and contains every setpoint of the configuration."""
+        """Yield a Problem when the travel is empty or does not contain a setpoint of the configuration."""
         if not self.minimum < self.maximum:
             yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
             return
@@ -655,7 +660,7 @@ class InchwormSequencerParameters(Parameters):
         yield from self.walk.gait_problems(self.gait)
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Say why the motor cannot walk at ``speed`` [m/s], with the number; None when it can."""
+        """Return why the motor cannot walk at ``speed`` [m/s], with the number; None when it can."""
         fastest = self.walk.fastest(self.gait)
         if not self.walk.continuous or abs(speed) <= fastest * (1.0 + 1e-9):
             return self.gait.refuse_speed(speed)

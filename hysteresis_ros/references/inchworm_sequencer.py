@@ -9,14 +9,13 @@
 
 """Inchworm sequencer: from setpoints to clamp voltages and the extender's reference; its state machine and file.
 
-Both clamps close first. From then on every change of a clamp begins while the other one is closed: *holding* (both
-closed) is the only state from which a clamp opens, and it decides what comes next from the setpoint, the measurements
-and the requests. Phases that were begun are finished unless the motor shall stop: then the clamp that is open closes at
-once and the extender brakes meanwhile.
+Both clamps close first. From then on a clamp changes only while the other one is closed: *holding* (both closed) is the
+only state from which a clamp opens; it chooses the next phase from the setpoint, the measurements and the requests. A
+phase runs to its end, except when the motor must stop: then the open clamp closes at once while the extender brakes.
 
-It takes the reference generator's place. The motion controller's measurement is the slider less :attr:`origin`: while
-the motor walks that is the extender's own displacement, in fine positioning the slider's, and while both clamps hold it
-is the reference itself, because nothing can move then and an integral would only wind up.
+It replaces the reference generator. The motion controller's measurement is the slider position minus :attr:`origin`:
+while the motor walks, this is the extender's displacement; in fine positioning, the slider's; while both clamps hold,
+the reference itself, because nothing can move then and an integral would wind up.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ from hysteresis_ros.references.inchworm_steps import (
 )
 from hysteresis_ros.references.inchworm_walk import begin_walk, coast, stride
 
-#: First key of such a file.
+#: First key of a file of a learned walk.
 KIND = "inchworm_walk"
 _HEADER = """\
 # The correction of an inchworm's walk over the phase of its cycle; walk.file of inchworm_sequencer loads it.
@@ -77,7 +76,7 @@ _HEADER = """\
 
 
 class LearnedWalk(NamedTuple):
-    """What was learned: the length of a cycle [m] and the coefficients of the correction [m], both shape (splines,)."""
+    """A learned walk: length of a cycle [m] and coefficients of the correction [m], both (splines,)."""
 
     step: float
     forward: np.ndarray
@@ -85,12 +84,7 @@ class LearnedWalk(NamedTuple):
 
 
 def write_walk(path, learned: LearnedWalk) -> None:
-    """Write what was learned; an existing file is replaced as a whole.
-
-    Parameters
-    ----------
-    path : path-like
-    learned : LearnedWalk
+    """Write a learned walk; an existing file is replaced atomically.
 
     Raises
     ------
@@ -103,20 +97,20 @@ def write_walk(path, learned: LearnedWalk) -> None:
 
 
 def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
-    """Return what a file says was learned.
+    """Read a learned walk.
 
     Parameters
     ----------
     path : path-like
     splines : int
-        How many coefficients there are to be.
+        Required number of coefficients.
     step, bound : float
         Length of a cycle, and the largest coefficient [m].
 
     Raises
     ------
     ParameterError
-        There is no such file, it is of something else, or does not fit.
+        The file is missing, is not a learned walk, or does not fit.
     """
 
     def refused(text):
@@ -129,7 +123,7 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
     except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
-        raise refused("is no file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
+        raise refused("is not a file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
     if learned.step != step:
         raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn anew")
     for array in arrays:
@@ -142,15 +136,15 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
 
 @kernel
 def reach(p):
-    """How far a step can move the slider [m], with the swing of a load."""
+    """Return the largest motion of the slider by a step [m], including the oscillation of a load."""
     return p[at.RUNAWAY] + 1.5 * (p[at.HIGHEST] - p[at.LOWEST] + p[at.MARGIN])
 
 
 @kernel
 def take_inputs(p, x, setpoint, slider, extender):
-    """Take setpoint, measurements and request of this sample."""
+    """Read setpoint, measurements and request of this sample."""
     if x[at.WALKED] != 0.0 and x[at.SPEED] == 0.0:
-        # after walking the motor stays where it is until the next setpoint
+        # after walking the motor keeps its position until the next setpoint
         x[at.WALKED] = 0.0
         x[at.TARGET] = min(max(x[at.SLIDER], p[at.MINIMUM]), p[at.MAXIMUM])
     if setpoint != x[at.RECEIVED] and setpoint == setpoint:
@@ -162,7 +156,7 @@ def take_inputs(p, x, setpoint, slider, extender):
     finite = slider - slider == 0.0 and extender - extender == 0.0
     if finite:
         if x[at.BAD] > 0.0 and abs(slider - x[at.ANCHOR]) <= reach(p):
-            x[at.ANCHOR] = slider  # a step may have gone on unseen
+            x[at.ANCHOR] = slider  # a step may have continued without measurements
         x[at.SLIDER] = slider
         x[at.EXTENDER] = extender
         x[at.BAD] = 0.0
@@ -197,7 +191,7 @@ def take_inputs(p, x, setpoint, slider, extender):
 
 @kernel
 def decide(p, x):
-    """Choose what comes next while both clamps hold."""
+    """Choose the next phase while both clamps hold."""
     if must_stop(p, x):
         x[at.DIRECTION] = 0.0
         return
@@ -223,7 +217,7 @@ def decide(p, x):
 
 @kernel
 def begin_positioning(x):
-    """Fine positioning: from now on the slider is measured, and the origin stays."""
+    """Begin fine positioning: the slider is measured from now on, and the origin stays."""
     x[at.SOURCE] = at.FOLLOWING
     x[at.ORIGIN] = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION]
     x[at.ANCHOR] = x[at.SLIDER]
@@ -239,7 +233,7 @@ def begin_positioning(x):
 
 @kernel
 def end_positioning(p, x):
-    """Close the rear clamp too."""
+    """Close the rear clamp in addition to the front one."""
     x[at.ARRIVED] = 0.0
     x[at.FINE_VELOCITY] = 0.0
     drive_rear(x, p[at.GRIP_VOLTAGE])
@@ -258,7 +252,7 @@ def position(p, x):
     x[at.FINE_ERROR] += p[at.SMOOTHING] * (x[at.TARGET] - x[at.SLIDER] - x[at.FINE_ERROR])
     slip = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION] - x[at.ORIGIN]
     x[at.FINE_SLIP] += p[at.SMOOTHING] * (slip - x[at.FINE_SLIP])
-    # sensors and creep drift for as long as they like; a clamp slips faster
+    # drift and creep are slow and unlimited; a clamp slips faster
     ahead = x[at.FINE_SLIP] - x[at.FINE_DRIFT]
     most = p[at.DRIFT] * p[at.SAMPLE_TIME]
     x[at.FINE_DRIFT] += min(max(ahead, -most), most)
@@ -292,7 +286,7 @@ def position(p, x):
 
 @kernel
 def held(p, x):
-    """A clamp has closed: judge the step, if there was one, and hold."""
+    """Evaluate the step, if one was made, and hold, because a clamp has closed."""
     if x[at.JUDGE] != 0.0:
         x[at.JUDGE] = 0.0
         account(p, x)
@@ -301,14 +295,14 @@ def held(p, x):
 
 @kernel
 def open_phase(p, x):
-    """One sample of a phase in which one clamp opens or is open and the extender waits or moves."""
+    """Compute a sample of a phase in which one clamp opens or is open and the extender waits or moves."""
     phase = x[at.PHASE]
     if phase == at.CARRYING:
         feel(x)
     if must_stop(p, x):
         stop_here(p, x)
     elif phase == at.RELEASING_REAR:
-        # slowly, so that the extender does not ring, and before the clamp opens
+        # before the clamp opens, and slowly, to avoid ringing of the extender
         pretensioning(x, p[at.RELEASE_SAMPLES])
         wait = load_time(p, x)
         if x[at.TIMER] >= wait:
@@ -344,7 +338,7 @@ def open_phase(p, x):
 
 @kernel
 def stopping(p, x):
-    """One sample of stopping: the extender brakes in half the time the clamp takes to close."""
+    """Compute a sample of stopping: the extender brakes in half the closing time of the clamp."""
     if x[at.CYCLE] != 0.0:
         coast(p, x)
     elif x[at.MOVE_RATE] > 0.0:
@@ -359,7 +353,7 @@ def stopping(p, x):
 
 @kernel
 def run_phase(p, x):
-    """One sample of the present phase, which may end in another one."""
+    """Compute a sample of the present phase, which may end in another one."""
     phase = x[at.PHASE]
     if x[at.CYCLE] != 0.0 and phase != at.STOPPING:
         stride(p, x)
@@ -388,7 +382,7 @@ def run_phase(p, x):
 
 @kernel
 def guard(p, x):
-    """Fail when the slider is where nothing that was begun can have brought it."""
+    """Stop with an error when the slider has moved more than the present phase can explain."""
     if x[at.STARTED] == 0.0 or x[at.MODE] == at.FAILED or x[at.BAD] > 0.0:
         return
     limit = p[at.RUNAWAY]
@@ -421,27 +415,27 @@ def drive_clamps(p, x):
 
 @kernel
 def sequence(p, x, setpoint, slider, extender):
-    """Advance by a sample and return the reference [m]; everything else is left in ``x``.
+    """Advance by a sample and return the reference [m]; ``x`` contains all other outputs.
 
     Parameters
     ----------
     p, x : ndarray
-        Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. Others may write ``x[REQUEST]`` and
-        ``x[SPEED]`` before the call.
+        Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. The caller may write ``x[REQUEST]``
+        and ``x[SPEED]`` before the call.
     setpoint : float
         Setpoint [m]; taken when it differs from the last one and lies within the travel.
     slider, extender : float
-        Measured displacements [m]; NaN when there is none.
+        Measured displacements [m]; NaN without one.
     """
     take_inputs(p, x, setpoint, slider, extender)
     guard(p, x)
     before = -1.0
-    while x[at.PHASE] != before:  # a phase that ends here begins the next one in the same sample
+    while x[at.PHASE] != before:  # the next phase begins in the same sample
         before = x[at.PHASE]
         walking = x[at.CYCLE]
         run_phase(p, x)
         if walking != 0.0 and x[at.CYCLE] != 0.0 and x[at.PHASE] != at.STOPPING:
-            break  # the phase of the cycle says which process it is
+            break  # the phase of the cycle determines the process
     drive_clamps(p, x)
     x[at.REFERENCE] = x[at.TIP] - x[at.PRETENSION]
     if x[at.SOURCE] == at.BLOCKED:
@@ -454,7 +448,7 @@ def sequence(p, x, setpoint, slider, extender):
 
 
 class InchwormSequencer(Block):
-    """The sequencer: once per sample from setpoint and measurements to the reference and the clamps' voltages.
+    """The sequencer: computes reference and clamp voltages of each sample from setpoint and measurements.
 
     Parameters
     ----------
@@ -547,7 +541,7 @@ class InchwormSequencer(Block):
         return [learning_matrix(walk, gait, direction).ravel() for direction in (1, -1)]
 
     def initial_state(self) -> np.ndarray:
-        """Return x: nothing has closed yet, both clamps are about to."""
+        """Return x before the first sample: both clamps are about to close."""
         parameters = self.parameters
         gait, learning, walk = parameters.gait, parameters.learning, parameters.walk
         n, m = int(self.p[at.SPLINES]), int(self.p[at.BINS])
@@ -570,11 +564,11 @@ class InchwormSequencer(Block):
         return x
 
     def step(self, setpoint: float, slider: float, extender: float) -> float:
-        """Return the reference [m] for this sample's setpoint and measurements [m]; the rest is in the properties."""
+        """Return the reference [m] of this sample from setpoint and measurements [m]; other outputs are properties."""
         return self.kernel(self.p, self.x, float(setpoint), float(slider), float(extender))
 
     def refuse(self, setpoint: float) -> str | None:
-        """Say why a setpoint [m] is refused, with value and range; None when it is not."""
+        """Return why a setpoint [m] is refused, with value and range; None when it is accepted."""
         low, high = self.parameters.minimum, self.parameters.maximum
         if low <= setpoint <= high:
             return None
@@ -582,19 +576,19 @@ class InchwormSequencer(Block):
         return f"setpoint {setpoint:g} m refused: {reason}, allowed: {low:g} … {high:g} m"
 
     def request(self, code: int) -> None:
-        """Ask for start, stop, home or release (a request of the layout); it is taken at the next sample.
+        """Request start, stop, home or release (codes of the layout), beginning with the next sample.
 
         Release opens the front clamp and lets the extender relax; the rear clamp keeps holding the slider.
         """
         self.x[at.REQUEST] = code
 
     def walk(self, speed: float) -> str | None:
-        """Walk continuously at ``speed`` [m/s] from the next sample on; 0 holds where the motor is.
+        """Walk continuously at ``speed`` [m/s] from the next sample on; 0 holds the present position.
 
         Returns
         -------
         str or None
-            Why the speed is refused, with the number; nothing changes then.
+            The reason when the speed is refused, with the number; nothing changes then.
         """
         reason = self.parameters.refuse_speed(speed)
         if reason is None:
@@ -602,7 +596,7 @@ class InchwormSequencer(Block):
         return reason
 
     def scheduled(self, samples: int) -> np.ndarray:
-        """Return the setpoint [m] that the schedule has in force at each of the first ``samples`` samples."""
+        """Return the setpoint [m] of the schedule at each of the first ``samples`` samples."""
         given = self.parameters.setpoints
         values = np.array([self.parameters.initial_setpoint, *given.values])
         first = [round(time / self.sample_time) for time in given.times]
@@ -610,12 +604,12 @@ class InchwormSequencer(Block):
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run that the schedule gives, in samples; 0 when it gives none."""
+        """Length of the scheduled run in samples; 0: not stated."""
         return round(self.parameters.setpoints.duration / self.sample_time)
 
     @property
     def reference(self) -> float:
-        """Wanted displacement [m] of the extender, or of the slider less :attr:`origin`."""
+        """Commanded displacement [m] of the extender, or of the slider minus :attr:`origin`."""
         return float(self.x[at.REFERENCE])
 
     @property
@@ -630,7 +624,7 @@ class InchwormSequencer(Block):
 
     @property
     def origin(self) -> float:
-        """What the controller subtracts from the measured slider [m]."""
+        """Offset that the controller subtracts from the measured slider position [m]."""
         return float(self.x[at.ORIGIN])
 
     @property
@@ -640,7 +634,7 @@ class InchwormSequencer(Block):
 
     @property
     def error(self) -> str:
-        """Name of the error; empty when there is none."""
+        """Name of the error; empty without an error."""
         return at.ERROR_NAMES[int(self.x[at.ERROR])]
 
     @property
@@ -650,7 +644,7 @@ class InchwormSequencer(Block):
 
     @property
     def learned(self) -> dict[str, float]:
-        """The learned step lengths, as parameters of ``learning`` to start from."""
+        """The learned step lengths, as initial parameters of ``learning``."""
         stroke = self.parameters.gait.stroke
         found = {"load_deflection": float(self.x[at.LOAD])}
         for way, first in (("forward", at.FORWARD_MODEL), ("backward", at.BACKWARD_MODEL)):
@@ -660,13 +654,13 @@ class InchwormSequencer(Block):
 
     @property
     def learned_walk(self) -> LearnedWalk:
-        """What was learned of continuous walking over the phase of its cycle."""
+        """The learned correction of continuous walking."""
         n = int(self.p[at.SPLINES])
         starts = at.WALK, at.WALK + 2 * n
         return LearnedWalk(self.parameters.walk.step, *(self.x[first : first + n].copy() for first in starts))
 
     def save(self, path=None) -> None:
-        """Write what was learned of continuous walking.
+        """Write the learned correction of continuous walking.
 
         Parameters
         ----------
@@ -676,24 +670,30 @@ class InchwormSequencer(Block):
         Raises
         ------
         ParameterError
-            There is no continuous walking, or no file was named.
+            Continuous walking is off, or no file is given.
         ConfigurationError
             The file cannot be written.
         """
         walk = self.parameters.walk
         if not walk.continuous:
-            raise ParameterError([Problem("walk.continuous", False, "must be true for something to be learned")])
+            raise ParameterError(
+                [Problem("walk.continuous", False, "must be true: only continuous walking learns a correction")]
+            )
         if not (path or walk.save_file):
-            raise ParameterError([Problem("walk.save_file", "", "names no file; give one: nothing else is written")])
+            raise ParameterError(
+                [Problem("walk.save_file", "", "names no file; give one, because only that file is written")]
+            )
         write_walk(path or walk.save_file, self.learned_walk)
 
     def retune(self, parameters: InchwormSequencerParameters) -> None:
-        """Refuse: nothing may change under a motor that walks.
+        """Refuse any change: the parameters of a motor are fixed while it is configured.
 
         Raises
         ------
         ParameterError
-            Unless the parameters are the present ones.
+            The parameters differ from the present ones.
         """
         if parameters != self.parameters:
-            raise ParameterError([Problem("gait", "…", "fixed while configured; clean up and configure anew")])
+            raise ParameterError(
+                [Problem("gait", "…", "fixed while the node is configured; clean up and configure again")]
+            )

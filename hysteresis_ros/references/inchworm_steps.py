@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Steps of the inchworm sequencer: their learned length, what phases do with clamps and extender, how one is judged.
+"""Steps of the inchworm sequencer: their learned length, the motions of clamps and extender, their evaluation.
 
-With u the commanded extension and z the movement of the slider along it, both as parts of the full stroke,
-z = gain u + offset: the offset takes the load (it has another sign in each direction) and what a clamp loses whenever
-it closes, the gain the rest. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd edition 1995, section 2.2.
-Forgetting pauses while a variance is as large as at the start, so that full steps alone, which say nothing about gain
-and offset apart, never make it grow without bound. The gain stays within bounds; the offset takes a load.
+With u the commanded extension and z the motion of the slider along it, both as fractions of the full stroke, z = gain u
++ offset. The offset contains the load (with a different sign in each direction) and the loss when a clamp closes; the
+gain contains the rest. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd edition 1995, section 2.2. Forgetting
+pauses while a variance is as large as at the start: full steps alone do not separate gain and offset, and the variance
+would grow without bound. The gain is bounded; the offset is not, because of the load.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from hysteresis_ros.references.inchworm_parameters import cycloid
 # Layout of the model of one direction in x.
 GAIN = 0
 OFFSET = 1
-COVARIANCE = 2  # of gain and gain, gain and offset, offset and offset
+COVARIANCE = 2  # variance of the gain, covariance of gain and offset, variance of the offset
 SIZE = 5
 
-#: Standard deviations with which gain and offset are known before the first step, and of one measured step.
+#: Standard deviations of gain and offset before the first step, and of one measured step.
 GAIN_DEVIATION = 0.05
 OFFSET_DEVIATION = 0.5
 STEP_DEVIATION = 2.0e-3
@@ -39,14 +39,14 @@ STEP_DEVIATION = 2.0e-3
 LOWEST_GAIN = 0.5
 HIGHEST_GAIN = 1.5
 
-#: The model never says that the longest step is shorter than this part of its extension, nor longer than the next.
+#: Least and largest modelled length of the longest step, as fractions of its extension.
 SHORTEST = 0.1
 LONGEST = 2.0
 
 
 @kernel
 def forget_all(x, at, gain, offset):
-    """Begin with ``gain`` and ``offset`` in ``x[at:at + 5]``."""
+    """Write the initial ``gain`` and ``offset`` into ``x[at:at + 5]``."""
     x[at + GAIN] = gain
     x[at + OFFSET] = offset
     x[at + COVARIANCE] = GAIN_DEVIATION * GAIN_DEVIATION
@@ -56,19 +56,19 @@ def forget_all(x, at, gain, offset):
 
 @kernel
 def longest_step(x, at, usable):
-    """Length of the longest step, whose extension is ``usable``, both as parts of the stroke."""
+    """Return the length of the longest step, whose extension is ``usable``, both as fractions of the stroke."""
     return min(max(x[at + GAIN] * usable + x[at + OFFSET], SHORTEST * usable), LONGEST)
 
 
 @kernel
 def extension_for(x, at, length):
-    """Extension, 0 … 1, that moves the slider by ``length``, both as parts of the stroke."""
+    """Return the extension, 0 … 1, that moves the slider by ``length``, both as fractions of the stroke."""
     return min(max((length - x[at + OFFSET]) / max(x[at + GAIN], LOWEST_GAIN), 0.0), 1.0)
 
 
 @kernel
 def learn(x, at, forgetting, u, z):
-    """Take in that the extension ``u`` moved the slider by ``z``."""
+    """Update the model with a step: the extension ``u`` moved the slider by ``z``."""
     a = x[at + COVARIANCE]
     b = x[at + COVARIANCE + 1]
     c = x[at + COVARIANCE + 2]
@@ -94,27 +94,27 @@ def learn(x, at, forgetting, u, z):
     x[at + COVARIANCE + 2] = c
 
 
-#: Part of the commanded extension below which the slider counts as not moved.
+#: Fraction of the commanded extension below which the slider counts as not moved.
 STILL_PART = 0.1
-#: Steps shorter than this part of the stroke teach nothing and are no evidence of anything.
+#: Fraction of the stroke below which steps are used neither for learning nor for detecting faults.
 SHORT_STEP = 0.05
-#: Continuous walking makes no steps shorter than this part of the stroke; it waits between them instead.
+#: Fraction of the stroke below which steps of continuous walking are not shortened; the motor pauses between them.
 SLOW_STEP = 0.1
-#: The load may take up this part of the stroke at most.
+#: Largest deflection by the load, as a fraction of the stroke.
 LOAD_PART = 0.8
-#: Part of the mean deflection by which the learned one is corrected at every step, and at the first one: there the
-#: controller's integral has taken up about half of it meanwhile.
+#: Factors from mean deflection to the correction of the learned one, at every step and at the first one, where the
+#: controller's integral has already compensated about half of it.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
-#: Mean deflection, as part of the stroke, that may as well be the extender's own lag: nothing is learned from it.
+#: Mean deflection, as a fraction of the stroke, that may be the extender's own lag: it is not learned.
 LAG_PART = 0.02
-#: Extensions are equal within this [m].
+#: Tolerance for equal extensions [m].
 EQUAL = 1.0e-12
 
 
 @kernel
 def fail(x, error):
-    """Stop for good with an error; the first one is kept."""
+    """Stop with an error, until the next start; the first error is kept."""
     if x[at.MODE] != at.FAILED:
         x[at.MODE] = at.FAILED
         x[at.ERROR] = error
@@ -129,7 +129,7 @@ def enter(x, phase):
 
 @kernel
 def drive_front(x, voltage):
-    """Let the front clamp's voltage go to ``voltage`` [V] from where it is."""
+    """Begin a ramp of the front clamp's voltage to ``voltage`` [V]."""
     if x[at.FRONT_TO] != voltage:
         x[at.FRONT_FROM] = x[at.FRONT_VOLTAGE]
         x[at.FRONT_TO] = voltage
@@ -138,7 +138,7 @@ def drive_front(x, voltage):
 
 @kernel
 def drive_rear(x, voltage):
-    """Let the rear clamp's voltage go to ``voltage`` [V] from where it is."""
+    """Begin a ramp of the rear clamp's voltage to ``voltage`` [V]."""
     if x[at.REAR_TO] != voltage:
         x[at.REAR_FROM] = x[at.REAR_VOLTAGE]
         x[at.REAR_TO] = voltage
@@ -158,7 +158,7 @@ def move(p, x, target):
 
 @kernel
 def let_go(x):
-    """Give the extender its own feedback again before a clamp opens."""
+    """Switch the feedback to the extender before a clamp opens."""
     x[at.SOURCE] = at.OWN
     x[at.BIAS] = x[at.EXTENDER] - x[at.TIP]
     x[at.MOVE_DONE] = 0.0
@@ -166,7 +166,7 @@ def let_go(x):
 
 @kernel
 def hold(x):
-    """Both clamps are closed: nothing is to be controlled."""
+    """Switch the feedback off while both clamps are closed."""
     x[at.SOURCE] = at.BLOCKED
     x[at.ANCHOR] = x[at.SLIDER]
     enter(x, at.HOLDING)
@@ -174,13 +174,13 @@ def hold(x):
 
 @kernel
 def must_stop(p, x):
-    """Whether the motor shall hold with both clamps."""
+    """Return whether the motor must hold with both clamps."""
     return x[at.MODE] == at.STOP or x[at.MODE] == at.FAILED or x[at.BAD] > p[at.SENSOR_SAMPLES]
 
 
 @kernel
 def stop_here(p, x):
-    """Close whatever is open, now."""
+    """Begin to close the open clamp, or both."""
     drive_front(x, p[at.GRIP_VOLTAGE])
     drive_rear(x, p[at.GRIP_VOLTAGE])
     enter(x, at.STOPPING)
@@ -188,7 +188,7 @@ def stop_here(p, x):
 
 @kernel
 def moving(p, x):
-    """Advance the extender's motion by a sample; whether it still moves or rests."""
+    """Advance the extender's motion by a sample; return whether the motion, or the rest after it, continues."""
     if x[at.MOVE_DONE] < 1.0:
         x[at.MOVE_DONE] = min(x[at.MOVE_DONE] + x[at.MOVE_RATE] / x[at.MOVE_SAMPLES], 1.0)
         if x[at.MOVE_DONE] > 1.0 - 1.0e-9:
@@ -213,32 +213,32 @@ def turn(x, way):
 
 @kernel
 def lowest(p, x):
-    """Smallest extension [m] of a step: the load takes its share of the range."""
+    """Return the smallest extension [m] of a step; the load reduces the range."""
     return p[at.LOWEST] + max(x[at.LOAD], 0.0)
 
 
 @kernel
 def highest(p, x):
-    """Largest extension [m] of a step."""
+    """Return the largest extension [m] of a step."""
     return p[at.HIGHEST] + min(x[at.LOAD], 0.0)
 
 
 @kernel
 def within(p, x, extension):
-    """Whether ``extension`` [m] is in the range of steps."""
+    """Return whether ``extension`` [m] is in the range of steps."""
     return extension >= lowest(p, x) - EQUAL and extension <= highest(p, x) + EQUAL
 
 
 @kernel
 def pretension(p, x, target):
-    """Begin to take the load off the clamp that opens: the extender takes a deflection of ``target`` [m] over."""
+    """Begin to transfer the load from the opening clamp to the extender, by a deflection of ``target`` [m]."""
     x[at.PRETENSION_FROM] = x[at.PRETENSION]
     x[at.PRETENSION_TO] = target
 
 
 @kernel
 def load_time(p, x):
-    """Samples for which both clamps stay closed while the extender takes the load over, before the rear one opens."""
+    """Return the number of samples of this transfer, during which both clamps stay closed."""
     return p[at.RELEASE_SAMPLES] if x[at.LOAD] != 0.0 else 0.0
 
 
@@ -251,14 +251,14 @@ def pretensioning(x, duration):
 
 @kernel
 def feel(x):
-    """Sum up how far the extender gives way while it carries: the mean over the step has little left of its swing."""
+    """Sum the deflection of the extender while it carries; the mean over the step removes its oscillation."""
     x[at.GIVEN_WAY] += x[at.EXTENDER] - x[at.TIP] - x[at.BIAS] * (1.0 - cycloid(x[at.MOVE_DONE]))
     x[at.FELT] += 1.0
 
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by how the extender gave way in the mean when it took over; at first by all of it."""
+    """Correct the learned load by the mean deflection of the extender after the transfer; the first time completely."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke
@@ -271,7 +271,7 @@ def weigh(p, x):
 
 @called
 def account(p, x):
-    """Judge the step that was just carried out, and learn from it."""
+    """Evaluate the last step and learn from it."""
     stroke = p[at.HIGHEST] - p[at.LOWEST]
     direction = x[at.DIRECTION]
     extension = x[at.EXTENSION] * stroke
@@ -282,10 +282,10 @@ def account(p, x):
     x[at.COMMANDED_STEP] = direction * x[at.STEP_LENGTH]
     x[at.ACHIEVED_STEP] = direction * moved
     x[at.RETURNS] = 0.0
-    wanted = max(extension, x[at.STEP_LENGTH])  # a load or a wrong model may want a step without extension
+    wanted = max(extension, x[at.STEP_LENGTH])  # with a load or a wrong model the extension of a step may be zero
     if wanted < SHORT_STEP * stroke:
         return
-    # a step that was to be carried by the load, or by a wrong model's offset, is not missed: it puts the model right
+    # a step that the load, or a wrong offset of the model, was expected to make is not missed: it corrects the model
     missed = x[at.EXTENSION] >= SHORT_STEP and moved <= p[at.MISSED_PART] * extension
     if missed:
         x[at.MISSED] += 1.0
@@ -299,7 +299,7 @@ def account(p, x):
 
 @called
 def carry_from(p, x, start):
-    """Open a clamp: the rear one when the extender is where the step starts, else the front one to go there."""
+    """Open a clamp: the rear one when the extender is at the start of the step, else the front one to move there."""
     if x[at.RETURNS] > p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
         return
@@ -318,10 +318,10 @@ def carry_from(p, x, start):
 
 @kernel
 def plan_partial(p, x, length):
-    """Choose the extension for ``length`` [m] ≥ 0 and return where it starts [m].
+    """Choose the extension for ``length`` [m] ≥ 0 and return its start [m].
 
-    A step before fine positioning ends in the middle of the extender's range; one that is too long for that is not the
-    last one. Without fine positioning a step starts where the extender is, if it fits.
+    A step before fine positioning ends in the middle of the extender's range; if it is too long for that, another step
+    follows. Without fine positioning a step starts at the extender's present position, if it fits.
     """
     stroke = p[at.HIGHEST] - p[at.LOWEST]
     middle = 0.5 * (lowest(p, x) + highest(p, x))
@@ -376,7 +376,7 @@ def next_walk(p, x):
 
 @kernel
 def next_step(p, x):
-    """Begin the next step to the setpoint, if there is anything left to do."""
+    """Begin the next step to the setpoint, if one is needed."""
     distance = x[at.TARGET] - x[at.SLIDER]
     if p[at.FINE_ENABLED] == 0.0 and abs(distance) <= p[at.TOLERANCE]:
         x[at.DIRECTION] = 0.0

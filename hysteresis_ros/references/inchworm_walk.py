@@ -10,10 +10,9 @@
 """Continuous walking of an inchworm motor as kernels: extender and clamps as functions of the phase of the cycle.
 
 A cycle is the gait's six processes; its phase goes from 0 to 1 from the middle of one return to the middle of the next.
-The path of the slider is a straight line over the phase while it is carried and stands while the extender returns. To
-the extender's motion a correction is added that is learned over the phase
-(:mod:`hysteresis_ros.references.inchworm_walk`): what
-depends on where the motor is in its cycle repeats there at any speed.
+The path of the slider is a straight line over the phase while it is carried, and constant while the extender returns. A
+correction learned as a function of the phase (:mod:`hysteresis_ros.references.inchworm_parameters`) is added to the
+extender's motion: errors that depend on the phase repeat at any speed.
 """
 
 from __future__ import annotations
@@ -38,19 +37,19 @@ from hysteresis_ros.references.inchworm_steps import (
     turn,
 )
 
-#: Part of the rest of the extender before the front clamp closes in which a new correction takes the old one's place.
+#: Fraction of the extender's rest before the front clamp closes in which the new correction replaces the old one.
 GLIDE_PART = 0.8
-#: Wanted rates this much above the highest count as too fast.
+#: Factor on the highest rate above which a requested rate is too fast.
 TOO_FAST = 1.05
-#: Speeds that differ by no more than this part are the same for learning.
+#: Relative difference of speeds that are equal for learning.
 SAME_SPEED = 0.02
-#: A count at which a clamp's ramp is over.
+#: Value of a ramp's counter after its end.
 AT_ONCE = 1.0e9
 
 
 @kernel
 def bounds_of(x):
-    """Place of the ends of the processes in the present direction."""
+    """Return the index of the ends of the processes in the present direction."""
     return at.FORWARD_BOUNDS if x[at.DIRECTION] > 0.0 else at.BACKWARD_BOUNDS
 
 
@@ -86,7 +85,7 @@ def wrapped(phase):
 
 @kernel
 def spline(x, first, n, phase):
-    """Periodic cubic spline with the B-spline coefficients ``x[first:first + n]`` at ``phase``."""
+    """Return the periodic cubic spline with the B-spline coefficients ``x[first:first + n]`` at ``phase``."""
     s = phase * n
     i = int(s)
     u = s - i
@@ -100,27 +99,27 @@ def spline(x, first, n, phase):
 
 @kernel
 def coefficients(p, x):
-    """Place of the present direction's coefficients: the new ones, and behind them those they take the place of."""
+    """Return the index of the present direction's coefficients: the new ones, followed by the previous ones."""
     return at.WALK + (0 if x[at.DIRECTION] > 0.0 else 2 * int(p[at.SPLINES]))
 
 
 @kernel
 def path(p, x, phase):
-    """How far the slider is to be along its step at ``phase``, as a part of it."""
+    """Return the desired position of the slider within its step at ``phase``, as a fraction of the step."""
     b = bounds_of(x)
     return carried(p[at.BLEND], (phase - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY]))
 
 
 @called
 def extension(p, x, phase):
-    """Extension [m] at ``phase``, with the correction, which is left in ``x``."""
+    """Return the extension [m] at ``phase``, including the correction, which is stored in ``x``."""
     b = bounds_of(x)
     half = p[b + at.RETURNED]
     if phase < half or phase >= p[b + at.RETURN]:
         way = 1.0 - cycloid(0.5 + 0.5 * (phase if phase < half else phase - 1.0) / half)
     else:
         way = path(p, x, phase)
-        # what swings needs more of the extender while it speeds up
+        # an oscillating load needs additional extension while it accelerates
         pace = x[at.CYCLE_RATE] / (p[b + at.CARRIED] - p[b + at.CARRY])
         part = (phase - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY])
         way += p[at.INERTIA] * pace * pace * bend(p[at.BLEND], part)
@@ -134,19 +133,19 @@ def extension(p, x, phase):
 
 @kernel
 def clamp_voltage(p, closed):
-    """Voltage [V] of a clamp that is closed by this part."""
+    """Return the voltage [V] of a clamp that is closed by this fraction."""
     return p[at.RELEASE_VOLTAGE] + (p[at.GRIP_VOLTAGE] - p[at.RELEASE_VOLTAGE]) * closed
 
 
 @called
 def passed(p, phase, first, last):
-    """Part of a clamp's ramp between two phases that has passed at ``phase``."""
+    """Return the elapsed fraction of a clamp's ramp between two phases at ``phase``."""
     return ramp(p[at.LINEAR_RAMP], (phase - first) / (last - first))
 
 
 @kernel
 def set_clamps(p, x, phase):
-    """Put both clamps where the phase has them."""
+    """Set the voltages of both clamps by the phase."""
     b = bounds_of(x)
     closed = passed(p, phase, p[b + at.CLOSE_FRONT], p[b + at.OPEN_REAR])
     opened = passed(p, phase, p[b + at.OPEN_FRONT], p[b + at.RETURN])
@@ -159,7 +158,7 @@ def set_clamps(p, x, phase):
 
 @kernel
 def process(p, x, phase):
-    """The process of the gait at ``phase``."""
+    """Return the process of the gait at ``phase``."""
     b = bounds_of(x)
     if phase < p[b + at.CLOSE_FRONT] or phase >= p[b + at.RETURN]:
         return at.RETURNING
@@ -174,7 +173,7 @@ def process(p, x, phase):
 
 @kernel
 def forget(p, x):
-    """Take every correction away; the one in use glides to nothing."""
+    """Reset the corrections; the present one fades to zero."""
     n, own = int(p[at.SPLINES]), coefficients(p, x)
     for i in range(4 * n):
         if at.WALK + i < own + n or at.WALK + i >= own + 2 * n:
@@ -184,7 +183,7 @@ def forget(p, x):
 
 @called
 def correct(p, x):
-    """Correct the correction by the errors of the last cycle."""
+    """Update the correction by the errors of the last cycle."""
     n, m = int(p[at.SPLINES]), int(p[at.BINS])
     matrix = at.LEARNING_MATRICES + (0 if x[at.DIRECTION] > 0.0 else n * m)
     sums, counts, first = at.WALK + 4 * n, at.WALK + 4 * n + m, coefficients(p, x)
@@ -204,7 +203,7 @@ def correct(p, x):
 
 @kernel
 def begin_cycle(p, x):
-    """Nothing of the coming cycle has been seen yet."""
+    """Reset the statistics of the errors for the next cycle."""
     n, m = int(p[at.SPLINES]), int(p[at.BINS])
     for i in range(2 * m):
         x[at.WALK + 4 * n + i] = 0.0
@@ -214,7 +213,7 @@ def begin_cycle(p, x):
 
 @kernel
 def end_cycle(p, x):
-    """The middle of the return: learn from the cycle that ends, and begin the next one."""
+    """Learn from the cycle that ends in the middle of the return, and begin the next one."""
     n, first = int(p[at.SPLINES]), coefficients(p, x)
     for i in range(n):
         x[first + n + i] = x[first + i]
@@ -231,7 +230,7 @@ def end_cycle(p, x):
 
 @kernel
 def observe(p, x):
-    """Compare the slider with its path, which begins where the slider stands before the front clamp closes."""
+    """Compare the slider with its path, which begins at the slider's position before the front clamp closes."""
     phase = x[at.CYCLE_PHASE]
     stands = phase < p[bounds_of(x) + at.CLOSE_FRONT]
     if stands:
@@ -253,7 +252,7 @@ def observe(p, x):
 
 @called
 def begin_walk(p, x):
-    """Begin to walk over the phase; the extender first goes to where a cycle has it when both clamps hold."""
+    """Begin continuous walking; the extender first moves to its position in a cycle when both clamps hold."""
     turn(x, x[at.SPEED])
     aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
@@ -286,7 +285,7 @@ def begin_walk(p, x):
 
 @called
 def advance(p, x):
-    """Advance the phase by a sample; returns that of the outputs, which are ahead of the path."""
+    """Advance the phase by a sample; return the phase of the outputs, which lead the path."""
     x[at.CYCLE_PHASE] += x[at.CYCLE_RATE]
     if x[at.CYCLE_PHASE] >= 1.0:
         x[at.CYCLE_PHASE] -= 1.0
@@ -296,7 +295,7 @@ def advance(p, x):
 
 @called
 def go_on(p, x, phase):
-    """Enter the process of the gait at ``phase``, judge the step when both clamps hold, and end at the travel's end."""
+    """Enter the process of the gait at ``phase``; evaluate the step when both clamps hold, and end at its limit."""
     now = process(p, x, phase)
     if now == x[at.PHASE]:
         return
@@ -320,7 +319,7 @@ def go_on(p, x, phase):
 
 @called
 def stride(p, x):
-    """One sample of continuous walking; leaves it when the motor shall stop, turn, go to a setpoint or let go."""
+    """Compute a sample of continuous walking; end it to stop, reverse, walk to a setpoint or release."""
     turns = x[at.SPEED] * x[at.DIRECTION] <= 0.0
     if must_stop(p, x) or x[at.MODE] == at.LET_GO or turns:
         x[at.BRAKING] = 2.0 * x[at.CYCLE_RATE] / p[at.GRIP_SAMPLES]
@@ -345,7 +344,7 @@ def stride(p, x):
 
 @kernel
 def coast(p, x):
-    """Go on over the phase with a rate that falls, while what is open closes."""
+    """Continue the phase at a decreasing rate while the open clamp closes."""
     x[at.WHOLE] = 0.0
     x[at.CYCLE_RATE] = max(x[at.CYCLE_RATE] - x[at.BRAKING], 0.0)
     x[at.TIP] = extension(p, x, advance(p, x))

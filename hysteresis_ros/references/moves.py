@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Moves and how they end: when a move has arrived, when an axis has settled, how a trajectory went."""
+"""Ends of motions: arrival of a move, settling of an axis, outcome of a trajectory."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
 
 
 class Arrival:
-    """Tells when an error has stayed within a tolerance for a dwell; fed with samples, no clock of its own.
+    """Detects that an error has stayed within a tolerance for a dwell time; it counts the time of the samples.
 
     Parameters
     ----------
     tolerance : float
         Largest error [m].
     dwell : float
-        How long the error has to stay within it [s]; 0: one sample is enough.
+        Time for which the error must stay within the tolerance [s]; 0: one sample is enough.
     """
 
     def __init__(self, tolerance: float, dwell: float):
@@ -35,7 +35,7 @@ class Arrival:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a move: nothing that came before counts."""
+        """Begin a move; earlier samples do not count."""
         self._since = math.inf
 
     def take(self, time: float, error: float) -> bool:
@@ -44,9 +44,9 @@ class Arrival:
         Parameters
         ----------
         time : float
-            Of the sample, on any clock that goes forward [s].
+            Time of the sample on any monotonic clock [s].
         error : float
-            Measurement minus target [m]; NaN, a missing measurement, is no arrival.
+            Measurement minus target [m]; NaN: no measurement, which is not an arrival.
         """
         if not abs(error) <= self.tolerance:
             self._since = math.inf
@@ -57,7 +57,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class SettlingParameters(Parameters):
-    """When an axis is called settled."""
+    """Criterion of a settled axis."""
 
     tolerance: float = parameter(
         0.0,
@@ -67,7 +67,12 @@ class SettlingParameters(Parameters):
         read_only=True,
     )
     time: float = parameter(
-        0.05, description="for so long without a break", unit="s", low=0.0, high=3600.0, read_only=True
+        0.05,
+        description="time for which the distance must stay below it without interruption",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        read_only=True,
     )
 
 
@@ -75,22 +80,22 @@ class Settling:
     """Tells sample by sample whether an axis has settled.
 
     A sample counts when the measurement is within the tolerance of the reference, and the reference moves by less than
-    the tolerance within the time. One that does not count, also because nothing was measured, and another setpoint
-    begin the time anew: a step has settled when its response has stayed in the band for that time.
+    the tolerance within the time. A sample that does not count, also for lack of a measurement, and a new setpoint
+    restart the time: a step has settled when its response has stayed in the band for that time.
 
     Parameters
     ----------
     tolerance : float
         Half of the band [m], above 0.
     time : float
-        How long it has to stay in it [s].
+        Time for which the measurement must stay in the band [s].
     sample_time : float
         Sample time [s].
 
     Attributes
     ----------
     settled : bool
-        What the last sample said.
+        Whether the axis was settled at the last sample.
     """
 
     def __init__(self, tolerance: float, time: float, sample_time: float):
@@ -101,7 +106,7 @@ class Settling:
         self.restart()
 
     def restart(self) -> None:
-        """Begin the time anew."""
+        """Restart the time."""
         self._count = 0
         self.settled = False
 
@@ -111,9 +116,9 @@ class Settling:
         Parameters
         ----------
         setpoint, reference : float
-            Of the sample [m].
+            Setpoint and reference of the sample [m].
         measured : float
-            [m], NaN: nothing was.
+            Measurement [m]; NaN: none.
         stopped : bool
             Whether the plant has stopped the axis.
         """
@@ -126,7 +131,7 @@ class Settling:
 
 
 class Ending(Enum):
-    """How a move has ended."""
+    """Outcome of a move."""
 
     ARRIVED = "arrived"
     CANCELLED = "cancelled"
@@ -138,18 +143,18 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Tolerances:
-    """When a move is well done.
+    """Tolerances of a move.
 
     Parameters
     ----------
     goal : float
         Largest distance from the last point [m].
     dwell : float
-        How long it stays there [s].
+        Time for which it must stay there [s].
     goal_time : float
-        Time after the last point within which it has to arrive [s].
+        Time after the last point within which it must arrive [s].
     path : float
-        Largest distance from the reference on the way [m].
+        Largest distance from the reference during the motion [m].
     """
 
     goal: float
@@ -158,7 +163,7 @@ class Tolerances:
     path: float = math.inf
 
 
-#: Endings that follow from how the trajectory itself has ended.
+#: Outcomes of a move that follow from the outcome of its trajectory.
 _ENDINGS = {
     REPLACED: (Ending.REPLACED, "another trajectory or a setpoint has taken its place"),
     HELD: (Ending.CANCELLED, "held where it was"),
@@ -167,12 +172,12 @@ _ENDINGS = {
 
 
 class Move:
-    """A trajectory on its way.
+    """Monitors a trajectory in progress.
 
     Parameters
     ----------
     number : int
-        Of the trajectory, as the generator counts them.
+        Number of the trajectory, counted by the generator.
     tolerances : Tolerances
     """
 
@@ -182,12 +187,12 @@ class Move:
         self._ended = math.nan
 
     def look(self, time: float, trajectory: tuple[int, int], error: float) -> tuple[Ending, str] | None:
-        """Look at a sample; return how the move has ended, and in words why, None while it goes on.
+        """Evaluate a sample; return the outcome of the move and the reason as text, None while it continues.
 
         Parameters
         ----------
         time : float
-            Of the sample [s].
+            Time of the sample [s].
         trajectory : tuple of int
             Number and outcome of the generator's last trajectory.
         error : float

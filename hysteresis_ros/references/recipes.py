@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations for identification: recipes, ways between levels, waveforms in words, and the open axis that plays them.
+"""Excitations for identification: recipes, transitions between levels, waveforms from text, and their open-loop axis.
 
-Amplitudes and offsets are voltages here: an axis in open loop without inverse puts out reference / gain, so that
-:func:`in_metres` turns a recipe into a waveform of the reference generator.
+Amplitudes and offsets are voltages here. An axis in open loop without inverse outputs reference / gain, so
+:func:`in_metres` converts a recipe to a waveform of the reference generator.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from hysteresis_ros.references.declaration import PREFIX
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Seconds of a way from one place to another, and of resting there before anything is measured.
+#: Duration of a transition between two levels, and of the rest before the measurement [s].
 WAY, REST = 0.5, 0.5
 
 
 def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a way that begins and ends at rest, half a cosine; its first sample has left ``begin`` already.
+    """Return a transition that begins and ends at rest, half a cosine; its first sample is the one after ``begin``.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
 
 
 def hold(level: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a level that is held.
+    """Return the samples of a constant level.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ def hold(level: float, seconds: float, rate: float) -> np.ndarray:
 
 
 def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
-    """Return samples with the ways to their first and from their last one.
+    """Return samples with transitions before the first and after the last one.
 
     Parameters
     ----------
     middle : ndarray, shape (N,)
         [V] or [m]
     safe : float
-        Where it begins and ends.
+        Value at the beginning and at the end.
     rate : float
         [Hz]
     """
@@ -83,9 +83,9 @@ PEAKS = 20
 #: Cycles of the decaying recipe: over the whole range, decaying, and those in which the amplitude falls to 1/e.
 WHOLE_CYCLES, DECAYING_CYCLES, DECAY_CYCLES = 2, 20, 5.0
 LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
-#: Small excitations take this part of the range (peak), large ones all of it.
+#: Fraction of the range (peak) of small excitations; large ones take the whole range.
 SMALL = 0.1
-#: Frequencies that are asked for stay below this part of the sample rate.
+#: Highest frequency that can be requested, as a fraction of the sample rate.
 HIGHEST = 0.2
 #: Multisine and chirp excite up to this part of the sample rate: above what a recording holds, a design has to assume a
 #: resonance, which costs a feedback with gain there its bandwidth.
@@ -113,7 +113,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a recipe is given: the range [V] of the amplifier and how much of it, sample rate [Hz], and the options."""
+    """Inputs of a recipe: range [V] of the amplifier, used fraction of it, sample rate [Hz], and options."""
 
     low: float
     high: float
@@ -151,7 +151,7 @@ def _triangles(asked: _Asked) -> Excitation:
 def _decaying(asked: _Asked) -> Excitation:
     cycle = max(round(asked.sample_rate / (asked.frequency or asked.sample_rate / 500.0)), 8)
     index = np.arange(WHOLE_CYCLES * cycle + DECAYING_CYCLES * cycle + 1)
-    # at rest at 0 V first, then from the low end
+    # rest at 0 V first, then begin at the low end
     fall = np.exp(-np.maximum(index - WHOLE_CYCLES * cycle, 0) / (DECAY_CYCLES * cycle))
     volts = asked.middle - asked.half * asked.amplitude * fall * np.cos(2.0 * np.pi * index / cycle)
     return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
@@ -202,16 +202,16 @@ def _creep(asked: _Asked) -> Excitation:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A recipe, and which identification it serves.
+    """A recipe and its purpose.
 
     Parameters
     ----------
     words : str
-        What it is and what it is for.
+        Description and purpose.
     make : callable
-        Returns its :class:`Excitation`.
+        Function that returns its :class:`Excitation`.
     small : bool
-        Whether it takes a small part of the range by default.
+        Whether it uses a small fraction of the range by default.
     """
 
     words: str
@@ -224,15 +224,17 @@ RECIPES = {
     "triangles": Recipe(
         "triangles whose peak grows in equal steps up to the end of the range: loop models", _triangles
     ),
-    "decaying": Recipe("two whole cycles, then an amplitude that dies out: minor loops, alpha of Duhem", _decaying),
+    "decaying": Recipe("two full cycles, then a decaying amplitude: minor loops, alpha of Duhem", _decaying),
     "multisine": Recipe(
-        "many frequencies at once, small, around the middle of the range: linear dynamics", _multisine, small=True
+        "many frequencies at once, small amplitude, around the middle of the range: linear dynamics",
+        _multisine,
+        small=True,
     ),
     "chirp": Recipe(
-        "sine of rising frequency, small, around the middle of the range: linear dynamics", _chirp, small=True
+        "sine of rising frequency, small amplitude, around the middle of the range: linear dynamics", _chirp, small=True
     ),
     "steps": Recipe("steps up and down to several levels: lag, overshoot", _steps),
-    "creep": Recipe("one large step that is held, and back: creep", _creep),
+    "creep": Recipe("one large step, held, and back: creep", _creep),
 }
 
 
@@ -256,11 +258,11 @@ def recipe(
     sample_rate : float
         [Hz]
     frequency : float, optional
-        Cycles per second of triangles and decaying, distance of lines of the multisine, lowest of the chirp [Hz].
+        Frequency of triangles and decaying, line spacing of the multisine, lowest frequency of the chirp [Hz].
     amplitude : float
-        Part of what the recipe takes by default, 0 … 1 (small ones: up to 10).
+        Factor on the default amplitude of the recipe, 0 … 1 (small ones: up to 10).
     duration : float, optional
-        [s]; those of triangles and decaying follow from the frequency, a longer run holds their end.
+        Duration [s]; for triangles and decaying it follows from the frequency, and a longer run holds the last value.
 
     Raises
     ------
@@ -290,7 +292,7 @@ def in_metres(excitation: Excitation, gain: float) -> dict:
     ----------
     excitation : Excitation
     gain : float
-        Of the compensator without inverse [m/V].
+        Gain of the compensator without inverse [m/V].
     """
     lengths = {row.name for row in WaveformParameters.table() if row.unit == "m"}
     scaled = {}
@@ -302,25 +304,25 @@ def in_metres(excitation: Excitation, gain: float) -> dict:
 
 
 def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = None) -> dict[str, Any]:
-    """Return all parameters of a waveform, those that nobody gave at their defaults.
+    """Return all parameters of a waveform, with defaults for those not given.
 
     Parameters
     ----------
     kind : str
         One of :data:`~hysteresis_ros.references.waveforms.WAVEFORMS`.
     given : mapping of str to str
-        Text of each parameter; what belongs to one waveform only may be named without it, ``values`` for
-        ``steps.values``. Numbers carry their units or are in SI, those of lists stand between commas.
+        Text of each parameter. The waveform's own parameters may be given by their short names, ``values`` for
+        ``steps.values``. Numbers have units or are in SI; commas separate the elements of lists.
     gain : float, optional
-        Of an axis in open loop without inverse [m/V]: lengths may be given as voltages then, and need a unit.
+        Gain of an axis in open loop without inverse [m/V]: with it lengths may be given as voltages, and need a unit.
 
     Raises
     ------
     ParameterError
-        The waveform or a parameter is unknown, missing, or is not what it must be; names begin with ``waveform.``.
+        The waveform is unknown, or a parameter is unknown, missing or wrong; names begin with ``waveform.``.
     """
     if kind not in WAVEFORMS:
-        remedy = f"there is no such waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
+        remedy = f"unknown waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
         raise ParameterError([Problem(f"{PREFIX}type", kind, remedy)])
     rows = _rows(kind)
     values = {"type": kind, **{name: row.default for name, row in rows.items() if not row.required}}
@@ -346,14 +348,14 @@ def _rows(kind: str) -> dict[str, ParameterRow]:
     """Return the parameters that a waveform uses, by name."""
     shape = WAVEFORMS[kind]
     unused = {"type"} | (set() if shape.takes_phase else {"phase"}) | (set() if shape.takes_polarity else {"polarity"})
-    if shape.extent != "amplitude":  # levels in metres, at times of their own
+    if shape.extent != "amplitude":  # levels in metres with their own times
         unused |= {"amplitude", "frequency"}
     rows = {row.name: row for row in WaveformParameters.table() if "." not in row.name and row.name not in unused}
     return rows | ({row.name: row for row in shape.parameters.table(f"{kind}.")} if shape.parameters else {})
 
 
 def played(values: Mapping[str, Any], sample_time: float) -> float:
-    """Return how long a waveform lasts [s].
+    """Return the duration of a waveform [s].
 
     Parameters
     ----------
@@ -365,7 +367,7 @@ def played(values: Mapping[str, Any], sample_time: float) -> float:
     Raises
     ------
     ParameterError
-        It has no end, or cannot be played.
+        The waveform has no end, or cannot be played.
     """
     waveform = Waveform(WaveformParameters.from_mapping(values, PREFIX), sample_time)
     if not waveform.duration_samples:
@@ -375,7 +377,7 @@ def played(values: Mapping[str, Any], sample_time: float) -> float:
 
 
 def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterRow]) -> list[Problem]:
-    """Return a Problem for each parameter that has to be given."""
+    """Return a Problem for each missing parameter."""
     shape = WAVEFORMS[kind]
     missing = [row.name for row in rows.values() if row.name not in values]
     if shape.extent == "amplitude" and values["amplitude"] == 0.0:
@@ -401,7 +403,7 @@ def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> 
         The text is not what the parameter must be; the message says what is.
     """
     if row.type is str:
-        # nodes run elsewhere
+        # nodes may run in another folder
         value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text
     elif row.type is int:
         try:
@@ -437,8 +439,8 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     return [number * allowed[unit] for number, unit in found]
 
 
-#: Parameters of a controller that is given nothing but the reference; of one whose reference is what was played; and of
-#: one that hands it on as it is.
+#: Parameters of a controller for recordings with a reference only; of one whose reference is the played waveform; and
+#: of one that passes the reference unchanged.
 UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
 OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
@@ -449,7 +451,7 @@ def write_samples(path, reference, sample_rate: float, **further) -> str:
     Parameters
     ----------
     path : path-like
-        ``.npz``; its folder is made.
+        An ``.npz`` file; its folder is created.
     reference : ndarray, shape (N,)
         [m]
     sample_rate : float
@@ -460,7 +462,7 @@ def write_samples(path, reference, sample_rate: float, **further) -> str:
     Raises
     ------
     ConfigurationError
-        It cannot be written.
+        The file cannot be written.
     """
     path = pathlib.Path(path).resolve()
     try:
@@ -478,11 +480,11 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
     ----------
     configuration : Configuration
     limits : LimitsParameters
-        Of the compensator.
+        Limits of the compensator.
     gain : float
-        Of the compensator without inverse [m/V].
+        Gain of the compensator without inverse [m/V].
     waveform : dict
-        Parameters of the waveform, flat [m]; what the configuration's own says besides does not count.
+        Parameters of the waveform, flat [m]; they replace those of the configuration.
     """
     plain = {
         "cycles": 0,
@@ -508,15 +510,15 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
 
 
 def following(configuration: Configuration, path: str, rest: float = 0.0) -> Configuration:
-    """Return the configuration whose axis follows samples once, from where they begin, and then leaves.
+    """Return the configuration whose axis follows samples once, from their beginning, and then ends.
 
     Parameters
     ----------
     configuration : Configuration
     path : str
-        Of :func:`write_samples`.
+        Path that :func:`write_samples` returned.
     rest : float
-        Setpoint from which the axis begins [m]; the samples are absolute all the same.
+        Setpoint from which the axis begins [m]; the samples are absolute nevertheless.
     """
     values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": -rest, "file.path": path, "file.column": "reference"}
     configuration = configuration.override(

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Trajectories of points: followed sample by sample in the approach's place, from rest or out of a motion.
+"""Trajectories of points: they replace the approach, sample by sample, from rest or during a motion.
 
-Between two points the path is a polynomial of the time whose degree follows from what both give, as
-``joint_trajectory_controller`` of ros2_controllers chooses it: a line for positions alone, a cubic with velocities, a
-quintic with accelerations. The first segment begins at the position of the sample before, with its velocity and
-acceleration, so that a trajectory that takes over from a motion goes on from there.
+Between two points the path is a polynomial of the time. Its degree is chosen as in ``joint_trajectory_controller`` of
+ros2_controllers: a line for positions alone, a cubic with velocities, a quintic with accelerations. The first segment
+begins at the position of the sample before, with its velocity and acceleration, so that a trajectory continues a motion
+that it replaces.
 
-All that changes from sample to sample stands in one array of fixed size: it is taken whole between two samples, by the
-nodes, by the fused loop and by the offline twin alike.
+The whole state is one array of fixed size: nodes, fused loop and offline twin replace it completely between two
+samples.
 """
 
 from __future__ import annotations
@@ -29,58 +29,65 @@ from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import kernel
 
-#: Parameters: SMOOTH 1 where the approach is limited, and so its velocity one of the motion; DECELERATION 0: at once.
+#: Parameters: SMOOTH is 1 when the approach is limited, so that its velocity is that of the motion; DECELERATION 0:
+#: stop at once.
 SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 
-#: State. ACTIVE is one of the codes below; PENDING 1: taken, but no sample made; ELAPSED and LENGTH in samples;
-#: POSITION, VELOCITY, ACCELERATION are those of the last sample, GIVEN its setpoint; TARGET is where the trajectory
-#: ends, which then stands in the setpoint's place; AFTER is the setpoint that comes after braking;
-#: NUMBER counts trajectories, OUTCOME says how the last one ended. Behind it: segments of WIDTH numbers.
+#: State: ACTIVE is one of the codes below; PENDING 1: accepted, but no sample computed; ELAPSED and LENGTH in samples;
+#: POSITION, VELOCITY, ACCELERATION of the last sample, GIVEN its setpoint; TARGET is the end of the trajectory, which
+#: then replaces the setpoint; AFTER is the setpoint after braking; NUMBER counts trajectories, OUTCOME is the outcome
+#: of the last one. Segments of WIDTH numbers follow.
 ACTIVE, PENDING, ELAPSED, LENGTH, SEGMENT, COUNT, POSITION, VELOCITY, ACCELERATION = range(9)
 GIVEN, TARGET, AFTER, NUMBER, OUTCOME = range(9, 14)
 SEGMENTS = 14
-#: A TARGET and an AFTER that are none.
+#: Values of TARGET and AFTER for none.
 NOWHERE = math.inf
-#: Of each segment: its beginning [s], and the coefficients of the powers of the time since.
+#: Numbers of a segment: its beginning [s], and the coefficients of the powers of the time since then.
 BEGIN, COEFFICIENTS, WIDTH = 0, 1, 7
 
 #: Codes of ACTIVE.
 IDLE, FOLLOWING, BRAKING = range(3)
-#: Codes of OUTCOME: not over yet, at its end, replaced by a trajectory or a setpoint, held, stopped with the axis.
+#: Codes of OUTCOME: in progress, completed, replaced by a trajectory or a setpoint, held, stopped with the axis.
 OPEN, ENDED, REPLACED, HELD, STOPPED = range(5)
 
 #: Largest number of points.
 MOST_POINTS = 1000
-#: Parts of a segment at whose ends position, velocity and acceleration are compared with what is allowed.
+#: Number of intervals per segment, at whose ends position, velocity and acceleration are checked.
 LOOKS = 64
-#: Of a limit, for rounding.
+#: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class TrajectoryParameters(Parameters):
-    """When a trajectory is taken and when it has arrived."""
+    """Conditions for accepting a trajectory and for its arrival."""
 
     start_tolerance: float = parameter(
         0.0,
-        description="how far a first point at time 0 may be from the reference; 0: a hundredth of minimum … maximum",
+        description="largest distance of a first point at time 0 from the reference; 0: a hundredth of minimum … "
+        "maximum",
         unit="m",
         low=0.0,
         read_only=True,
     )
     goal_tolerance: float = parameter(
         0.0,
-        description="a move has arrived within that of its last point; 0: a hundredth of minimum … maximum",
+        description="distance from the last point within which a move has arrived; 0: a hundredth of minimum … maximum",
         unit="m",
         low=0.0,
         read_only=True,
     )
     dwell: float = parameter(
-        0.02, description="and stays there so long", unit="s", low=0.0, high=3600.0, read_only=True
+        0.02,
+        description="time for which a move must stay within goal_tolerance",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        read_only=True,
     )
     goal_time: float = parameter(
         1.0,
-        description="time after its last point within which a move has to arrive",
+        description="time after its last point within which a move must arrive",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -123,16 +130,16 @@ def note_motion(p, x, position, smooth):
 
 @kernel
 def brake(p, x, after, outcome):
-    """Come to rest out of any motion, within one sample or at the allowed deceleration.
+    """Bring any motion to rest, within one sample or at the allowed deceleration.
 
     Parameters
     ----------
     p, x : ndarray
         Parameters and state of the trajectory.
     after : float
-        Setpoint to go to then [m]; NOWHERE: stay.
+        Next setpoint [m]; NOWHERE: stay.
     outcome : int
-        How a trajectory that is followed has ended.
+        Outcome of the present trajectory.
     """
     if x[ACTIVE] == FOLLOWING:
         x[OUTCOME] = outcome
@@ -152,7 +159,7 @@ def brake(p, x, after, outcome):
 
 
 def initial_state(position: float) -> np.ndarray:
-    """Return the state at rest at a position [m], with room for every trajectory; shape (N,)."""
+    """Return the state at rest at a position [m], with the size of the longest trajectory; shape (N,)."""
     x = np.zeros(SEGMENTS + WIDTH * MOST_POINTS)
     x[POSITION] = x[GIVEN] = position
     x[TARGET] = x[AFTER] = NOWHERE
@@ -160,7 +167,7 @@ def initial_state(position: float) -> np.ndarray:
 
 
 def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample_time: float) -> None:
-    """Put a path into the state, to be followed from the next sample on.
+    """Write a path into the state, beginning with the next sample.
 
     Parameters
     ----------
@@ -168,7 +175,7 @@ def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample
         State of the trajectory.
     segments : ndarray, shape (N, WIDTH)
     points : Points
-        Of which it is made.
+        Points of the path.
     sample_time : float
         [s]
     """
@@ -182,12 +189,12 @@ def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample
 
 
 class Points:
-    """The points of a trajectory, checked by themselves.
+    """The points of a trajectory, with consistency checks.
 
     Parameters
     ----------
     times : sequence of float, shape (N,)
-        Of each point since the beginning [s].
+        Time of each point since the beginning [s].
     positions : sequence of float, shape (N,)
         [m]
     velocities, accelerations : sequence of float, shape (N,), optional
@@ -208,7 +215,11 @@ class Points:
         self.velocities, self.accelerations = values["velocities"], values["accelerations"]
         count = len(self.times)
         if not 0 < count <= MOST_POINTS:
-            raise _refused("points", count, f"allowed: 1 … {MOST_POINTS}; join what hardly bends, or send it in pieces")
+            raise _refused(
+                "points",
+                count,
+                f"allowed: 1 … {MOST_POINTS}; join nearly straight segments, or send several trajectories",
+            )
         for name, numbers in values.items():
             needed = name in ("times", "positions")
             if len(numbers) != count and (needed or len(numbers)):
@@ -221,7 +232,9 @@ class Points:
             raise _refused("accelerations", count, "without velocities: give both, velocities alone, or neither")
         self._check_times()
         if len(self.velocities) and self.velocities[-1] != 0.0:
-            raise _refused("velocities", self.velocities[-1], "of the last point: must be 0 m/s, there the axis rests")
+            raise _refused(
+                "velocities", self.velocities[-1], "of the last point: must be 0 m/s, because the axis rests there"
+            )
 
     def _check_times(self) -> None:
         times = self.times
@@ -230,12 +243,12 @@ class Points:
         for index in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
             raise _refused("times", times[index + 1], f"s of point {index + 1}: must be later than {times[index]:g} s")
         if times[-1] == 0.0:
-            raise _refused("times", 0.0, "s of the last point: must be later than 0 s, the beginning")
+            raise _refused("times", 0.0, "s of the last point: must be later than 0 s")
 
     def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
-        """Return the segments of the path from a present motion on, shape (segments, WIDTH).
+        """Return the segments of the path that continues the present motion, shape (segments, WIDTH).
 
-        A first point at time 0 is where the sender believes the axis to be: the path begins where it really is.
+        A first point at time 0 is the sender's assumption: the path begins at the actual position.
         """
         first = 1 if self.times[0] == 0.0 else 0
         knots = [np.concatenate([[0.0], self.times[first:]]), np.concatenate([[position], self.positions[first:]])]
@@ -251,7 +264,7 @@ class Points:
             own[:, 1] = rise
             return made
         own[:, 1] = velocities[:-1]
-        # velocities beside those of a straight line; no powers, which C libraries round each in its way
+        # velocities relative to the straight line; no powers, because C libraries round them differently
         start, end = velocities[:-1] - rise, velocities[1:] - rise
         if not len(accelerations):
             own[:, 2] = -(2.0 * start + end) / duration
@@ -269,14 +282,14 @@ class Points:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a trajectory must keep.
+    """Limits of a trajectory.
 
     Parameters
     ----------
     low, high : float
         Positions [m].
     velocity, acceleration : float
-        Largest ones [m/s], [m/s²]; 0: any.
+        Largest velocity [m/s] and acceleration [m/s²]; 0: unlimited.
     sample_time : float
         [s]
     """
@@ -288,20 +301,20 @@ class Bounds:
     sample_time: float
 
     def check(self, segments: np.ndarray, length: float, velocity: float) -> None:
-        """Refuse a path that leaves the bounds, between its points too.
+        """Refuse a path that exceeds the limits, also between its points.
 
         Parameters
         ----------
         segments : ndarray, shape (N, WIDTH)
         length : float
-            Of the whole path [s].
+            Duration of the path [s].
         velocity : float
-            Of the motion before it [m/s].
+            Velocity of the motion before it [m/s].
 
         Raises
         ------
         ParameterError
-            Names the time, the value and what is allowed.
+            A limit is exceeded; the message names the time, the value and the limit.
         """
         ends = np.concatenate([segments[1:, BEGIN], [length]])
         tau = np.linspace(0.0, 1.0, LOOKS + 1)[:, None] * (ends - segments[:, BEGIN])

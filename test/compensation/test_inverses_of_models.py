@@ -223,5 +223,5 @@ def test_inverses_that_do_not_fit_are_refused_with_the_way_out():
     oscillator = HysteresisParameters(
         type="bouc_wen_mechanical", bouc_wen_mechanical=BoucWenMechanicalParameters(**values)
     )
-    with pytest.raises(ParameterError, match=r"dynamics inside.*use none"):
+    with pytest.raises(ParameterError, match=r"internal dynamics.*use none"):
         Compensator(dataclasses.replace(parameters("proportional", "general"), hysteresis=oscillator), 1e-3)

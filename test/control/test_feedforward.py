@@ -141,7 +141,7 @@ def test_the_filter_and_the_kernel_give_the_same_commands():
 
 
 def test_preview_shorter_than_the_relative_degree_is_named_with_the_one_needed():
-    with pytest.raises(ParameterError, match=r"feedforward\.preview = 0: must be at least 1.*ask for \d"):
+    with pytest.raises(ParameterError, match=r"feedforward\.preview = 0: must be at least 1.*need \d"):
         parameters(KIM, 0)
     slow = LinearParameters(A=(0.0, 1.0, -0.72, 1.7), B=(0.0, 1.0), C=(1.0, 0.0))
     with pytest.raises(ParameterError, match=r"feedforward\.preview = 1: must be at least 2"):
@@ -235,7 +235,7 @@ def test_what_is_left_out_is_said_and_what_cannot_be_is_refused():
     preview = designed_preview(dynamics)
     (text,) = preview_warning(dynamics, preview)
     assert "366.1 Hz) are not inverted" in text and "wrong by less than 1 % up to 5" in text
-    with pytest.raises(ParameterError, match=r"must be at least 13: .*next to the unit circle takes 12"):
+    with pytest.raises(ParameterError, match=r"must be at least 13: .*next to the unit circle needs 12 more"):
         inverse_filter(dynamics, 10)
     slow = realised(pair(1.003, 0.5), [*pair(0.9, 0.9), 0.6])
     assert inverse_filter(slow, 30).left_out is None

@@ -142,7 +142,7 @@ def test_whatever_the_loop_answers_and_whatever_is_asked_it_stays_within_its_max
 def test_a_period_that_is_no_whole_number_of_samples_is_refused_with_its_neighbours():
     with pytest.raises(ParameterError, match=r"40\.3 samples.*0\.04 s \(25 Hz\) and 0\.041 s"):
         learning(period=0.0403)
-    with pytest.raises(ParameterError, match="looks 40 samples ahead; must be less than the period of 40"):
+    with pytest.raises(ParameterError, match="has a lead of 40 samples: must be less than the period of 40"):
         learning(error_filter=(1.0,) * 41, lead=40)
 
 
@@ -209,7 +209,7 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
         ({"period": 2 * N / RATE}, "40 samples of 0.001 s; the axis has 80"),
         ({"maximum": 1e-6}, "at most learning.maximum = 1e-06 m"),
         ({"file": str(tmp_path / "none.yaml")}, "cannot be read"),
-        ({"file": __file__}, "is no file of a learned correction"),
+        ({"file": __file__}, "is not a file of a learned correction"),
     ):
         with pytest.raises(ParameterError, match=words):
             learning(**{"file": str(path)} | values)

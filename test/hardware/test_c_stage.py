@@ -150,7 +150,7 @@ def fail_fused(stage, number: int) -> tuple[Axis, np.ndarray]:
     ("number", "said"),
     [
         (signal.SIGKILL, "cannot be read: libstage.so: the process of stage {name} has died; start"),
-        (signal.SIGSTOP, "cannot be read: libstage.so: the process of stage {name} stands still; look at stage_device"),
+        (signal.SIGSTOP, "cannot be read: libstage.so: the process of stage {name} has stopped; check stage_device"),
         (signal.SIGUSR1, "returns a position that is not a number; check the sensor and its scaling"),
     ],
 )
@@ -252,7 +252,7 @@ def test_message_by_message_the_same_library_is_called_through_python():
         ({"driver": "/nowhere/driver"}, "driver /nowhere/driver is neither; give a Python file"),
         ({"driver": str(HEADERS / "errors.py")}, "does not exist"),
         ({"driver": str(HEADERS / "device.py")}, "declares no driver: DRIVER is None; DRIVER = HardwareDriver"),
-        ({"driver": "simulated"}, "driver_options = .*belong to a driver that is given by its path"),
+        ({"driver": "simulated"}, "driver_options = .*belong to a driver given by its path"),
     ],
 )
 def test_what_a_path_does_not_lead_to_is_refused(changes, words):

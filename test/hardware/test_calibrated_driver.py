@@ -210,7 +210,7 @@ def test_an_absolute_sensor_is_not_homed_and_copies_keep_their_own_zero(library)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"calibration__sensor__unit": "mm"}, "the device reads 'V' and puts out 'V'; calibration.sensor.unit is 'mm'"),
+        ({"calibration__sensor__unit": "mm"}, "the device reads 'V' and outputs 'V'; calibration.sensor.unit is 'mm'"),
         (
             {"calibration__amplifier__scale": 0.5, "calibration__amplifier__polynomial": ()},
             "100 V, which are -196 … 4 V",

@@ -179,7 +179,7 @@ def test_a_reset_does_not_make_the_voltage_jump(device):
         ({"voltages": 0}, "has no voltage output"),
         ({"minimum": 0.0}, r"range of 0 … 120 V does not contain limits\.minimum … limits\.maximum = -30 … 120 V"),
         ({"maximum": math.nan}, "range of -30 … nan V"),
-        ({"highest_rate": 1000.0}, "makes at most 1000 Hz; lower sample_rate"),
+        ({"highest_rate": 1000.0}, "supports at most 1000 Hz; lower sample_rate"),
         ({"watchdog": 1e-4}, "watchdog of 0.0001 s is no longer than a sample"),
     ],
 )
@@ -209,7 +209,7 @@ def test_limits_change_live_within_the_devices_range_and_what_it_was_opened_with
     [
         ({"driver": "simulatd"}, "driver = 'simulatd': unknown choice.*did you mean simulated"),
         ({"real_time_factor": 0.5}, "real_time_factor = 0.5: must be 1 with a driver"),
-        ({"time_mode": "lockstep"}, "driver = 'simulated': a device does not wait for anybody: give time_mode"),
+        ({"time_mode": "lockstep"}, "driver = 'simulated': a device does not wait for nodes: give time_mode"),
     ],
 )
 def test_what_a_driver_cannot_do_is_refused_before_it_is_opened(device, changes, words):

@@ -171,7 +171,7 @@ def test_the_saved_file_is_a_model_from_which_an_axis_goes_on():
         (
             "picma_stage",
             ADAPTATION | {"adaptation__offset": "measured", "adaptation__zero": 1e-6},
-            "adaptation.zero = 1e-06: must be what motion_controller's model.preload takes off the measurement, 0 m",
+            "adaptation.zero = 1e-06: must equal the offset of motion_controller's model.preload, 0 m",
         ),
         (
             "picma_stage",

@@ -102,7 +102,7 @@ def without_section(given, name: str):
     [
         (lambda c: without_section(c, "displacement_camera"), "type = 'camera': publishes images: a section displac"),
         (lambda c: c.override("plant_simulator", type="actuator"), "type = 'actuator': publishes joint_states itself"),
-        (lambda c: c.override("", time_mode="fused"), "no time to look at frames"),
+        (lambda c: c.override("", time_mode="fused"), "no time to evaluate frames"),
         (lambda c: c.override("plant_simulator", driver="simulated"), r"drives one actuator \(type: actuator\)"),
         (lambda c: c.override("displacement_camera", sample_rate=30.0), "displacement_camera: sample_rate"),
         (lambda c: c.override("plant_simulator", camera__zero=500.0), "must lie within the frame of width = 128 px"),

@@ -353,7 +353,7 @@ def test_a_time_out_shorter_than_a_sample_is_refused_by_name(name, node, timeout
 
 def test_two_sources_of_the_reference_are_refused():
     text = parameters("inchworm_travel").configuration_text()
-    with pytest.raises(ConfigurationError, match="two sources of the reference"):
+    with pytest.raises(ConfigurationError, match="two reference generators"):
         configuration_of(text + "\n/reference_generator:\n  ros__parameters:\n    minimum: 0.0\n")
 
 

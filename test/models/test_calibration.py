@@ -110,13 +110,13 @@ def test_a_polynomial_is_refused_exactly_when_it_does_not_rise(coefficients, low
     [
         ({"sensor.scale": 0.0}, r"sensor\.scale = 0\.0: out of range"),
         ({"sensor.sign": 0}, r"sensor\.sign = 0: must be 1 or -1"),
-        ({"sensor.scale": 1.0}, r"is 1 m per count: give the displacement that one count"),
+        ({"sensor.scale": 1.0}, r"is 1 m per count: give the displacement per count"),
         ({"sensor.minimum": 65535.0}, r"sensor\.minimum = 65535\.0: must be below maximum = 65535 count"),
-        ({"sensor.minimum": 0.0, "sensor.maximum": 0.0}, "needs the range of readings in which it holds"),
+        ({"sensor.minimum": 0.0, "sensor.maximum": 0.0}, "needs the range of readings in which it is valid"),
         ({"sensor.polynomial": [0.0, 1.0, -1.0e-5]}, r"slope -0\.311 at 65535 count: fit a lower order"),
         # it rises at both ends
         ({"sensor.polynomial": [0.0, 2.5, -3.0, 1.0], "sensor.maximum": 2.0}, r"slope -0\.5 at 1 count"),
-        ({"sensor.polynomial": [0.0, -1.0]}, "a direction is what sign is for"),
+        ({"sensor.polynomial": [0.0, -1.0]}, "give a direction by sign"),
         ({"sensor.polynomial": [0.0, 1.0, 1.0e300, 1.0e308]}, "must rise everywhere"),
         ({"sensor.polynomial": [0.0] * 9}, "more than 8 coefficients"),
         ({"amplifier.unit": "count"}, r"amplifier\.scale = 1\.0: is 1 V per count"),

@@ -186,9 +186,9 @@ def test_a_step_gains_the_kicks_of_both_clamps():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({**RIGID, "kick": 1e-9}, "kick = 1e-09: needs a contact that gives way: set compliance"),
-        ({**RIGID, "damping": 0.1}, "slider.damping = 0.1: is for contacts that give way"),
-        ({**RIGID, "substeps": 4}, "slider.substeps = 4: is for contacts that give way"),
+        ({**RIGID, "kick": 1e-9}, "kick = 1e-09: needs a compliant contact: set compliance"),
+        ({**RIGID, "damping": 0.1}, "slider.damping = 0.1: is for compliant contacts"),
+        ({**RIGID, "substeps": 4}, "slider.substeps = 4: is for compliant contacts"),
         ({"damping": 0.0}, "substeps = 0: steps converge to the damping of the joint"),
     ],
 )
@@ -201,5 +201,5 @@ def test_what_does_not_fit_together_is_refused_with_what_to_do(changes, words):
 def test_one_contact_alone_cannot_give_way():
     parameters = inchworm.motor()
     stiff = replace(parameters.inchworm.front_clamp, compliance=1e-8)
-    with pytest.raises(ParameterError, match="rear_clamp.compliance = 0.0: the other contact gives way"):
+    with pytest.raises(ParameterError, match="rear_clamp.compliance = 0.0: the other contact is compliant"):
         Inchworm(replace(parameters, inchworm=replace(parameters.inchworm, front_clamp=stiff)), STEP)

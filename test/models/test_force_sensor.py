@@ -114,7 +114,7 @@ def test_without_a_sensor_there_is_no_force_and_with_one_the_displacement_is_the
     voltages = 20.0 * np.random.default_rng(1).standard_normal(50)
     (y, nothing), (same, _) = followed(bare, voltages), followed(with_it, voltages)
     assert np.all(np.isnan(nothing)) and np.array_equal(y, same)
-    with pytest.raises(ParameterError, match=r"force_sensor\.stack_stiffness.*clean up and configure anew"):
+    with pytest.raises(ParameterError, match=r"force_sensor\.stack_stiffness.*clean up and configure again"):
         bare.retune(with_it.parameters)
     with pytest.raises(ParameterError, match=r"flexure_stiffness = 0.*above 0"):
         actuator(**{"force_sensor.flexure_stiffness": 0.0})

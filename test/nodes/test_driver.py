@@ -212,7 +212,7 @@ def test_up_refuses_a_driver_in_lockstep(processes, tmp_path):
     command = processes.command("up", path, "--rate", "lockstep")
     assert command.wait() == 2
     lines = command.output.splitlines()
-    assert len(lines) == 1 and "driver = 'simulated': a device does not wait for anybody" in lines[0]
+    assert len(lines) == 1 and "driver = 'simulated': a device does not wait for nodes" in lines[0]
 
 
 def test_a_relative_sensor_is_homed_by_the_service_where_the_axis_is_safe(inside, observer, stage):

@@ -156,7 +156,7 @@ def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer,
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--rate", "lockstep"), "external_plant = True: a plant of your own does not wait for anybody"),
+        (("--rate", "lockstep"), "external_plant = True: an external plant does not wait for other nodes"),
         (("--plant", "externl"), "externl"),
         (("--factor", "20"), "2000 samples/s are too many for messages between nodes"),
     ],

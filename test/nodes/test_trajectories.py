@@ -103,7 +103,7 @@ def test_what_is_refused_is_named_and_moves_nothing(axis):
         (trajectory((0.1, 3e-6), joint=["extender", "elbow"]), "allowed: ['extender']"),
         (trajectory((0.2, 3e-6), (0.1, 4e-6)), "must be later than 0.2 s"),
         (trajectory((0.1, 3e-5)), "out of range"),
-        (trajectory((0.1, 3e-6), velocities=(1e-5,)), "there the axis rests"),
+        (trajectory((0.1, 3e-6), velocities=(1e-5,)), "because the axis rests there"),
     ):
         assert words in axis.send(message, "refused")
     late = trajectory((0.1, 3e-6))

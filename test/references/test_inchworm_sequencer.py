@@ -356,7 +356,7 @@ def test_whatever_is_asked_never_are_both_clamps_open(events):
 def test_parameters_do_not_change_under_a_walking_motor():
     sequencer = InchwormSequencer(PARAMETERS, 1.0 / RATE)
     sequencer.retune(PARAMETERS)
-    with pytest.raises(ParameterError, match="configure anew"):
+    with pytest.raises(ParameterError, match="configure again"):
         sequencer.retune(replace(PARAMETERS, home_position=1e-6))
 
 

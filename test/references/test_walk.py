@@ -259,8 +259,8 @@ def test_what_was_learned_is_a_file_that_goes_on_as_before(tmp_path):
     ("text", "said"),
     [
         (None, "cannot be read"),
-        ("[1, 2]", "no file of a learned walk"),
-        ("inchworm_walk: {step: 6.0e-6, forward: [a], backward: []}", "no file of a learned walk"),
+        ("[1, 2]", "not a file of a learned walk"),
+        ("inchworm_walk: {step: 6.0e-6, forward: [a], backward: []}", "not a file of a learned walk"),
         ("inchworm_walk: {step: 5.0e-6, forward: [0.0], backward: [0.0]}", "steps of 5e-06 m"),
         ("inchworm_walk: {step: 6.0e-6, forward: [0.0], backward: [0.0]}", "has 1 coefficients; walk.splines is 32"),
         (yaml.dump({"inchworm_walk": {"step": 6e-6, "forward": [2e-6] * 32, "backward": [0.0] * 32}}), "1e-06 m"),

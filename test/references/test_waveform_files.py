@@ -73,7 +73,7 @@ def test_interpolation_is_linear_and_asked_for(tmp_path):
         ("time [s],reference [m]\n0,0\n0.001\n", "data row 1"),
         ("time [s],reference [m]\n0,0\n0.001,1\n0.005,1\n", "equal steps"),
         ("time [s],reference [m]\n", "samples"),
-        ("reference [m]\n0\n1\n", "does not say its sample time"),
+        ("reference [m]\n0\n1\n", "does not state its sample time"),
         ("", "no such column"),
     ],
 )

@@ -182,7 +182,7 @@ def test_the_renderer_covers_as_many_pixels_as_the_tip_is_long():
         ({"tracking.region": [0.0, 0.0, 10.0]}, "four whole numbers"),
         ({"tracking.region": [0.0, 0.5, 10.0, 10.0]}, "four whole numbers"),
         ({"tracking.region": [0.0, 0.0, 0.0, 10.0]}, "above 0"),
-        ({"calibration.scale": 1.0}, "is 1 m per px: give the displacement that one px"),
+        ({"calibration.scale": 1.0}, "is 1 m per px: give the displacement per px"),
         ({"tracking.method": "pattren"}, "did you mean pattern"),
     ],
 )

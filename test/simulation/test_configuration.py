@@ -70,7 +70,7 @@ def test_numbers_are_read_as_the_ros_parser_reads_them():
         ("a: {ros__parameters: 3}", "must be a mapping"),
         ("a: {b: {}}", "no 'ros__parameters'"),
         ("/**/motion_controler: {ros__parameters: {a: 1}}", "did you mean motion_controller?"),
-        ("a: {ros__parameters: &x {b: 1}}\nc: {ros__parameters: *x}", "line 2: ROS 2 reads no YAML aliases"),
+        ("a: {ros__parameters: &x {b: 1}}\nc: {ros__parameters: *x}", "line 2: ROS 2 does not read YAML aliases"),
     ],
 )
 def test_what_is_no_parameter_file_is_refused_by_name(text, said):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Damping: an inner loop around the resonances, or filters before them, in front of which every controller stands.
+"""Damping of resonances between a controller and the plant: an inner loop, or filters of the command.
 
-Read :mod:`.kind` (what a kind declares), one file of ``kinds/``, then :mod:`.inner_loop`, which runs it.
+Start with :mod:`.kind` (declaration of a kind) and one file of ``kinds/``, then :mod:`.inner_loop`, which runs it.
 """

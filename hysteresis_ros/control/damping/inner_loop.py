@@ -7,24 +7,21 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Damping in the loop: the kinds by name, the damped plant that a controller sees, and the filter that runs.
+"""Damping in the loop: the kinds by name, the damped plant of a controller, and the running filter.
 
-With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the gain at rest of the
-model P, so that gains, inverses and rest points of a law mean what they mean without damping. With a filter behind the
-law it is u = F w.
+With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the DC gain of the model P,
+so that gains, inverses and rest points of a law are valid as without damping. With a filter behind the law u = F w.
 
-A filter of the force f in the stack sees f = (k_a + k_f) d − k_a y, d what acts on the model, through the sensor's own
-high-pass; the plant then has the outputs (y, d).
+A filter of the force f in the stack sees f = (k_a + k_f) d − k_a y, d the quasi-static displacement, through the
+sensor's high-pass; the plant then has the outputs (y, d).
 
-The filter runs as u = γ w + F y, u = γ w + F f or u = F w; w is the law's output, y the measured
- displacement without preload offset, f the measured force in the stack. What the compensator cuts off the
-command concerns the law's output as
+The filter computes u = γ w + F y, u = γ w + F f or u = F w; w is the law's output, y the measured displacement without
+preload offset, f the measured force in the stack. An achieved command u_applied corresponds to the law's output
 
 w_applied = w + (u_applied − u) / b
 
-with b the direct gain from w to u: the output of the law that would have led to what was carried out. Where nothing is
-cut it is w exactly. The filter of a measurement sees what is there and needs no help with windup; one of the
-law's output has unit gain at rest and fades within its own time constants.
+with b the direct gain from w to u. Without saturation this is exactly w. A filter of a measurement does not wind up,
+because its input is measured; a filter of the law's output has unit DC gain and decays within its time constants.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import hysteresis_ros.control.damping.kinds  # noqa: F401  (its folder is searched)
+import hysteresis_ros.control.damping.kinds  # noqa: F401  (the registry searches its folder)
 from hysteresis_ros.configuration import Parameters, parameter, variants
 from hysteresis_ros.control.damping.kind import (
     COMMAND,
@@ -58,7 +55,7 @@ from hysteresis_ros.registry import discover
 #: Group of entry points by which a package adds a kind: ``lead = my_package.lead:DAMPING``.
 GROUP = "hysteresis_ros.damping"
 
-#: What each kind declares, by type; ``none`` beside them is no damping.
+#: Declaration of each kind, by type; the additional type ``none`` is no damping.
 KINDS: dict[str, DampingKind] = discover("hysteresis_ros.control.damping.kinds", "DAMPING", DampingKind, GROUP)
 
 #: Type without damping.
@@ -83,21 +80,16 @@ class DampingParameters(Parameters):
 
     @property
     def source(self) -> int:
-        """What the filter works on, one of the numbers of :mod:`~hysteresis_ros.control.damping.kind`."""
+        """Input of the filter, one of the numbers of :mod:`~hysteresis_ros.control.damping.kind`."""
         return NOTHING if self.type == NONE else KINDS[self.type].source
 
     def filter(self, sample_time: float) -> StateSpace:
         """Return the filter of the chosen kind, SI.
 
-        Parameters
-        ----------
-        sample_time : float
-            [s]
-
         Raises
         ------
         ParameterError
-            It cannot run at this sample time; names begin with ``damping.``.
+            The filter cannot run at this sample time; names begin with ``damping.``.
         """
         try:
             found = KINDS[self.type].filter(getattr(self, self.type), sample_time)
@@ -110,7 +102,7 @@ class DampingParameters(Parameters):
         return found
 
 
-#: Poles below this are those of delays.
+#: Modulus below which poles are those of delays.
 AT_ZERO = 1e-3
 
 
@@ -135,20 +127,20 @@ def modes(poles, sample_time: float) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class InnerLoop:
-    """A filter and how the law's output passes it.
+    """A filter and its connection to the law's output.
 
     Parameters
     ----------
     filter : StateSpace
         SI.
     source : int
-        What it works on.
+        Input of the filter.
     forward : float
-        γ, weight of the law's output beside the filter; 0 where the filter works on it.
+        γ, weight of the law's output parallel to the filter; 0 if the filter's input is the law's output.
     seen : ndarray, shape (1, q)
-        What the filter works on, of the outputs of the plant.
+        Row that computes the filter's input from the plant's outputs.
     sensor : StateSpace, optional
-        What a sensor does to that before.
+        Dynamics of a sensor before the filter.
     """
 
     filter: StateSpace
@@ -173,9 +165,9 @@ class InnerLoop:
         Parameters
         ----------
         plant : StateSpace
-            From command to measured displacement, y_k = C x_k; under a filter of the force with its second output.
+            From command to measured displacement, y_k = C x_k; for a filter of the force with the second output.
         scale : float
-            SI units of the plant's output per its units, over those of its input.
+            SI units per unit of the plant's output, over those of its input.
         """
         F = self.feedback
         n, m = plant.order, F.order
@@ -205,7 +197,7 @@ class InnerLoop:
             return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
         A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
         only_seen = np.hstack([[[0.0]], self.seen])
-        # the law sees the displacement alone
+        # the law's input is the displacement alone
         unseen = (0, 0), (0, self.seen.shape[1] - 1)
         B = np.vstack([np.pad(controller.B, unseen), F.B @ only_seen])
         D = self.forward * np.pad(controller.D, unseen) + F.D @ only_seen
@@ -220,18 +212,18 @@ def inner_loop(
     Parameters
     ----------
     damping : DampingParameters
-        Of another type than none.
+        Parameters of a type other than none.
     dynamics : LinearParameters
         The model.
     sample_time : float
         [s]
     force : ForceParameters, optional
-        What the model has of the force in the stack.
+        The model of the force in the stack.
 
     Raises
     ------
     ParameterError
-        The filter cannot run at this sample time, or nothing is known of the force that it works on.
+        The filter cannot run at this sample time, or its force is not modelled.
     """
     found, source = damping.filter(sample_time), damping.source
     only_displacement = np.ones((1, 1))
@@ -251,12 +243,7 @@ def inner_loop(
 
 
 def require_force(kind: str, force: ForceParameters | None) -> None:
-    """Refuse a damping by force without a model of it.
-
-    Parameters
-    ----------
-    kind : str
-    force : ForceParameters or None
+    """Refuse a force damping without a model of the force.
 
     Raises
     ------
@@ -273,7 +260,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
 def closing(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
-    """Return the function that makes the damped plant of a plant in SI; without a damping it stays as it is.
+    """Return the function from a plant in SI to the damped plant; without a damping it returns the plant.
 
     Parameters
     ----------
@@ -283,7 +270,7 @@ def closing(
     sample_time : float
         [s]
     force : ForceParameters, optional
-        What the model has of the force in the stack.
+        The model of the force in the stack.
     """
     if damping.source == NOTHING:
         return lambda plant: plant.shown
@@ -291,12 +278,7 @@ def closing(
 
 
 def undamped(dynamics: LinearParameters) -> StateSpace:
-    """Return the model from command to measured displacement in its own units, with no state more than it needs.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    """
+    """Return a minimal model from command to measured displacement in its own units."""
     model = dynamics.state_space
     return model.held() if model.D.item() != 0.0 else model
 
@@ -314,7 +296,7 @@ def damped(
     sample_time : float
         [s]
     force : ForceParameters, optional
-        What the model has of the force in the stack.
+        The model of the force in the stack.
 
     Raises
     ------
@@ -332,7 +314,7 @@ def damped(
         values = tuple(getattr(damping, damping.type).to_mapping().items())
         given = ", ".join(f"{name} {value}" for name, value in values)
         if radius < 1.0:
-            remedy = f"turns the sign of the plant (gain at rest {loop.forward:.4g}); lower its gain"
+            remedy = f"reverses the sign of the plant (DC gain {loop.forward:.4g}); lower its gain"
         else:
             remedy = (
                 f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
@@ -396,7 +378,7 @@ def damp(p, x, output, measured, force):
 
 @kernel
 def as_output(p, x, command):
-    """Return the output of the law [m] that would have led to the last ``command`` [m] as it was carried out."""
+    """Return the output of the law [m] that corresponds to the achieved last ``command`` [m]."""
     if p[SOURCE] == NOTHING:
         return command
     return x[OUTPUT] + (command - x[COMMAND_PLACE]) / p[DIRECT]
@@ -408,7 +390,7 @@ class Damping(Block):
     Parameters
     ----------
     parameters : ControllerParameters
-        Of which ``damping`` and ``model`` are used.
+        Parameters, of which ``damping`` and ``model`` are used.
     sample_time : float
         Sample time [s].
 
@@ -445,10 +427,10 @@ class Damping(Block):
         return float(self.p[DIRECT])
 
     def retune(self, parameters) -> None:
-        """Take another filter, also of another kind, while running; arm the hand-over behind it.
+        """Change the filter, also to another kind, while running; arm the hand-over behind it.
 
-        States of a filter of the same kind and order go on, moved as far as the rest under the present input moves;
-        those of another start at rest.
+        States of a filter of the same kind and order continue, shifted by the change of the rest state at the present
+        input; those of another start at rest.
 
         Raises
         ------

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a kind of damping declares, and the discrete filters that kinds are made of.
+"""Declaration of a kind of damping, and discrete filters for kinds.
 
-s = h (z − 1)/(z + 1); with h = ω / tan(ω T/2) a filter has at ω exactly the response that it has in continuous time,
-with h = 2/T at low frequencies. Poles in the left half plane stay stable whatever the sample time.
+s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2) a filter has exactly its continuous-time response at ω; with h = 2/T, at
+low frequencies. Poles in the left half plane stay stable whatever the sample time.
 
 References
 ----------
@@ -32,14 +32,14 @@ from hysteresis_ros.models import elementary
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import product
 
-#: What a filter works on: nothing, the measured displacement, the output of the law, the measured force in the stack.
+#: Inputs of a filter: none, the measured displacement, the output of the law, the measured force in the stack.
 NOTHING, MEASUREMENT, COMMAND, FORCE = range(4)
 #: Most states of a filter.
 MOST_STATES = 8
 
 
 def shortened(value: float) -> float:
-    """Return a number that a search found, in four significant digits: more would differ between processors."""
+    """Return a number with four significant digits, because more may differ between processors."""
     return float(f"{value:.4g}")
 
 
@@ -52,11 +52,11 @@ class Mode:
     frequency : float
         [Hz]
     damping : float
-        Part of the critical one.
+        Damping ratio.
     gain : float
-        Displacement per command at rest, of the whole model.
+        DC gain of the whole model, displacement per command.
     force : float
-        Force per command far above the resonance [N/m]; 0: none is measured.
+        Force per command far above the resonance [N/m]; 0: no force sensor.
     """
 
     frequency: float
@@ -67,21 +67,21 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class DampingKind:
-    """A kind of damping: its parameters, its filter, and where a design looks for it.
+    """A kind of damping: its parameters, its filter, and the search ranges of a design.
 
     Parameters
     ----------
     name : str
         ``damping.type`` of the motion controller.
     description : str
-        A few words for the table of parameters.
+        Short description for the table of parameters.
     source : int
-        ``MEASUREMENT``, ``COMMAND`` or ``FORCE``: what the filter works on.
+        ``MEASUREMENT``, ``COMMAND`` or ``FORCE``: the filter's input.
     parameters : type
         Group ``damping.<name>``.
     filter : callable
         ``filter(parameters, sample_time)`` returns a :class:`StateSpace` of one input and one output, of at most
-        ``MOST_STATES`` states; it raises ParameterError, with names relative to its group, where it cannot run at this
+        ``MOST_STATES`` states; it raises ParameterError, with names relative to its group, if it cannot run at this
         sample time.
     ranges : callable
         ``ranges(mode)`` returns boxes, each a tuple of (low, high, logarithmic), in which a design searches.
@@ -99,7 +99,7 @@ class DampingKind:
 
 
 def warped(frequency: float, sample_time: float) -> float:
-    """Return h [1/s] with which the response at a frequency stays.
+    """Return h [1/s] that keeps the response at a frequency.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def second_order(numerator, denominator, h: float) -> StateSpace:
     numerator, denominator : tuple of float, shape (3,)
         (b₂, b₁, b₀) and (a₂, a₁, a₀).
     h : float
-        Of the transformation [1/s].
+        h of the transformation [1/s].
     """
     above, below = _discrete(numerator, h), _discrete(denominator, h)
     b0, b1, b2 = (value / below[0] for value in above)
@@ -153,12 +153,12 @@ def _discrete(coefficients, h: float) -> tuple[float, float, float]:
 
 
 def in_series(systems) -> StateSpace:
-    """Return systems one after the other, the first one first.
+    """Return the series connection of systems, the first one first.
 
     Parameters
     ----------
     systems : sequence of StateSpace
-        Of one input and one output; at least one.
+        Systems with one input and one output; at least one.
     """
     found, *others = systems
     for after in others:
@@ -178,7 +178,7 @@ def in_parallel(systems) -> StateSpace:
     Parameters
     ----------
     systems : sequence of StateSpace
-        Of one input and one output; at least one.
+        Systems with one input and one output; at least one.
     """
     found, *others = systems
     for beside in others:
@@ -193,16 +193,16 @@ def in_parallel(systems) -> StateSpace:
 
 
 def require_filters(parameters, most: int, beside: tuple[str, ...]):
-    """Yield a Problem for filters that are none, too many, or incomplete.
+    """Yield a Problem for missing, too many, or incomplete filters.
 
     Parameters
     ----------
     parameters : Parameters
-        With ``frequencies``.
+        Parameters with ``frequencies``.
     most : int
-        How many there may be.
+        Maximum number of filters.
     beside : tuple of str
-        Arrays that have a number for each of them.
+        Names of arrays with one number per filter.
     """
     count = len(parameters.frequencies)
     if not 1 <= count <= most:
@@ -215,7 +215,7 @@ def require_filters(parameters, most: int, beside: tuple[str, ...]):
 
 
 def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: float) -> None:
-    """Refuse a filter that samples cannot make.
+    """Refuse a filter above half the sample rate.
 
     Parameters
     ----------

@@ -9,8 +9,8 @@
 
 r"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
 
-The switching function is the distance of the state from the one that the nominal dynamics alone would have given it
-since the start (x̄_0 = x̂_0, so s_0 = 0):
+The switching function is the distance of the state from that of the nominal dynamics since the start (x̄_0 = x̂_0, so
+s_0 = 0):
 
 .. math::
 
@@ -21,13 +21,13 @@ since the start (x̄_0 = x̂_0, so s_0 = 0):
    u_1 &= -\hat d - \Lambda^{-1} (1 - \rho) s
    - \left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \frac{s}{|s| + \delta}
 
-with the nominal state feedback u0 and the rejection u1, so that s⁺ = ρ s (``rejection_pole``) less the nonlinear part,
-driven only by what the Kalman filter's model does not explain: s_(k+1) = ρ s_k − Λ u_n + S L ε [1]_ [2]_. A step of the
-reference moves nothing of it; with ρ = 0 what is seen in one sample is rejected in the next one. Δ is what a hand-over
-or the limits changed of the last command; being known, it belongs to the nominal dynamics, and nothing winds up.
+with the nominal state feedback u0 and the rejection u1, so that s⁺ = ρ s (``rejection_pole``) minus the nonlinear part,
+driven only by the innovation of the Kalman filter: s_(k+1) = ρ s_k − Λ u_n + S L ε [1]_ [2]_. A step of the reference
+does not change s; with ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
+hand-over or by limits; it is known and belongs to the nominal dynamics, so nothing winds up.
 
-d̂ is the filter's estimate (``kalman.disturbance``). Without one a matched disturbance shows only through the
-innovation, and a part of it stays.
+d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate a matched disturbance acts only through the
+innovation, and a part of it remains.
 
 References
 ----------
@@ -117,7 +117,9 @@ def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -
     gains, packed = pack_surface(parameters, sample_time)
     pole, eta = parameters.sliding_mode.rejection_pole, parameters.sliding_mode.eta
     if not abs(pole) < 1.0:
-        state_feedback.refuse("sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or nothing is ever rejected")
+        state_feedback.refuse(
+            "sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or disturbances are not rejected"
+        )
     if not pole - eta > -1.0:
         state_feedback.refuse("sliding_mode.eta", eta, f"must be below 1 + rejection_pole = {1.0 + pole:g}")
     packed = packed.copy()

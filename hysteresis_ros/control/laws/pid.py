@@ -25,13 +25,13 @@ Discretisation: exact for signals that are straight lines between the samples (f
 (trapezoidal rule; N = 0: no filter, a = 0). Neither sees the first sample as a step: I starts there from a value, D
 from zero.
 
-Anti-windup rests on what was carried out: the excess is what the limits, one's own or those that the compensator
-reports by ``x[APPLIED]``, cut off the last command. *clamping* stops the integral while it would widen the excess,
-*back_calculation* adds −T/T_t · excess to it. An inverse that is approximate (Picard steps) carries out something else
-than the command without any limit; differences below a threshold therefore do not count.
+Anti-windup uses the achieved command: the excess is the part of the last command that was cut by the controller's own
+limits, or by those that the compensator reports by ``x[APPLIED]``. *clamping* stops the integral while it would
+increase the excess, *back_calculation* adds −T/T_t · excess to it. With an approximate inverse (Picard steps) command
+and achieved command differ even without saturation; differences below a threshold therefore do not count.
 
-With the zeros of the discrete PID on the slowest poles of the model, the loop transfer is g/(z − 1) times what is
-left of the model, and the response to the reference close to a first-order lag whose bandwidth grows with g:
+With the zeros of the discrete PID on the slowest poles of the model, the loop transfer function is g/(z − 1) times the
+rest of the model, and the response to the reference is close to a first-order lag whose bandwidth increases with g:
 
 * no dynamics: the pole is that of the sample of delay, z = 0 (PI),
 * one state: the lag's pole (PI),
@@ -101,8 +101,8 @@ INTEGRAL = HEADER  # I, the integral's part of the command
 DERIVATIVE = HEADER + 1  # D, the derivative's part of the command
 LAST_REFERENCE = HEADER + 2  # [m]
 LAST_MEASURED = HEADER + 3  # [m]
-EXCESS = HEADER + 4  # what the controller's own limits cut off the last command
-LARGEST = HEADER + 5  # largest command carried out so far [m]
+EXCESS = HEADER + 4  # part of the last command that the controller's own limits cut
+LARGEST = HEADER + 5  # largest achieved command so far [m]
 PROPORTION = HEADER + 6  # K_p (b r − y) of the last sample
 STATES = HEADER + 7
 
@@ -121,12 +121,12 @@ def pid(p, x, reference, measured):
     if p[FED] != 0.0:
         fed = bounded(x[FEEDFORWARD]) / p[INPUT_SCALE]
     if x[STARTED] == 0.0:
-        # As if the axis had rested where it is measured, without error, under the command that is carried out.
+        # as if the axis had rested at its measured position, without error, at the achieved command
         x[STARTED] = 1.0
         holding = p[REST_COMMAND] * y
         last = applied / p[INPUT_SCALE]
         if applied == 0.0:
-            last = holding  # nothing is known to be carried out
+            last = holding  # the achieved command is unknown
         if p[FED] == 0.0:
             holding = 0.0
         x[INTEGRAL] = bounded(last - holding - p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * y - y))
@@ -169,32 +169,32 @@ class PidParameters(Parameters):
     derivative_filter: float = parameter(
         0.0, unit="rad/s", low=0.0, description="Cut-off N of the derivative's filter N/(s + N); 0: no filter"
     )
-    setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: part of the reference in the P part")
+    setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: weight of the reference in the P part")
     derivative_weight: float = parameter(
-        0.0, low=0.0, high=2.0, description="c: part of the reference in the D part; 0: no kick at steps"
+        0.0, low=0.0, high=2.0, description="c: weight of the reference in the D part; 0: no derivative kick at steps"
     )
     anti_windup: str = parameter(
         "back_calculation",
         choices=("none", "clamping", "back_calculation"),
-        description="What the integral does while commands are not carried out: go on, stop, or be led back",
+        description="Integral while the command is saturated: continue, stop, or follow the achieved command",
     )
     tracking_time: float = parameter(
         0.0,
         unit="s",
         low=0.0,
-        description="T_t of back-calculation; 0: sqrt(Kd/Ki), without derivative Kp/Ki, without both one sample",
+        description="T_t of back-calculation; 0: sqrt(Kd/Ki), without derivative Kp/Ki, without both one sample time",
     )
     anti_windup_threshold: float = parameter(
         0.02,
         low=0.0,
-        description="A difference between command and applied counts as cut off when it is above this fraction of the "
-        "largest applied command so far; raise it where the inverse itself is less exact",
+        description="Difference between command and achieved command, as a fraction of the largest achieved command "
+        "so far, above which the command counts as saturated; raise it for a less exact inverse",
     )
     output_minimum: float = parameter(0.0, description="Least command (input unit); both limits 0: none")
     output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: none")
 
     def check(self):
-        """Yield what does not fit together: no gain at all, limits the wrong way round."""
+        """Yield a Problem when all gains are 0 or the limits are reversed."""
         if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
             yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
         if self.limited and not self.output_minimum < self.output_maximum:
@@ -223,16 +223,10 @@ class PidParameters(Parameters):
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
     """Return the controller from (reference, measured) to command, in the model's units, both setpoint weights one.
 
-    Parameters
-    ----------
-    parameters : PidParameters
-    sample_time : float
-        Sample time [s].
-
     Returns
     -------
     StateSpace
-        Integral and filtered derivative are its states, without those whose gain is zero.
+        System with the integral and the filtered derivative as states, without those of zero gain.
     """
     a = parameters.decay(sample_time)
     slope = parameters.Kd * (1.0 - a) / sample_time
@@ -243,15 +237,15 @@ def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace
 
 
 def require_stable_pid(parameters, sample_time: float | None) -> None:
-    """Refuse gains with which the controller's own model would not settle.
+    """Refuse gains that make the controller's own model unstable.
 
-    Without a model (no A, and an input scale of its own, so that nobody knows the gain) there is nothing to check.
+    Without a model (no A, and an input scale, so that the gain is unknown) nothing is checked.
 
     Parameters
     ----------
     parameters : ControllerParameters
     sample_time : float or None
-        Sample time [s]; nothing is checked where it is not known.
+        Sample time [s]; None: unknown, nothing is checked.
 
     Raises
     ------
@@ -316,7 +310,7 @@ class Pid(Controller):
         return np.zeros(STATES)
 
     def retune(self, parameters) -> None:
-        """Take new gains while running: the integral takes up what the new ones would change in the last command.
+        """Change the gains while running; the integral compensates the resulting change of the command.
 
         Raises
         ------
@@ -337,15 +331,15 @@ class Pid(Controller):
         x[PROPORTION] = proportion
 
 
-#: What an integrator alone is held to.
+#: Requirements of an integrator alone.
 CALM = replace(REQUIRED, sensitivity_peak=1.4)
-#: Poles below this are those of a delay; several of them at 0 are computed no closer.
+#: Modulus below which poles are those of a delay; several poles at 0 are computed with this error.
 AT_ZERO = 1e-3
-#: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
+#: Default cut-off of the derivative filter as a fraction of the sampling angular frequency.
 FILTER = 0.2
-#: A slow pole with less of the answer to a step than this is left: a high-pass in a damping has a zero beside it.
+#: Fraction of the step response below which a slow pole is not cancelled: a high-pass in a damping has a zero near it.
 LITTLE = 0.02
-#: How near to a pole its residue is looked at, as a part of its distance from 1.
+#: Distance from a pole at which its residue is evaluated, as a fraction of its distance from 1.
 NEAR = 1e-4
 #: Steps of the search for the gain.
 STEPS = 60
@@ -359,7 +353,7 @@ def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: fl
     zeros : sequence of complex
         One for a PI, two (real or a conjugate pair) for a PID.
     gain : float
-        g, the leading coefficient.
+        Leading coefficient g.
     sample_time : float
         [s]
     derivative_filter : float
@@ -378,16 +372,11 @@ def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: fl
 
 
 def slowest_poles(model: StateSpace) -> list[complex]:
-    """Return the poles that a PI or PID cancels: one or two.
-
-    Parameters
-    ----------
-    model : StateSpace
-    """
+    """Return the poles that a PI or PID cancels: one or two."""
     if not model.order:
         return [0.0]
     poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
-    # poles at zero are delay, which no zero takes away
+    # poles at zero are delay, which no zero compensates
     poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
     while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
         poles = poles[1:]
@@ -401,7 +390,7 @@ def slowest_poles(model: StateSpace) -> list[complex]:
 
 
 def _share(model: StateSpace, pole: float) -> float:
-    """Return which part of the answer to a step dies out with a real pole."""
+    """Return the fraction of the step response that decays with a real pole."""
     near = NEAR * (1.0 - pole)
     residue = near * complex(model.response([pole + near])[0, 0, 0])
     return abs(residue / (1.0 - pole) / model.dc_gain)
@@ -425,22 +414,24 @@ def design_pid(
     Parameters
     ----------
     given : PidParameters
-        All but the gains, the setpoint weights and, where it is 0 and needed, the derivative filter is kept.
+        Parameters; the design replaces the gains, the setpoint weights and, if it is 0 and needed, the derivative
+        filter.
     dynamics : LinearParameters
         The model.
     sample_time : float
         [s]
     bandwidth : float, optional
-        Frequency at which the response to the reference falls by 3 dB [Hz]; by default what the plants allow.
+        Frequency at which the response to the reference falls by 3 dB [Hz]; by default the highest that the plants
+        allow.
     plants : tuple of PossiblePlant, optional
-        On which that is to be met, the model first; by default the model alone.
+        Plants on which the requirements must hold, the model first; by default the model alone.
     aimed : Requirements, optional
-        What is to be met where no bandwidth is asked; with one it is what every design is held to.
+        Requirements without a given bandwidth; with one, those of every design hold.
 
     Raises
     ------
     ParameterError
-        ``bandwidth``: more than the model allows with the margins of every design.
+        ``bandwidth`` is more than the model allows with the margins of every design.
     """
     zeros = slowest_poles(dynamics.state_space)
     cut_off = given.derivative_filter
@@ -483,12 +474,12 @@ def design_pid(
 
 
 def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
-    """Return the largest integral gain, with nothing beside it, whose loop has M_s = 1.4 and the other margins.
+    """Return the largest gain of a pure integral controller with M_s = 1.4 and the other margins.
 
     Parameters
     ----------
     given : PidParameters
-        All but the gains is kept.
+        Parameters; the design replaces the gains.
     dynamics : LinearParameters
         The model.
     sample_time : float
@@ -497,7 +488,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
     Raises
     ------
     ParameterError
-        There is none.
+        No such gain exists.
     """
     plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
 
@@ -511,7 +502,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
 
 
 def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
-    """Return the largest g whose loop meets the requirements, as with all smaller ones."""
+    """Return the largest g for which it and all smaller ones meet the requirements."""
 
     def good(g):
         return judged(sign * g).meets(required)
@@ -535,17 +526,12 @@ def _largest_gain(judged, required: Requirements, sign: float, start: float) -> 
     return sign * low
 
 
-#: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
+#: Damping ratio below which a cancelled pole pair rings noticeably when a disturbance excites it.
 LITTLE_DAMPING = 0.1
 
 
 def designed(task: DesignTask):
-    """Return the parameters with the gains of :func:`~hysteresis_ros.control.laws.pid.design_pid`.
-
-    Parameters
-    ----------
-    task : DesignTask
-    """
+    """Return the parameters with the gains of :func:`~hysteresis_ros.control.laws.pid.design_pid`."""
     given = task.parameters
     dynamics, T = given.model.dynamics, task.sample_time
     gains = design_pid(given.pid, dynamics, T, task.bandwidth, plants=task.plants, aimed=task.aimed)
@@ -553,24 +539,12 @@ def designed(task: DesignTask):
 
 
 def near_rest(parameters):
-    """Return the parameters without limits of the controller's own.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    """
+    """Return the parameters without the controller's own limits."""
     return replace(parameters, pid=replace(parameters.pid, output_minimum=0.0, output_maximum=0.0))
 
 
 def rows(parameters, sample_time: float):
-    """Yield (name, text) of what a design prints.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Yield (name, text) of each row that a design prints."""
     gains = parameters.pid
     yield "Kp, Ki, Kd", f"{gains.Kp:.6g}, {gains.Ki:.6g} 1/s, {gains.Kd:.6g} s"
     if gains.Kd:
@@ -578,16 +552,7 @@ def rows(parameters, sample_time: float):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield that cancelled poles of little damping are not damped.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    tuned : bool
-        Whether gains were tuned after the design, which cancel nothing any more.
-    """
+    """Yield a warning about cancelled poles with little damping."""
     pole = slowest_poles(parameters.model.dynamics.state_space)[0]
     logarithm = np.log(pole) if abs(pole) > 0.0 else -np.inf
     damping = -np.real(logarithm) / abs(logarithm) if np.isfinite(logarithm) else 1.0
@@ -595,31 +560,17 @@ def doubts(parameters, sample_time: float, tuned: bool):
         hertz = abs(logarithm) / (2.0 * np.pi * sample_time)
         yield (
             f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does not excite "
-            "them, but nothing damps them; offset_free does"
+            "them, but pid does not damp them; offset_free does"
         )
 
 
 def started(parameters, sample_time: float):
-    """Return the parameters with which a tuning begins: lambda tuning.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Return the initial parameters of a tuning, by lambda tuning."""
     return replace(parameters, pid=design_pid(parameters.pid, parameters.model.dynamics, sample_time))
 
 
 def loop(parameters, sample_time: float):
-    """Return controller and model in the model's units.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Return controller and model in the model's units."""
     return pid_state_space(parameters.pid, sample_time), plant_state_space(parameters.model.dynamics, scaled=False)
 
 

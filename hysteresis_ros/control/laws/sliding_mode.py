@@ -18,8 +18,8 @@ With x_e = x̂ − x* the distance from the target (rest point or trajectory, se
    u_l &= -\Lambda^{-1} (S A - \Phi S) \, x_e \\
    u_n &= -\left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \, \frac{s}{|s| + \delta}
 
-with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12; eq. 9 prints S B where S A is meant, and
-sign(Λ) is one for their Λ > 0. As printed the law regulates to zero; the rest point makes it follow a reference. With
+with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12; eq. 9 prints S B instead of S A, and
+sign(Λ) is one for their Λ > 0. The printed law regulates to zero; the rest point makes it follow a reference. With
 ``tracking: integral`` the state is x_e extended by z_k = z_(k-1) + r_k − y_k (in the model's output unit), and S, K
 have one entry more.
 
@@ -88,18 +88,9 @@ class SlidingMode(SlidingController):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield that nothing removes an offset where no disturbance is estimated.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    tuned : bool
-        Whether gains were tuned after the design.
-    """
+    """Yield a warning that an offset remains without an estimated disturbance."""
     if parameters.kalman.disturbance == "none":
-        yield "without an estimated disturbance errors of the model leave an offset; offset_free leaves none"
+        yield "without an estimated disturbance, model errors cause an offset; offset_free causes none"
 
 
 CONTROLLER = ControllerLaw(
@@ -109,7 +100,7 @@ CONTROLLER = ControllerLaw(
     groups={"sliding_mode": SlidingModeParameters, "kalman": KalmanParameters},
     check=check_with(packed_sliding_mode),
     designs={
-        # the published law estimates no disturbance, the other one needs it to reject what the model does not explain
+        # the published law estimates no disturbance; the integral one needs the estimate to reject disturbances
         "smc": lambda task: sliding_gains(task, "smc", reaching_law, disturbed=False),
         "offset_free": lambda task: sliding_gains(task, "offset_free", reaching_law),
     },

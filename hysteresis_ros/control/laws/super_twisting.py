@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Super-twisting controller: a continuous command that holds the switching function at zero against a drifting cause.
+r"""Super-twisting controller: its continuous command keeps the switching function at zero under drifting disturbances.
 
 With σ = Λ⁻¹ S x_e, the switching function in the unit of the command (see
 :mod:`hysteresis_ros.control.sliding_surface` for the target u*, x_e):
@@ -16,7 +16,7 @@ With σ = Λ⁻¹ S x_e, the switching function in the unit of the command (see
 
    u = u^* - \hat d - \Lambda^{-1} (S A - S) \, x_e + u_{st}
 
-(equivalent control: σ⁺ = σ + u_st + what the filter does not explain), explicit
+(equivalent control: σ⁺ = σ + u_st + innovation), explicit
 
 .. math::
 
@@ -31,9 +31,9 @@ or implicit [2]_ [3]_
    \tilde\sigma + k_1 |\tilde\sigma|^{1/2} \mathrm{sign}\,\tilde\sigma = \sigma
 
 The explicit law is the continuous one sampled: σ circles around zero, and its sign makes the command chatter by about
-k2 T. The implicit one takes the square root part at the end of the sample (backward Euler) and resolves the
-set-valued sign by projection: while |σ| ≤ k2 T the sign is σ/(k2 T), and σ stays at zero under a constant disturbance
-without chattering, w being its opposite.
+k2 T. The implicit one evaluates the square root part at the end of the sample (backward Euler) and the set-valued sign
+by projection: while |σ| ≤ k2 T the sign is σ/(k2 T), and σ stays at zero under a constant disturbance without
+chattering, w being its opposite.
 
 In continuous time σ̇ = v + a with |ȧ| ≤ L_a ends in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. A sample of the
 command is u = T v, so for a disturbance of the command whose rate is bounded by L per second (L_a = L/T) this becomes
@@ -45,7 +45,7 @@ References
 .. [2] Acary & Brogliato, Implicit Euler numerical scheme and chattering-free implementation of sliding mode systems,
    Systems & Control Letters 59(5), 2010 (the projection).
 .. [3] Brogliato, Polyakov & Efimov, The implicit discretization of the super-twisting sliding-mode control algorithm,
-   IEEE TAC 65(8), 2020. Theirs joins both parts in one inclusion, which leaves σ at the disturbance of one sample.
+   IEEE TAC 65(8), 2020. Their law joins both parts in one inclusion, which leaves σ at the disturbance of one sample.
 """
 
 from __future__ import annotations
@@ -217,60 +217,35 @@ class SuperTwisting(SlidingController):
 
 
 def near_rest(parameters):
-    """Return the parameters of the implicit law: the explicit one jumps at zero and has no linear form.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    """
+    """Return the parameters of the implicit law: the explicit one jumps at zero and has no linear form."""
     return replace(parameters, super_twisting=replace(parameters.super_twisting, discretisation="implicit"))
 
 
 def designed(task: DesignTask):
     """Return the parameters with the slowest pole of the sliding motion for the bandwidth.
 
-    Parameters
-    ----------
-    task : DesignTask
-
     Raises
     ------
     ParameterError
-        A bandwidth is asked and the model has one state, or it cannot be reached.
+        A bandwidth is given for a model with one state, or the bandwidth cannot be reached.
     """
     if task.bandwidth is not None and task.parameters.model.dynamics.order == 1:
-        remedy = "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
+        remedy = "super_twisting has no pole to place in a model of one state; leave it out or take another controller"
         state_feedback.refuse("bandwidth", task.bandwidth, remedy)
     place = sliding_pole if task.parameters.model.dynamics.order > 1 else None
     return sliding_gains(task, "super_twisting", place)
 
 
 def rows(parameters, sample_time: float):
-    """Return (name, text) of what a design prints.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    """
+    """Return (name, text) of each row that a design prints."""
     found = design_sliding_mode(parameters.sliding_mode, parameters.model.dynamics.state_space)
     k1, k2 = twisting_gains(parameters.super_twisting, sample_time)
     return [surface_row(found), ("k1, k2", f"{k1:.6g}, {k2:.6g} 1/s"), filter_row(parameters)]
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Return what the margins of this law are worth.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    tuned : bool
-        Whether gains were tuned after the design.
-    """
-    return ["super_twisting is judged for small signals, where the switching function is below k2 T"]
+    """Return the warning about the validity of this law's margins."""
+    return ["the margins of super_twisting hold for small signals, where the switching function is below k2 T"]
 
 
 CONTROLLER = ControllerLaw(

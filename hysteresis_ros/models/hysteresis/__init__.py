@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis models: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+"""The hysteresis models: each is one file or folder here, found automatically; a parameter chooses one by name.
 
-The folder holds nothing else. What a model declares is described in :mod:`hysteresis_ros.models.declaration`.
+:mod:`hysteresis_ros.models.declaration` describes the declaration of a model.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class HysteresisParameters(Parameters):
         return getattr(self, self.type)
 
     def changed(self, chosen: Parameters) -> HysteresisParameters:
-        """Return the same with other parameters of the chosen model.
+        """Return the choice with other parameters of the chosen model.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class HysteresisParameters(Parameters):
         return self.changed(self.model.scaled(self.chosen, factor))
 
     def shifted(self, offset: float) -> HysteresisParameters:
-        """Return the hysteresis with ``offset`` [m] added to its displacement; itself where the model has no constant.
+        """Return the hysteresis with ``offset`` [m] added to its displacement; unchanged if the model has no constant.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class HysteresisParameters(Parameters):
 def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> HysteresisBlock:
     """Return the block of the chosen model.
 
-    It has, beside what every block has, ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
+    Besides the attributes of every block it has ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
     ``rate_independent``, ``invertible`` and ``rebase()``.
 
     Raises

@@ -13,8 +13,8 @@ r"""Bouc-Wen hysteresis: displacement x = d_e V - h with a hysteretic part h of 
 
    x = d_e V - h, \qquad \dot h = \alpha \dot V - \beta |\dot V| \, h \, |h|^{n-1} - \gamma \dot V |h|^n
 
-[1]_, eqs 5-8. The law does not contain time but through V: along a monotone step, with σ = |V - V_0| and g = ±h
-counted positive in the direction of motion,
+[1]_, eqs 5-8. The law depends on time only through V: along a monotone step, with σ = |V - V_0| and g = ±h counted
+positive in the direction of motion,
 
 .. math::
 
@@ -23,11 +23,11 @@ counted positive in the direction of motion,
 
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
 other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
-changes by at most :data:`CURVATURE` of itself; the zero is located, so that no substep spans the kink there. Against
-a solution of 12 digits the error stays below 1e-6 of the stroke for steps of any size, and below 1e-9 for 300 steps a
-sweep.
+changes by at most :data:`CURVATURE` of itself; the zero is located, so that no substep spans the kink there. Compared
+with a solution of 12 digits the error is below 1e-6 of the stroke for steps of any size, and below 1e-9 for 300 steps
+per sweep.
 
-The paper prints |dV/dt| V in place of |dV/dt| h; read so, the output runs away.
+The paper prints |dV/dt| V in place of |dV/dt| h; with that the output diverges.
 
 References
 ----------
@@ -67,13 +67,13 @@ EXPONENT = 4
 H = 2
 STATES = 3
 
-#: Largest change of the right-hand side over one substep, as a part of itself (exponents other than 1).
+#: Largest relative change of the right-hand side over one substep (exponents other than 1).
 CURVATURE = 0.005
-#: Most substeps of one step: a step across more than the whole range saturates anyway.
+#: Maximum number of substeps of one step: a step across more than the whole range saturates anyway.
 MOST_SUBSTEPS = 20000
-#: Outside the bounded class h may grow by a factor of up to e^RUNAWAY in one step and no more, so that it stays finite.
+#: Outside the bounded class h may grow by a factor of at most e^RUNAWAY per step, so that it stays finite.
 RUNAWAY = 600.0
-#: Newton's steps; three or four suffice where the loop is monotone.
+#: Maximum number of Newton steps; three or four suffice for a monotone loop.
 MOST_NEWTON_STEPS = 50
 TOLERANCE = 4.0e-16
 
@@ -89,14 +89,14 @@ class BoucWenParameters(Parameters):
     exponent: float = parameter(1.0, description="exponent n; 1 is integrated in closed form", low=1.0, high=20.0)
 
     def check(self):
-        """Yield a Problem when the displacement would fall with rising voltage from the very start."""
+        """Yield a Problem when the initial displacement falls with rising voltage."""
         if self.alpha >= self.d_e:
             yield Problem(
-                "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; the virgin curve falls otherwise"
+                "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; otherwise the virgin curve falls"
             )
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence for each doubt: outside the bounded class (β + γ > 0, β - γ >= 0), loops not monotone.
+        """Return warnings: parameters outside the bounded class (β + γ > 0, β - γ >= 0), loops that are not monotone.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class BoucWenParameters(Parameters):
         if steepest >= self.d_e:
             found.append(
                 f"{prefix}d_e = {self.d_e:.4g} m/V: not above 2 α β/(β + γ) = {steepest:.4g}; "
-                "large loops are not monotone at their reversals, where no inverse is unique"
+                "large loops are not monotone at their reversals, where the inverse is not unique"
             )
         return tuple(found)
 
@@ -141,7 +141,7 @@ def _linear_advance(p, g, distance):
     if g < 0.0:
         rate = p[BETA] - p[GAMMA]
         if alpha > 0.0:
-            part = -rate * g / alpha  # the zero is at log1p(part)/rate; for part <= -1 g runs away from it
+            part = -rate * g / alpha  # the zero is at log1p(part)/rate; for part <= -1 g diverges from it
             if part > -1.0:
                 zero = -g / alpha if part == 0.0 else elementary.log1p(part) / rate
                 if zero < distance:
@@ -200,7 +200,7 @@ def _power_advance(p, g, distance):
 
 @kernel
 def hysteretic_part(p, x, u):
-    """Value of h [m] after the voltage has moved monotonically from that in ``x`` to ``u`` [V]; x is left alone."""
+    """Value of h [m] after the voltage has moved monotonically from that in ``x`` to ``u`` [V]; x is not changed."""
     direction = 1.0 if u > x[VOLTAGE] else -1.0
     distance = abs(u - x[VOLTAGE])
     if p[EXPONENT] == 1.0:
@@ -210,7 +210,7 @@ def hysteretic_part(p, x, u):
 
 @kernel
 def bouc_wen(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) > 0.0:
         return x[DISPLACEMENT]
     x[H] = hysteretic_part(p, x, u)
@@ -223,9 +223,9 @@ def bouc_wen(p, x, u):
 def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] that solves V = (ψ + h(V))/d_e, h being the hysteretic part after the step to V itself (B5).
 
-    The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the
-    model's own equation. Where the loop is not monotone (see the warnings of the parameters) a step V = (ψ + h)/d_e
-    takes its place. ``x_h`` is left as it is.
+    The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the model's
+    own equation. If the loop is not monotone (see the warnings of the parameters) a step V = (ψ + h)/d_e replaces it.
+    ``x_h`` is not changed.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Parameters and state of the Bouc-Wen model.
     displacement : float
-        Wanted output ψ [m]; NaN gives the last voltage.
+        Commanded output ψ [m]; NaN gives the last voltage.
     """
     start = x_h[VOLTAGE]
     if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:
@@ -289,7 +289,7 @@ class BoucWenHysteresis(RateIndependentBlock):
         return float(self.p[D_E] - self.p[ALPHA])
 
     def rebase(self) -> None:
-        """Take up the present point with the hysteretic part, so that changed parameters do not move the output."""
+        """Adjust the hysteretic part to the present point, so that changed parameters do not change the output."""
         self.x[H] = self.p[D_E] * self.x[VOLTAGE] - self.x[DISPLACEMENT]
 
 
@@ -323,8 +323,8 @@ MODEL = HysteresisModel(
         "beta": Option(float, "initial guess [1/V]"),
         "gamma": Option(float, "initial guess [1/V]"),
         "exponent": Option(float, "exponent n, not fitted", low=1.0, high=20.0),
-        "starts": Option(int, "starts of the simplex", low=1),
-        "iterations": Option(int, "most iterations of a start", low=1),
+        "starts": Option(int, "number of starts of the simplex", low=1),
+        "iterations": Option(int, "maximum number of iterations per start", low=1),
         "seed": Option(int, "seed of the random starts", low=0),
     },
 )

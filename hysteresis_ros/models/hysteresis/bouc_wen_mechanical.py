@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Bouc-Wen oscillator: the hysteretic force stands inside the equation of motion (Noël & Schoukens' benchmark).
+r"""Bouc-Wen oscillator: the hysteretic force is part of the equation of motion (Noël & Schoukens' benchmark).
 
 .. math::
 
    m \ddot y + c \dot y + k y + z = u, \qquad
    \dot z = \alpha \dot y - \beta \left( \gamma |\dot y| |z|^{\nu - 1} z + \delta \dot y |z|^\nu \right)
 
-The force of the hysteresis depends on the velocity that it brakes, so this is one block with internal feedback, not a
+The hysteretic force depends on the velocity, which it affects, so this is one block with internal feedback, not a
 hysteresis followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal substeps of the
 sample time.
 
@@ -55,7 +55,7 @@ EXPONENT = 6
 FORCE_PER_INPUT = 7
 SUBSTEP = 8  # [s]
 SUBSTEPS = 9
-LINEAR = 10  # 1: the input runs in a straight line between samples; 0: it is held
+LINEAR = 10  # 1: linear input between samples; 0: held input
 
 # Layout of x, after the last input VOLTAGE and DISPLACEMENT.
 VELOCITY = 2
@@ -86,21 +86,15 @@ class BoucWenMechanicalParameters(Parameters):
         description="input between samples: zoh (held, as a converter does) or linear",
         read_only=True,
     )
-    substeps: int = parameter(4, description="integration steps a sample", low=1, high=10000)
+    substeps: int = parameter(4, description="integration steps per sample", low=1, high=10000)
 
     def check(self):
-        """Yield a Problem when the input does nothing."""
+        """Yield a Problem when the input has no effect."""
         if self.force_per_input == 0.0:
             yield Problem("force_per_input", 0.0, "must not be 0")
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence when the hysteretic force is unbounded.
-
-        Parameters
-        ----------
-        prefix : str
-            Put before the names of the parameters.
-        """
+        """Return a warning when the hysteretic force is unbounded."""
         total = self.beta * (self.gamma + self.delta)
         steady = self.beta * (self.gamma - self.delta)
         if total <= 0.0 and steady <= 0.0:
@@ -150,11 +144,11 @@ def _advance(p, x, start, end):
 
 @kernel
 def bouc_wen_mechanical(p, x, u):
-    """Displacement [m]: with a held input that at the end of the sample, with a linear one that at the time of ``u``.
+    """Return the displacement [m] at the end of the sample with a held input, at the time of ``u`` with a linear one.
 
-    A held ``u`` acts over the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. In a straight
-    line the input comes from the last value to ``u``; the first call has no last value and returns the start.
-    NaN leaves everything as it is.
+    A held ``u`` acts over the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. A linear input
+    goes from the last value to ``u``; the first call has no last value and returns the start. NaN leaves everything as
+    it is.
     """
     if u != u:
         return x[DISPLACEMENT]
@@ -168,10 +162,10 @@ def bouc_wen_mechanical(p, x, u):
 
 
 class BoucWenOscillator(HysteresisBlock):
-    """Mass on a spring with a hysteretic one: force [N] or voltage [V] to displacement [m].
+    """Mass on a linear and a hysteretic spring: force [N] or voltage [V] to displacement [m].
 
-    In an actuator it is a hysteresis without further dynamics. It is not rate independent, so no inverse but ``none``
-    makes sense before it. New parameters keep position, velocity and force, so nothing jumps.
+    In an actuator it is a hysteresis without further dynamics. It is not rate independent, so only the inverse ``none``
+    fits it. A change of parameters keeps position, velocity and force, so nothing jumps.
 
     Parameters
     ----------
@@ -214,7 +208,7 @@ class BoucWenOscillator(HysteresisBlock):
     def response(self, u) -> np.ndarray:
         """Return the displacement, shape (N,), *at* the times of the inputs ``u``, shape (N,).
 
-        The first value is that of the present state, whichever way the input runs between the samples.
+        The first value is that of the present state, for a held and a linear input.
         """
         if self.parameters.intersample == "linear":
             return self.simulate(u)
@@ -222,17 +216,17 @@ class BoucWenOscillator(HysteresisBlock):
 
     @property
     def gain(self) -> float:
-        """Nominal gain: static displacement per input where the hysteretic force passes zero [m per input unit]."""
+        """Nominal gain: static displacement per input at zero hysteretic force [m per input unit]."""
         return float(self.p[FORCE_PER_INPUT] / (self.p[STIFFNESS] + self.p[ALPHA]))
 
 
 def _scaled(parameters: BoucWenMechanicalParameters, factor: float) -> BoucWenMechanicalParameters:
-    """The same force moves everything further: all that resists it is weaker."""
+    """Scale the displacement: mass, damping, stiffness and hysteretic force decrease by the factor."""
     return times(parameters, 1.0 / factor, "mass", "damping", "stiffness", "alpha", "beta")
 
 
 def _deviated(parameters: BoucWenMechanicalParameters, deviation: Deviation) -> BoucWenMechanicalParameters:
-    """Every parameter has a factor of its own; gain and opening follow from them."""
+    """Draw a factor for each parameter; gain and loop width follow from them."""
     names = ("mass", "damping", "stiffness", "alpha", "beta", "gamma", "delta")
     return replace(parameters, **{name: getattr(parameters, name) * deviation.factor() for name in names})
 

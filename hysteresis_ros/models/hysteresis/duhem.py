@@ -15,7 +15,7 @@ r"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and
 
 [1]_: rising dw/dv = α (f - w) + g, falling dw/dv = -α (f - w) + g. The functions f and g are small networks of tanh
 units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that weights do not depend
-on units. Beyond the input range f goes on in a straight line, g stays constant.
+on units. Beyond the input range f is linear and g constant.
 
 Along a monotone step the equation is linear in w: each substep is integrated as ``e^(-α h) w`` plus a three-point Gauss
 rule for the integral of the shape functions under the exponential; with the substeps used the error is below 1e-9 of
@@ -59,16 +59,16 @@ INPUT_HALF = 3
 F_MIDDLE = 4  # f = middle + half · normalised value
 F_HALF = 5
 G_HALF = 6
-F_SLOPE_LOW = 7  # of the normalised f below -1 and above +1
+F_SLOPE_LOW = 7  # slopes of the normalised f below -1 and above +1
 F_SLOPE_HIGH = 8
-UNITS = 9  # of each network, or knots of each spline
+UNITS = 9  # number of units of each network, or of knots of each spline
 NETWORK = 10  # 1: networks, 0: splines
 SHAPES = 11
 
-#: Substeps are at most this long, in 1/α and in parts of the input range.
+#: Longest substep, in 1/α and as a fraction of the input range.
 SUBSTEP_ALPHA = 0.25
 SUBSTEP_RANGE = 1.0 / 64.0
-#: Most substeps of one step: further ones would only extrapolate.
+#: Maximum number of substeps of one step: more would only extrapolate.
 MOST_SUBSTEPS = 100000
 
 # Gauss-Legendre rule of three points on 0 … 1.
@@ -81,14 +81,14 @@ class DuhemParameters(Parameters):
     """Duhem equation with networks or splines; as inverse (W4) the input is the displacement."""
 
     alpha: float = parameter(
-        description="α: how fast the output turns to the new branch", unit="1/V (1/m as inverse)", low=0.0
+        description="α: rate at which the output approaches the new branch", unit="1/V (1/m as inverse)", low=0.0
     )
-    input_low: float = parameter(description="input where the normalised one is -1", unit="V (m)")
-    input_high: float = parameter(description="input where the normalised one is +1", unit="V (m)")
-    output_low: float = parameter(description="output where the normalised one is -1", unit="m (V)")
-    output_high: float = parameter(description="output where the normalised one is +1", unit="m (V)")
+    input_low: float = parameter(description="input at which the normalised one is -1", unit="V (m)")
+    input_high: float = parameter(description="input at which the normalised one is +1", unit="V (m)")
+    output_low: float = parameter(description="output at which the normalised one is -1", unit="m (V)")
+    output_high: float = parameter(description="output at which the normalised one is +1", unit="m (V)")
     shape: str = parameter(
-        "network", choices=("network", "spline"), description="how f and g are given", read_only=True
+        "network", choices=("network", "spline"), description="representation of f and g", read_only=True
     )
     f_network: tuple[float, ...] = parameter(
         (), description="f: m input weights a, m biases b, m output weights c and a constant d of Σ c tanh(a v + b) + d"
@@ -107,11 +107,11 @@ class DuhemParameters(Parameters):
 
     @property
     def structure(self) -> dict[str, int | str]:
-        """What cannot change while running."""
+        """Structure that cannot change while running."""
         return {"shape": self.shape, f"f_{self.shape}": len(self.shapes[0])}
 
     def check(self):
-        """Yield what is wrong with ranges and sizes."""
+        """Yield a Problem for each wrong range or size."""
         for side in ("input", "output"):
             low, high = getattr(self, f"{side}_low"), getattr(self, f"{side}_high")
             if not low < high:
@@ -126,13 +126,7 @@ class DuhemParameters(Parameters):
             yield Problem(f"g_{self.shape}", g, f"must be as many numbers as {name}: {len(f)}")
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence when the output may move against the input after a reversal.
-
-        Parameters
-        ----------
-        prefix : str
-            Put before the names of the parameters.
-        """
+        """Return a warning when the output may move against the input after a reversal."""
         low, high = self.input_low, self.input_high
         v = np.linspace(low, high, 101)
         _, g = shape_functions(self, v)
@@ -141,10 +135,10 @@ class DuhemParameters(Parameters):
             return (
                 f"{prefix}g_{self.shape}: g is not above 0 everywhere in {low:g} … {high:g}; loops may not be monotone",
             )
-        if swing * 0.05 > g.min():  # a loop opening of 10 % of the range lies 5 % off the middle
+        if swing * 0.05 > g.min():  # a loop width of 10 % of the range is 5 % off the middle
             return (
                 f"{prefix}alpha = {self.alpha:.4g}: α times 5 % of the output range exceeds the smallest g, "
-                f"{g.min():.3g}; after a reversal inside a wide loop the output first moves the wrong way",
+                f"{g.min():.3g}; after a reversal inside a wide loop the output first moves against the input",
             )
         return ()
 
@@ -207,7 +201,7 @@ def duhem_g(p, v):
 
 @kernel
 def _sweep(p, w, start, end):
-    """Output at ``end`` after the input has moved there from ``start``, where the output was ``w``."""
+    """Return the output at ``end`` after a monotone input from ``start``, where the output was ``w``."""
     distance = abs(end - start)
     direction = 1.0 if end > start else -1.0
     alpha = p[ALPHA]
@@ -231,7 +225,7 @@ def _sweep(p, w, start, end):
 
 @kernel
 def duhem(p, x, u):
-    """Output after the input has moved monotonically to ``u`` (W3); NaN leaves everything as it is."""
+    """Output after the input has moved monotonically to ``u`` (W3); NaN changes nothing."""
     start = x[VOLTAGE]
     if not abs(u - start) > 0.0:
         return x[DISPLACEMENT]
@@ -253,8 +247,8 @@ def duhem(p, x, u):
 def inverse_duhem(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] of ``dv = α |dw| [F(w) - v] + G(w) dw`` after w has moved to ``displacement`` [m] (W4).
 
-    Unlike the other inverses it follows no model: its own last displacement and voltage are kept in ``x_i`` and go on
-    with each call. A call with the same displacement again gives the same voltage.
+    Unlike the other inverses it does not use a model's state: ``x_i`` stores its own last displacement and voltage. A
+    repeated call with the same displacement gives the same voltage.
 
     Parameters
     ----------
@@ -267,7 +261,7 @@ def inverse_duhem(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Not used.
     displacement : float
-        Wanted displacement w [m]; NaN gives the last voltage.
+        Commanded displacement w [m]; NaN gives the last voltage.
     """
     return duhem(p_i, x_i, displacement)
 
@@ -311,8 +305,8 @@ def shape_functions(parameters: DuhemParameters, v) -> tuple[np.ndarray, np.ndar
 class DuhemHysteresis(RateIndependentBlock):
     """Duhem hysteresis: voltage [V] to displacement [m] — or, as inverse of W4, displacement to voltage.
 
-    The output itself is all its memory, so there is no return-point memory and nothing to do at a retune. It has no
-    closed-form inverse; ``general`` is exact to rounding, ``duhem`` is the one of the paper.
+    Its only memory is the output, so it has no return-point memory, and a retune needs no adjustment. It has no
+    closed-form inverse; ``general`` is exact to rounding, ``duhem`` is the inverse of the paper.
 
     Parameters
     ----------
@@ -356,7 +350,7 @@ def _deviated(parameters: DuhemParameters, deviation: Deviation) -> DuhemParamet
 MODEL = HysteresisModel(
     name="duhem",
     title="Duhem equation with networks or splines for f and g (Wang et al. 2014)",
-    data="at least one whole major loop; loops of decaying amplitude settle alpha",
+    data="at least one whole major loop; loops of decaying amplitude determine alpha",
     parameters=DuhemParameters,
     block=DuhemHysteresis,
     example=DuhemParameters(
@@ -376,7 +370,7 @@ MODEL = HysteresisModel(
     own_inverses={
         "duhem": OwnInverse(
             inverse_duhem,
-            "an equation of its own, no model",
+            "its own equation, without the model",
             follows_model=False,
             parameters=DuhemParameters,
             block=DuhemHysteresis,
@@ -385,7 +379,7 @@ MODEL = HysteresisModel(
     identify="hysteresis_ros.identification.procedures:duhem",
     options={
         "alpha": Option(float, "α of the normalised input (the paper: 80); from minor loops by default"),
-        "shape": Option(str, "how f and g are given", ("network", "spline")),
+        "shape": Option(str, "representation of f and g", ("network", "spline")),
         "size": Option(int, "units of each network or knots of each spline", low=1),
         "seed": Option(int, "seed of the random starts", low=0),
     },

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Generalised, rate-dependent play operators: envelopes for rising and falling, thresholds that grow with the speed.
+r"""Generalised, rate-dependent play operators: rising and falling envelopes, thresholds that grow with the speed.
 
 A generalised play follows two curves instead of one line [1]_; rate-dependent ones widen with the speed of the voltage
 [2]_:
@@ -24,12 +24,12 @@ with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0 it is
 
 The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2`` with ν = -1 … 1 over it and h half of
 it, and are γ = V beyond. The speed is that of the steps *before* the present one, averaged over ``memory``. So the
-thresholds are known when a step is made: first they change at the voltage held so far, then the voltage moves, as in a
-rate-independent model. Because all of them grow by the same amount the corners come in the order of the radii, and the
-inverse is a closed form, threshold by threshold, exact at every sample. While all plays move it is stable as long as
-the thresholds grow by no more than half a volt per volt of a step, averaged: rate ≤ memory/2. After a reversal only
-the slope answers the voltage while thresholds that shrink still push all plays, which magnifies an error by
-Σ w_i / slope: tried on 6000 voltages that turn at random, up to 1.5 it stays rounding, at 2.6 some grow to 3e-5 V.
+thresholds are known before a step: first they change at the held voltage, then the voltage moves, as in a
+rate-independent model. Because all thresholds grow by the same amount, the corners are in the order of the radii, and
+the inverse is a closed form, exact at every sample. While all plays move, it is stable if the thresholds grow by at
+most half a volt per volt of a step, averaged: rate ≤ memory/2. After a reversal only the slope responds to the voltage
+while shrinking thresholds still push all plays, which amplifies an error by Σ w_i / slope: on 6000 voltages with random
+reversals, up to 1.5 it stayed at rounding, at 2.6 some errors grew to 3e-5 V.
 
 References
 ----------
@@ -67,38 +67,39 @@ PLAYS = 0
 SLOPE = 1
 OFFSET = 2
 RATE = 3  # V of threshold per V/s
-SHARE = 4  # of the present step in the averaged speed
+SHARE = 4  # weight of the present step in the averaged speed
 PER_STEP = 5  # 1/sample time [1/s]
-CENTRE = 6  # of the envelopes [V]
+CENTRE = 6  # centre of the envelopes [V]
 HALF = 7
 RISING = 8  # bends
 FALLING = 9
 RADII = 10
 
 # Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
-RESIDUE = 2  # what a retune left [m]
-SPEED = 3  # of the voltage, averaged [V/s]
+RESIDUE = 2  # remaining offset after a retune [m]
+SPEED = 3  # averaged speed of the voltage [V/s]
 PLAY = 4
 
-#: Largest bend of an envelope: its slope stays above a tenth.
+#: Largest bend of an envelope, with which its slope stays above a tenth.
 LARGEST_BEND = 0.9
-#: Largest growth with the rate, in parts of the time over which the speed is averaged: with κ of that part an error δ
-#: of the inverse's voltage comes back as κ (δ_k-1 - δ_k-2), which dies out below one half.
+#: Largest rate, as a fraction κ of the averaging time of the speed: an error δ of the inverse's voltage returns as κ
+#: (δ_k-1 - δ_k-2), which decays for κ below one half.
 LARGEST_RATE = 0.5
-#: Sum of the weights over the slope up to which the inverse of rate-dependent plays does not magnify rounding (tried).
+#: Sum of the weights over the slope up to which the inverse of rate-dependent plays does not amplify rounding (by
+#: trial).
 LARGEST_PART = 1.5
 
 
 @dataclass(frozen=True)
 class GeneralisedPlayParameters(Parameters):
-    """Plays, their envelopes and what they widen by, SI units."""
+    """Plays, their envelopes and their growth with the rate, SI units."""
 
     radii: tuple[float, ...] = parameter(
         description="radii r of the plays (half widths) at rest, rising", unit="V", low=0.0
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
     slope: float = parameter(description="part without hysteresis; above 0", unit="m/V", low=1e-18)
-    rate: float = parameter(0.0, description="what all thresholds grow by, per speed of the voltage", unit="s", low=0.0)
+    rate: float = parameter(0.0, description="growth of all thresholds per speed of the voltage", unit="s", low=0.0)
     memory: float = parameter(2e-3, description="time over which the speed is averaged", unit="s", low=1e-9)
     voltage_low: float = parameter(0.0, description="lower end of the envelopes' parabolas", unit="V")
     voltage_high: float = parameter(100.0, description="upper end of the envelopes' parabolas", unit="V")
@@ -109,44 +110,39 @@ class GeneralisedPlayParameters(Parameters):
         high=LARGEST_BEND,
     )
     falling_bend: float = parameter(
-        0.0, description="the same for falling; not above rising_bend", low=-LARGEST_BEND, high=LARGEST_BEND
+        0.0, description="bend of the envelope for falling; not above rising_bend", low=-LARGEST_BEND, high=LARGEST_BEND
     )
     offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
 
     @property
     def structure(self) -> dict[str, int]:
-        """What cannot change while running."""
+        """Structure that cannot change while running."""
         return {"radii": len(self.radii)}
 
     def check(self):
-        """Yield what is wrong: sizes, order of the radii, envelopes that cross."""
+        """Yield a Problem for wrong sizes, order of the radii, and envelopes that cross."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         if self.rate > LARGEST_RATE * self.memory:
-            remedy = f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else the voltages of"
-            yield Problem("rate", self.rate, f"{remedy} an inverse swing from sample to sample and grow")
+            remedy = f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else an inverse's"
+            yield Problem("rate", self.rate, f"{remedy} voltages oscillate from sample to sample and grow")
         if not self.voltage_low < self.voltage_high:
             yield Problem("voltage_high", self.voltage_high, f"must be above voltage_low = {self.voltage_low:g}")
         if self.falling_bend > self.rising_bend:
-            remedy = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage lags, it does not lead"
+            remedy = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage must not lead"
             yield Problem("falling_bend", self.falling_bend, remedy)
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence where the inverse may magnify errors.
-
-        Parameters
-        ----------
-        prefix : str
-            Put before the names of the parameters.
-        """
+        """Return a warning when the inverse may amplify errors."""
         part = sum(self.weights) / self.slope
         if not self.rate or part <= LARGEST_PART:
             return ()
         return (
-            f"{prefix}slope = {self.slope:g}: the weights are {part:.2g} times as much; with a rate, the voltages of "
-            f"an inverse may swing after reversals where that is above {LARGEST_PART:g}; without rate they do not",
+            f"{prefix}slope = {self.slope:g}: the sum of the weights is {part:.2g} times as much; with a rate, an "
+            f"inverse's voltages may oscillate after reversals if that is above {LARGEST_PART:g}; without a rate they "
+            "do not",
         )
 
 
@@ -161,11 +157,11 @@ def envelope(p, bend, voltage):
 
 @kernel
 def envelope_inverse(p, bend, slope, weight, wanted):
-    """Voltage at which ``slope V + weight γ(V)`` is ``wanted``; both factors not below 0, their sum above it."""
+    """Return the voltage at which ``slope V + weight γ(V)`` is ``wanted``; both factors are ≥ 0, their sum is > 0."""
     both = slope + weight
     if abs(wanted - both * p[CENTRE]) >= both * p[HALF]:
         return wanted / both
-    # A ν² + B ν + C = 0, B above 0: the root at which it rises
+    # A ν² + B ν + C = 0 with B > 0: the root at which it rises
     a, b = 0.5 * weight * bend * p[HALF], both * p[HALF]
     c = both * p[CENTRE] - a - wanted
     return p[CENTRE] - p[HALF] * 2.0 * c / (b + np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
@@ -173,7 +169,7 @@ def envelope_inverse(p, bend, slope, weight, wanted):
 
 @kernel
 def generalised_play(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) >= 0.0:
         return x[DISPLACEMENT]
     plays = int(p[PLAYS])
@@ -196,7 +192,7 @@ def generalised_play(p, x, u):
 
 @composite("void", "array", "array", "array", "table")
 def follow_plays(p, x, voltage, outputs):
-    """Fill row k of ``outputs`` [V] with what the plays put out under ``voltage[k]`` [V]."""
+    """Fill row k of ``outputs`` [V] with the outputs of the plays at ``voltage[k]`` [V]."""
     for k in range(voltage.shape[0]):
         generalised_play(p, x, voltage[k])
         for i in range(outputs.shape[1]):
@@ -205,7 +201,7 @@ def follow_plays(p, x, voltage, outputs):
 
 @kernel
 def generalised_play_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is left as it is.
+    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is not changed.
 
     Parameters
     ----------
@@ -216,7 +212,7 @@ def generalised_play_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Parameters and state of :func:`generalised_play`.
     displacement : float
-        Wanted output [m]; NaN gives the last voltage.
+        Commanded output [m]; NaN gives the last voltage.
     """
     voltage = x_h[VOLTAGE]
     wanted = displacement - (p_h[OFFSET] + x_h[RESIDUE])
@@ -270,7 +266,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
         return np.concatenate([head, shape, bends, parameters.radii, parameters.weights])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (4 + plays,): 0 V for ever, every play between its envelopes there."""
+        """Return x, shape (4 + plays,): at rest at 0 V, every play between its envelopes."""
         x = np.zeros(PLAY + len(self.parameters.radii))
         middle = 0.5 * (envelope(self.p, self.p[RISING], 0.0) + envelope(self.p, self.p[FALLING], 0.0))
         x[PLAY:] = middle
@@ -295,7 +291,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
         return float(self.p[SLOPE] + product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Keep the output where it is with changed parameters; the difference stays until :meth:`reset`."""
+        """Keep the output at changed parameters; the difference stays until :meth:`reset`."""
         self.x[RESIDUE] = 0.0
         self.x[RESIDUE] = self.x[DISPLACEMENT] - self._sum(self.x)
 
@@ -319,7 +315,7 @@ def _weighted(parameters: GeneralisedPlayParameters, factors) -> GeneralisedPlay
 
 
 def _deviated(parameters: GeneralisedPlayParameters, deviation: Deviation) -> GeneralisedPlayParameters:
-    """Every play has a factor of its own besides the opening's."""
+    """Draw a factor for each play, besides the factor of the loop width."""
     factors = deviation.gain * deviation.opening * deviation.factor(len(parameters.weights))
     weights = np.array(parameters.weights) * factors
     return replace(times(parameters, deviation.gain, "slope"), weights=tuple(weights.tolist()))
@@ -349,8 +345,7 @@ MODEL = HysteresisModel(
         "play_count": Option(int, "plays", low=1),
         "freedom": Option(
             str,
-            "what may differ from plain plays: thresholds that grow with the rate, envelopes, both, or what predicts "
-            "blocks held out",
+            "extensions of plain plays: growth with the rate, envelopes, both, or the best by cross-validation",
             choices=("auto", "none", "rate", "envelopes", "both"),
         ),
     },

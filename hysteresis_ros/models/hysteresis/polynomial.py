@@ -18,20 +18,20 @@ Three families of parabolas: the virgin curve ``x_v(V)``, rising branches ``x_r(
 
 The coefficients of the branches are quadratic polynomials of ``V_max``, the largest peak so far (fig. 5).
 
-The paper fits branches that jump at reversals unless the fit enforces the corners, and says nothing of minor loops.
-The rule used here is continuous at every reversal for any coefficients:
+The branches of the paper jump at reversals unless the fit enforces the corners, and the paper does not describe minor
+loops. This rule is continuous at every reversal for any coefficients:
 
 * ``V_max`` starts at 0 and becomes the peak at a reversal from rising to falling if that is larger; then the lower
   end ``V_lo`` is 0 again. Otherwise ``V_lo`` is the lowest reversal from falling to rising, if that is below 0.
 * Rising from a turning point ``(V_t, x_t)`` the output is
-  ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to
-  the upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
+  ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to the
+  upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
 * Falling from ``(V_t, x_t)`` it is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower corner
-  ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. Only where a fall starts at the lower end (the stack at
-  rest is driven negative first) is there no room to blend: the difference to ``x_f`` then stays until V_max grows.
+  ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. If a falling branch starts at the lower end (a stack at
+  rest is first driven negative) it cannot blend: the difference to ``x_f`` then stays until V_max grows.
 
-Because the blending is affine, a tiny reversal on a branch leads back onto the same branch. Only the two corners are
-remembered, not the corners of minor loops.
+Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores the two
+corners only, not the corners of minor loops.
 
 References
 ----------
@@ -60,7 +60,7 @@ from hysteresis_ros.models.declaration import (
     times,
 )
 
-#: The smallest loop whose branches are checked for monotony, as a part of the range (K2's smallest: 6 V of 120 V).
+#: The smallest loop whose branches are checked for monotony, as a fraction of the range (K2's smallest: 6 V of 120 V).
 SMALLEST_LOOP = 0.05
 CHECKED_LOOPS = 39
 
@@ -94,7 +94,7 @@ class PolynomialParameters(Parameters):
     )
 
     def check(self):
-        """Yield what is wrong with the coefficients: their number, the range, branches that are not monotone."""
+        """Yield a Problem for a wrong number of coefficients, the range, and branches that are not monotone."""
         counted = True
         for name in ("virgin", *BRANCHES):
             value = getattr(self, name)
@@ -107,7 +107,7 @@ class PolynomialParameters(Parameters):
             yield from self._monotony()
 
     def _monotony(self):
-        """Yield a Problem for each family of curves that somewhere falls while the voltage rises.
+        """Yield a Problem for each family of curves that is not monotone.
 
         The branches are those between the corners as the kernel blends them; a slope is linear in V, so its ends
         suffice.
@@ -140,7 +140,7 @@ class PolynomialParameters(Parameters):
                     name,
                     getattr(self, name),
                     f"the {family} curve of the loop to {peak:.4g} V has slope {slope:.3g} m/V; it must rise with the "
-                    f"voltage everywhere in {low:g} … {high:g} V: mend the coefficients or narrow the range",
+                    f"voltage everywhere in {low:g} … {high:g} V: change the coefficients or narrow the range",
                 )
 
 
@@ -153,9 +153,9 @@ def assumed_stack(
     voltage_high: float = 120.0,
     scale: float = 1.0,
 ) -> PolynomialParameters:
-    """Return a stack whose loops have given corners and opening.
+    """Return a stack whose loops have given corners and width.
 
-    This is K7a, an assumption: the numbers of the paper's figure 4 are not in its text.
+        This is the assumption K7a: the text of the paper does not contain the numbers of its figure 4.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def assumed_stack(
     residual_slope : float
         d [m/V]: lower corner at d V_max.
     opening : float
-        w0: opening at mid-stroke of the loop to ``opening_voltage``, as a part of g V_max; proportional to V_max.
+        w0: width at mid-stroke of the loop to ``opening_voltage``, as a fraction of g V_max; proportional to V_max.
     opening_voltage : float
         [V].
     voltage_low, voltage_high : float
@@ -204,8 +204,8 @@ TURN_DISPLACEMENT = 4
 V_MAX = 5
 V_LOW = 6
 ON_VIRGIN = 7
-LOWER_OFFSET = 8  # what x_f lacks at and below V_lo when a fall started there
-VIRGIN_OFFSET = 9  # what the virgin curve lacks at VIRGIN_FROM after a retune; fades out up to VOLTAGE_HIGH
+LOWER_OFFSET = 8  # offset of x_f at and below V_lo when a falling branch started there
+VIRGIN_OFFSET = 9  # offset of the virgin curve at VIRGIN_FROM after a retune; fades out up to VOLTAGE_HIGH
 VIRGIN_FROM = 10
 STATES = 11
 
@@ -217,7 +217,7 @@ def _coefficient(p, index, v_max):
 
 @kernel
 def virgin_curve(p, x, voltage):
-    """Virgin curve [m] at ``voltage`` [V], with what a retune left (see :meth:`PolynomialHysteresis.rebase`)."""
+    """Virgin curve [m] at ``voltage`` [V], with the offset of :meth:`PolynomialHysteresis.rebase`."""
     y = p[VIRGIN] + voltage * (p[VIRGIN + 1] + voltage * p[VIRGIN + 2])
     offset = x[VIRGIN_OFFSET]
     if offset != 0.0:
@@ -269,7 +269,7 @@ def _turn_down(p, x):
 
 @kernel
 def polynomial(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
     if u > x[VOLTAGE]:
         if x[DIRECTION] < 0.0:
             _turn_up(x)
@@ -302,7 +302,7 @@ def polynomial(p, x, u):
 
 @kernel
 def _root(rise, slope, bend):
-    """Solve ``rise = slope v + bend v²`` for v on the side where the parabola rises; beyond its reach: its extremum.
+    """Solve ``rise = slope v + bend v²`` for v on the rising side of the parabola; beyond its range: its extremum.
 
     K8's form ``2 rise / (slope + √(slope² + 4 bend rise))`` loses no digits while slope ≥ 0.
     """
@@ -332,7 +332,7 @@ def _virgin_voltage(p, x, displacement):
 def polynomial_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] at which the model's next output is ``displacement`` [m] (K8, exact branch inverse).
 
-    The state ``x_h`` is left as it is. Beyond the reach of a parabola the voltage of its extremum is returned.
+    The state ``x_h`` is not changed. Beyond the range of a parabola the voltage of its extremum is returned.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def polynomial_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Parameters and state of :func:`polynomial`.
     displacement : float
-        Wanted output [m]; NaN gives the last voltage.
+        Commanded output [m]; NaN gives the last voltage.
     """
     x = x_i
     for i in range(STATES):
@@ -400,7 +400,7 @@ class PolynomialHysteresis(RateIndependentBlock):
         return np.append(parameters.scale * np.array(rows).ravel(), parameters.voltage_high)
 
     def initial_state(self) -> np.ndarray:
-        """Return x of a stack that never saw a voltage: 0 V on the virgin curve."""
+        """Return x of a stack in its initial state: 0 V on the virgin curve."""
         x = np.zeros(STATES)
         x[DISPLACEMENT] = x[TURN_DISPLACEMENT] = self.p[VIRGIN]
         x[DIRECTION] = x[ON_VIRGIN] = 1.0
@@ -412,7 +412,7 @@ class PolynomialHysteresis(RateIndependentBlock):
         return float(self.p[VIRGIN + 1] + self.p[VIRGIN + 2] * self.p[VOLTAGE_HIGH])
 
     def rebase(self) -> None:
-        """Make the present point a turning point, so that changed coefficients do not move the output.
+        """Make the present point a turning point, so that changed coefficients do not change the output.
 
         From there the output blends into the new corners by the minor-loop rule; on the virgin curve the difference
         fades out linearly up to ``voltage_high``.
@@ -444,7 +444,7 @@ def _shifted(parameters: PolynomialParameters, offset: float) -> PolynomialParam
 
 
 def _deviated(parameters: PolynomialParameters, deviation: Deviation) -> PolynomialParameters:
-    """Scale all coefficients by the gain and the difference of the branches by the opening; the corners stay joined."""
+    """Scale all coefficients by the gain and the difference of the branches by the loop width; corners stay joined."""
     changed: dict = {}
     for name in ("C1", "C2"):
         rising, falling = (np.array(getattr(parameters, f"{branch}_{name}")) for branch in ("rising", "falling"))
@@ -467,7 +467,7 @@ MODEL = HysteresisModel(
     inverses=("exact", "general", "picard_steps", "none"),
     identify="hysteresis_ros.identification.procedures:polynomial",
     options={
-        "method": Option(str, "fit to all samples, or through the coefficients of each loop", ("samples", "loops")),
-        "criterion": Option(str, "what is made small", ("automatic", "rms", "maximum")),
+        "method": Option(str, "fit to all samples, or to the coefficients of each loop", ("samples", "loops")),
+        "criterion": Option(str, "error norm to minimise", ("automatic", "rms", "maximum")),
     },
 )

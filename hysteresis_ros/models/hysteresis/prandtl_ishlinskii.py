@@ -9,8 +9,8 @@
 
 r"""Prandtl-Ishlinskii hysteresis, classical and modified, with its analytic inverse [1]_.
 
-A sum of play (backlash) operators makes symmetric loops; dead zones after it (the *modified* model) bend both branches
-alike:
+A sum of play (backlash) operators has symmetric loops; dead zones after it (the *modified* model) bend both branches
+equally:
 
 .. math::
 
@@ -20,8 +20,8 @@ alike:
 
    x = x_0 + u + \sum_j s_j \, d(u, t_j), \qquad d(u, t) = \max(u - t, 0) \; (t \geq 0), \quad \min(u - t, 0) \; (t < 0)
 
-The inverse needs no operators of its own: the bend is inverted piece by piece, and along a monotone step the sum of
-plays is a piecewise linear function of V whose corners ``z_i ± r_i`` come in the order of the radii.
+The inverse needs no operators of its own: the dead zones are inverted piece by piece, and along a monotone step the sum
+of plays is a piecewise linear function of V, with corners ``z_i ± r_i`` in the order of the radii.
 
 References
 ----------
@@ -60,7 +60,7 @@ OFFSET = 3
 RADII = 4
 
 # Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
-RESIDUE = 2  # what the plays could not take up at a retune [m]
+RESIDUE = 2  # remaining offset after a retune [m]
 PLAY = 3
 
 
@@ -75,24 +75,24 @@ class PrandtlIshlinskiiParameters(Parameters):
     thresholds: tuple[float, ...] = parameter(
         (), description="thresholds t of the dead zones; below 0: zones for displacements below t", unit="m"
     )
-    zone_weights: tuple[float, ...] = parameter((), description="slopes s that the dead zones add; may be negative")
+    zone_weights: tuple[float, ...] = parameter((), description="slopes s added by the dead zones; may be negative")
     offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
 
     @property
     def structure(self) -> dict[str, int]:
-        """What cannot change while running."""
+        """Structure that cannot change while running."""
         below = sum(threshold < 0.0 for threshold in self.thresholds)
         return {"radii": len(self.radii), "thresholds": len(self.thresholds), "thresholds below 0": below}
 
     def check(self):
-        """Yield what is wrong: sizes, order of the radii, branches that are not monotone."""
+        """Yield a Problem for wrong sizes, order of the radii, and branches that are not monotone."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
             return
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         elif self.radii[0] != 0.0 or self.weights[0] <= 0.0:
-            remedy = "must start with a play of radius 0 whose weight is above 0; no step has an inverse otherwise"
+            remedy = "must start with a play of radius 0 and weight above 0; otherwise no inverse exists"
             yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], remedy)
         if len(self.thresholds) != len(self.zone_weights):
             yield Problem("zone_weights", self.zone_weights, f"must be as many as thresholds, {len(self.thresholds)}")
@@ -113,7 +113,7 @@ def _zones(parameters):
 
 @kernel
 def dead_zones(p, x):
-    """Superposition S(x) of the dead zones [m]."""
+    """Return the superposition S(x) of the dead zones [m]."""
     first = RADII + 2 * int(p[PLAYS])
     above, below = int(p[ABOVE]), int(p[BELOW])
     y = x
@@ -129,7 +129,7 @@ def dead_zones(p, x):
 
 @kernel
 def dead_zones_inverse(p, y):
-    """The x at which :func:`dead_zones` is ``y``, piece by piece from zero outwards."""
+    """Return the x at which :func:`dead_zones` is ``y``, piece by piece from zero outwards."""
     first = RADII + 2 * int(p[PLAYS])
     count = int(p[ABOVE])
     sign = 1.0
@@ -150,7 +150,7 @@ def dead_zones_inverse(p, y):
 
 @kernel
 def prandtl_ishlinskii(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
     if not abs(u - x[VOLTAGE]) > 0.0:
         return x[DISPLACEMENT]
     plays = int(p[PLAYS])
@@ -167,7 +167,7 @@ def prandtl_ishlinskii(p, x, u):
 
 @kernel
 def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is left as it is.
+    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is not changed.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     p_h, x_h : ndarray
         Parameters and state of :func:`prandtl_ishlinskii`.
     displacement : float
-        Wanted output [m]; NaN gives the last voltage.
+        Commanded output [m]; NaN gives the last voltage.
     """
     voltage = x_h[VOLTAGE]
     if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:
@@ -186,7 +186,7 @@ def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     plays = int(p_h[PLAYS])
     wanted = dead_zones_inverse(p_h, displacement - (p_h[OFFSET] + x_h[RESIDUE]))
     direction = 1.0 if displacement > x_h[DISPLACEMENT] else -1.0
-    # the output at V: constant + slope V while the first plays move and the others stand
+    # the output at V: constant + slope V while the first plays move and the others do not
     constant = 0.0
     for i in range(plays):
         constant += p_h[RADII + plays + i] * x_h[PLAY + i]
@@ -255,9 +255,9 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
         return float(product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Let the plays take up the change of the output, all by the same part of the room they have.
+        """Move the plays to compensate the change of the output, each by the same fraction of its free range.
 
-        So their order is kept. What they have no room for remains as a constant until :meth:`reset`.
+        This keeps their order. The part beyond their range remains as a constant until :meth:`reset`.
         """
         x, p, plays = self.x, self.p, int(self.p[PLAYS])
         voltage, z = x[VOLTAGE], x[PLAY:]
@@ -289,7 +289,7 @@ def _weighted(parameters: PrandtlIshlinskiiParameters, factors) -> PrandtlIshlin
 
 
 def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> PrandtlIshlinskiiParameters:
-    """Every play with width has a factor of its own besides the opening's."""
+    """Draw a factor for each play with width, besides the factor of the loop width."""
     weights = np.array(parameters.weights) * deviation.gain
     plays = np.array(parameters.radii) > 0.0
     weights[plays] *= deviation.opening * deviation.factor(int(np.sum(plays)))
@@ -300,7 +300,7 @@ def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> 
 MODEL = HysteresisModel(
     name="prandtl_ishlinskii",
     title="play operators with weights ≥ 0, a map or dead zones behind them where they help (modified model)",
-    data="a voltage that rises and falls; loops of several amplitudes settle the model inside the largest loop",
+    data="a voltage that rises and falls; loops of several amplitudes determine the model inside the largest loop",
     parameters=PrandtlIshlinskiiParameters,
     block=PrandtlIshlinskiiHysteresis,
     example=PrandtlIshlinskiiParameters(
@@ -320,7 +320,7 @@ MODEL = HysteresisModel(
         "zone_count": Option(int, "dead zones behind free weights; 0: the classical model", low=0),
         "density": Option(
             str,
-            "weights over the radius: exponential with a cubic map, free, or what predicts blocks held out",
+            "weights over the radius: exponential with a cubic map, free, or the best by cross-validation",
             choices=("auto", "exponential", "free"),
         ),
     },

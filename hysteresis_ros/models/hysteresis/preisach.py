@@ -13,13 +13,13 @@ r"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded
 
    x = x_0 + s V + E(v_1, m_0) - E(v_1, m_1) + E(v_2, m_1) - \cdots
 
-with maxima v and minima m since the last of each that was larger, offset x_0 and reversible slope s. The Everett
-function ``E(a, b)`` is the change of the output when, coming from below, the input turns at ``a`` and falls to ``b``.
-Whatever the history, a rise from a minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v takes ``E(M, v)``
-away (congruency); a loop that closes is forgotten (wiping-out). The table gives E at the nodes of a triangular grid;
-between them it is interpolated bilinearly, and linearly in the triangles at the diagonal.
+with the stored maxima v and minima m, offset x_0 and reversible slope s. The Everett function ``E(a, b)`` is the change
+of the output when the input, coming from below, reverses at ``a`` and falls to ``b``. For any history, a rise from a
+minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v subtracts ``E(M, v)`` (congruency); a closed loop is
+removed from the memory (wiping-out). The table gives E at the nodes of a triangular grid; between them it is
+interpolated bilinearly, and linearly in the triangles at the diagonal.
 
-Outside the range of the grid the memory does not change; the output goes on along the end of the major loop.
+Outside the range of the grid the memory does not change; the output continues along the end of the major loop.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ NODES = 3
 SLOPE = 4  # reversible part [m/V]
 OFFSET = 5
 CAPACITY = 6
-SLOPE_BELOW = 7  # outside the grid [m/V]
+SLOPE_BELOW = 7  # slopes outside the grid [m/V]
 SLOPE_ABOVE = 8
 TABLE = 9
 
 # Layout of x, after VOLTAGE and DISPLACEMENT, followed by the voltages of the turning points (minimum, maximum,
 # minimum …; the first is the lower end of the range) and by the hysteretic outputs there.
 DEPTH = 2  # number of turning points
-RESIDUE = 3  # what a retune or a forgotten loop left at RESIDUE_LEFT [m]; fades out with the travel of the voltage
-RESIDUE_LEFT = 4  # travel after which nothing is left of it [V]
+RESIDUE = 3  # offset [m] after a retune or a removed loop; fades out over RESIDUE_LEFT of the voltage's travel
+RESIDUE_LEFT = 4  # travel of the voltage after which it is zero [V]
 RESIDUE_TRAVEL = 5
 STACK = 6
 
@@ -74,7 +74,7 @@ class PreisachParameters(Parameters):
     )
     slope: float = parameter(0.0, description="reversible part: slope without hysteresis", unit="m/V", low=0.0)
     offset: float = parameter(0.0, description="displacement at voltage_low in saturation", unit="m")
-    memory: int = parameter(64, description="turning points kept", low=4, high=10000, read_only=True)
+    memory: int = parameter(64, description="number of stored turning points", low=4, high=10000, read_only=True)
 
     @property
     def nodes(self) -> int:
@@ -83,7 +83,7 @@ class PreisachParameters(Parameters):
 
     @property
     def structure(self) -> dict[str, int]:
-        """What cannot change while running."""
+        """Structure that cannot change while running."""
         return {"everett": len(self.everett), "memory": self.memory}
 
     @property
@@ -95,11 +95,9 @@ class PreisachParameters(Parameters):
         return table
 
     def check(self):
-        """Yield what is wrong: range, size, a diagonal that is not zero, branches that are not monotone."""
+        """Yield a Problem for a wrong range or size, a nonzero diagonal, and branches that are not monotone."""
         if not self.voltage_low <= 0.0 < self.voltage_high:
-            remedy = (
-                f"voltage_low … voltage_high must contain 0 V, where the start is; voltage_low = {self.voltage_low:g}"
-            )
+            remedy = f"voltage_low … voltage_high must contain 0 V, the start; voltage_low = {self.voltage_low:g}"
             yield Problem("voltage_high", self.voltage_high, remedy)
         n = self.nodes
         if n < 2 or n * (n + 1) // 2 != len(self.everett):
@@ -116,7 +114,7 @@ class PreisachParameters(Parameters):
         if smallest < 0.0 or (smallest == 0.0 and self.slope == 0.0):
             remedy = (
                 f"must rise with a and fall with b everywhere (smallest difference of neighbours {smallest:.3g} m); "
-                "make it monotone, or give slope > 0 where it is level"
+                "make it monotone, or give slope > 0 if it is level"
             )
             yield Problem("everett", f"{n} x {n} nodes", remedy)
 
@@ -142,7 +140,7 @@ def everett(p, a, b):
 
 @kernel
 def _forget(x, travel, value):
-    """Carry ``value`` [m] on into the output and let it fade out over ``travel`` [V]."""
+    """Add ``value`` [m] to the output and fade it out over ``travel`` [V]."""
     x[RESIDUE] = value
     x[RESIDUE_LEFT] = x[RESIDUE_TRAVEL] = travel
 
@@ -174,7 +172,7 @@ def _on_branch(p, x, v):
 
 @kernel
 def _turn(p, x, v):
-    """Make the hysteretic point at ``v`` a turning point; with a full memory forget the innermost loop instead."""
+    """Make the hysteretic point at ``v`` a turning point; with a full memory remove the innermost loop instead."""
     capacity = int(p[CAPACITY])
     depth = int(x[DEPTH])
     output = _on_branch(p, x, v)
@@ -190,7 +188,7 @@ def _turn(p, x, v):
 
 @kernel
 def preisach(p, x, u):
-    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN changes nothing."""
     distance = abs(u - x[VOLTAGE])
     if not distance > 0.0:
         return x[DISPLACEMENT]
@@ -198,7 +196,7 @@ def preisach(p, x, u):
     if v > before:
         if int(x[DEPTH]) % 2 == 0:  # the last turning point is a maximum: this is a reversal
             _turn(p, x, before)
-        # wiping-out: beyond the last maximum it is forgotten together with the minimum after it
+        # wiping-out: beyond the last maximum, it and the minimum after it are removed
         while x[DEPTH] >= 3.0 and v >= x[STACK + int(x[DEPTH]) - 2]:
             x[DEPTH] -= 2.0
     elif v < before:
@@ -228,12 +226,12 @@ def everett_of(block, voltage_low: float, voltage_high: float, nodes: int) -> np
     voltage_low, voltage_high : float
         Range [V].
     nodes : int
-        Nodes n over the range.
+        Number of nodes n over the range.
 
     Returns
     -------
     ndarray, shape (n (n + 1)/2,)
-        In the order of ``PreisachParameters.everett`` [m].
+        Values [m] in the order of ``PreisachParameters.everett``.
     """
     grid = np.linspace(voltage_low, voltage_high, nodes)
     rows = []
@@ -246,7 +244,9 @@ def everett_of(block, voltage_low: float, voltage_high: float, nodes: int) -> np
 
 
 class PreisachHysteresis(RateIndependentBlock):
-    """Preisach hysteresis: voltage [V] to displacement [m]. It starts on the rise from negative saturation, at 0 V.
+    """Preisach hysteresis: voltage [V] to displacement [m].
+
+    It starts at 0 V on the rising branch from negative saturation.
 
     The inverse ``general`` is exact to rounding.
 
@@ -285,7 +285,7 @@ class PreisachHysteresis(RateIndependentBlock):
         return float(p[SLOPE] + everett(p, p[HIGH], p[LOW]) / (p[HIGH] - p[LOW]))
 
     def rebase(self) -> None:
-        """Put the remembered turning voltages on the changed map; what the output would jump by fades out.
+        """Apply the changed map to the stored turning points; the jump of the output fades out.
 
         It fades linearly while the voltage travels once over the range.
         """
@@ -329,7 +329,7 @@ def _example(low: float = -40.0, high: float = 120.0, nodes: int = 9) -> Preisac
 MODEL = HysteresisModel(
     name="preisach",
     title="discrete Everett map with interpolation, wiping-out and return-point memory",
-    data="a voltage that rises and falls; loops of several amplitudes settle the model inside the largest loop",
+    data="a voltage that rises and falls; loops of several amplitudes determine the model inside the largest loop",
     parameters=PreisachParameters,
     block=PreisachHysteresis,
     example=_example(),

@@ -13,7 +13,7 @@ r"""An actuator without hysteresis: displacement proportional to the voltage.
 
    x = g V
 
-There is no history to go on from with new parameters: the compensator hands over in the voltage instead.
+It has no memory for a change of parameters: the compensator's hand-over acts on the voltage instead.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def proportional_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
 
 
 class ProportionalHysteresis(RateIndependentBlock):
-    """Displacement [m] proportional to the voltage [V]: the hysteresis block of an actuator that has none.
+    """Displacement [m] proportional to the voltage [V]: the hysteresis block of an actuator without hysteresis.
 
     Parameters
     ----------

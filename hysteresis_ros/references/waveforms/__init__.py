@@ -7,15 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference waveforms: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+"""Reference waveforms: each is one file or folder here, found automatically; a parameter chooses one by name.
 
-The folder holds nothing else. What a waveform declares is described in :mod:`hysteresis_ros.references.declaration`.
-
-A waveform is a block whose output depends on the sample counter only (:mod:`hysteresis_ros.references.declaration`
-states
-how the counter becomes a position within the cycle). After the last of ``cycles`` cycles it holds its final value:
-where it stands at the end of the cycle, which for square is the last level and for staircase the level reached by
-the last step, on which a next cycle would begin.
+:mod:`hysteresis_ros.references.declaration` describes the declaration of a waveform. A waveform is a block whose output
+depends on the sample counter only (the same module computes the position within the cycle from it). After the last of
+``cycles`` cycles it holds its value at the end of the cycle: for square the last level, for staircase the level after
+the last step, at which the next cycle would begin.
 """
 
 from __future__ import annotations
@@ -67,11 +64,11 @@ class WaveformParameters(Parameters):
 
     @property
     def shape(self) -> WaveformShape:
-        """What the chosen waveform declares."""
+        """Declaration of the chosen waveform."""
         return WAVEFORMS[self.type]
 
     def check(self):
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that the chosen waveform excludes."""
         shape = self.shape
         if shape.takes_frequency and not self.frequency > 0.0:
             yield Problem("frequency", self.frequency, f"must be > 0 Hz for {self.type}")
@@ -86,14 +83,14 @@ class Waveform(Block):
     Parameters
     ----------
     parameters : WaveformParameters
-        What to play.
+        Parameters of the waveform.
     sample_time : float
         Sample time [s].
 
     Attributes
     ----------
     lowest, highest : float
-        Range of the waveform [m], offset included (of the continuous shape where it is a formula).
+        Range of the waveform [m], including the offset (of the continuous shape where it is a formula).
     crest_factor : float or None
         Peak over root mean square, without the offset, of a multisine.
     period : int or None
@@ -111,9 +108,9 @@ class Waveform(Block):
 
     @property
     def duration_samples(self) -> int:
-        """Samples until the waveform has been played; 0 when it has no end.
+        """Length of the waveform in samples; 0 when it has no end.
 
-        The last of several steps counts as long as the one before it.
+        The last of several steps has the length of the previous one.
         """
         return self.parameters.shape.duration(self.p)
 
@@ -125,12 +122,12 @@ class Waveform(Block):
         return packed.p
 
     def retune(self, parameters) -> None:
-        """Refuse: another waveform may have another size; build a new one.
+        """Refuse any change, because another waveform may have another size.
 
         Raises
         ------
         ParameterError
-            Unless the parameters are the present ones.
+            The parameters differ from the present ones.
         """
         if parameters != self.parameters:
             text = "a waveform in use cannot change; stop the generator first"

@@ -46,7 +46,7 @@ class ChirpParameters(Parameters):
 
     final_frequency: float = parameter(description="frequency at the end of the sweep", unit="Hz", low=0.0)
     duration: float = parameter(description="time of one sweep", unit="s", low=1e-9)
-    sweep: str = parameter("linear", description="how the frequency grows", choices=("linear", "logarithmic"))
+    sweep: str = parameter("linear", description="law of the growing frequency", choices=("linear", "logarithmic"))
 
 
 @kernel
@@ -73,12 +73,7 @@ def chirp_logarithmic(p, x, u):
 
 
 def check(parameters):
-    """Yield frequencies between which nothing can grow exponentially.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    """
+    """Yield a Problem for frequencies that exclude exponential growth."""
     if parameters.chirp.sweep == "logarithmic":
         first, last = parameters.frequency, parameters.chirp.final_frequency
         if not (first > 0.0 and last > 0.0 and first != last):
@@ -87,12 +82,6 @@ def check(parameters):
 
 def pack(parameters, sample_time: float) -> Packed:
     """Return the sweep.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
 
     Raises
     ------

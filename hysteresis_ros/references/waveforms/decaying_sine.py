@@ -51,13 +51,7 @@ def decaying_sine(p, x, u):
 
 
 def final(parameters, p) -> float:
-    """Return where the last cycle ends [m].
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    p : ndarray
-    """
+    """Return the value at the end of the last cycle [m]."""
     decay = elementary.exp(-parameters.cycles / (parameters.frequency * parameters.decaying_sine.decay_time))
     return parameters.offset + parameters.amplitude * decay * elementary.sin(TWO_PI * p[PHASE])
 

@@ -45,12 +45,7 @@ def decreasing_triangle(p, x, u):
 
 
 def check(parameters):
-    """Yield what keeps it from ending.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    """
+    """Yield a Problem when the number of cycles is missing."""
     if parameters.cycles < 1:
         yield Problem("cycles", parameters.cycles, "must be ≥ 1 for decreasing_triangle: the last cycle ends at zero")
 

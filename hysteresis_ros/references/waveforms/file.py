@@ -25,11 +25,11 @@ from hysteresis_ros.files import read_array, read_arrays
 from hysteresis_ros.models.block import kernel
 from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, OWN, PREFIX, Packed, WaveformShape, head
 
-#: Metres per unit a header may name.
+#: Metres per unit, by the names allowed in a header.
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
-#: Seconds per unit a header may name.
+#: Seconds per unit, by the names allowed in a header.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-#: Samples must lie this close to a uniform grid, and the grid this close to the generator's, in sample times.
+#: Largest deviation of the samples from a uniform grid, and of that grid from the generator's, in sample times.
 GRID_TOLERANCE = 0.01
 LARGEST_TABLE = 10_000_000
 
@@ -45,8 +45,8 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     column : str
         Name of the column without unit.
     file_sample_time : float
-        Sample time of the file [s]; the samples are then interpolated linearly. 0 = the file must have the
-        generator's sample time and say so in its time column.
+        Sample time of the file [s]; the samples are then interpolated linearly. 0 = the file must have the generator's
+        sample time, stated by its time column.
     sample_time : float
         Sample time of the generator [s].
     prefix : str
@@ -76,14 +76,14 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     except (OSError, ValueError, csv.Error) as error:
         raise refused("path", path, f"cannot be read: {error}") from None
     if values.ndim != 1 or not 1 <= values.size <= LARGEST_TABLE:
-        raise refused("path", path, f"must hold one column of 1 … {LARGEST_TABLE} samples, has shape {values.shape}")
+        raise refused("path", path, f"must have one column of 1 … {LARGEST_TABLE} samples, has shape {values.shape}")
     if not np.all(np.isfinite(values)):
         row = int(np.flatnonzero(~np.isfinite(values))[0])
         raise refused("path", path, f"sample {row} is {values[row]}; all samples must be finite metres")
     measured = None if time is None else _uniform_sample_time(time, lambda text: refused("path", path, text))
     if file_sample_time == 0.0:
         if measured is None and values.size > 1:
-            raise refused("sample_time", 0.0, f"{path} does not say its sample time; give it [s]")
+            raise refused("sample_time", 0.0, f"{path} does not state its sample time; give it [s]")
         if measured is not None and _differs(measured, sample_time, values.size):
             raise refused(
                 "sample_time",
@@ -106,7 +106,7 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
 
 
 def _differs(first: float, second: float, count: int) -> bool:
-    """Whether two sample times drift apart by more than the tolerance over ``count`` samples."""
+    """Return whether two sample times drift apart by more than the tolerance over ``count`` samples."""
     return abs(first - second) * max(count - 1, 1) > GRID_TOLERANCE * second
 
 
@@ -199,13 +199,13 @@ def _read_npy(source: pathlib.Path, columns: Sequence[str]):
 
 
 def _real(array: np.ndarray) -> np.ndarray:
-    """Return numbers as float64; texts and complex numbers are none that could be followed."""
+    """Return numbers as float64; texts and complex numbers are refused."""
     if array.dtype.kind not in "biuf":
         raise ValueError(f"holds an array of {array.dtype}, not of real numbers")
     return array.astype(float)
 
 
-COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it repeats, samples
+COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # number of entries, period [samples], samples
 
 
 @dataclass(frozen=True)
@@ -237,12 +237,6 @@ def file(p, x, u):
 
 def pack(parameters, sample_time: float) -> Packed:
     """Return the samples of the file.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
 
     Raises
     ------

@@ -23,14 +23,7 @@ def hold(p, x, u):
 
 
 def pack(parameters, sample_time: float) -> Packed:
-    """Return the offset as a waveform.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
-    """
+    """Return the offset as a waveform."""
     return Packed(head(parameters), hold, parameters.offset, parameters.offset, 1)
 
 

@@ -55,7 +55,7 @@ class MultisineParameters(Parameters):
     first_harmonic: int = parameter(1, description="lowest harmonic of frequency", low=1)
     last_harmonic: int = parameter(10, description="highest harmonic of frequency", low=1)
     harmonic_step: int = parameter(1, description="distance of harmonics; 2 from 1 excites odd ones only", low=1)
-    phases: str = parameter("schroeder", description="how phases are chosen", choices=("schroeder", "random"))
+    phases: str = parameter("schroeder", description="choice of the phases", choices=("schroeder", "random"))
     seed: int = parameter(1, description="seed of the random phases", low=0)
 
     @property
@@ -64,7 +64,7 @@ class MultisineParameters(Parameters):
         return np.arange(self.first_harmonic, self.last_harmonic + 1, self.harmonic_step)
 
     def check(self):
-        """The band is not empty."""
+        """Yield a Problem when the band is empty."""
         if self.last_harmonic < self.first_harmonic:
             yield Problem("last_harmonic", self.last_harmonic, f"must be ≥ first_harmonic = {self.first_harmonic}")
 
@@ -98,16 +98,10 @@ def _phases(own: MultisineParameters) -> np.ndarray:
 def pack(parameters, sample_time: float) -> Packed:
     """Return the multisine whose peak is the amplitude.
 
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
-
     Raises
     ------
     ParameterError
-        The period is no whole number of samples, or a harmonic reaches half the sample rate.
+        The period is not a whole number of samples, or a harmonic reaches half the sample rate.
     """
     own, frequency, p = parameters.multisine, parameters.frequency, head(parameters)
     repeat = time_cycles(p, parameters, sample_time, Fraction(frequency), ("frequency", frequency))
@@ -128,8 +122,8 @@ def pack(parameters, sample_time: float) -> Packed:
     parts = [complex(elementary.sin(angle), -elementary.cos(angle)) for angle in angles]
     spectrum[harmonics] = 0.5 * samples * np.array(parts)
     period = np.fft.irfft(spectrum, samples)
-    # A part in 10¹² less, so that the kernel's own rounding cannot exceed the amplitude; 13 digits, because NumPy's
-    # transform is not promised to add in the same order everywhere.
+    # smaller by 10⁻¹², so that the kernel's rounding cannot exceed the amplitude; 13 digits, because the order of
+    # additions in NumPy's transform may differ between machines
     scale = float(rounded((1.0 - 1e-12) / np.max(np.abs(period))))
     lowest = parameters.offset + parameters.amplitude * scale * float(np.min(period))
     highest = parameters.offset + parameters.amplitude * scale * float(np.max(period))

@@ -39,7 +39,7 @@ DUTY = OWN + 1
 class SquareParameters(Parameters):
     """Upper level first, then lower level."""
 
-    duty: float = parameter(0.5, description="part of the cycle on the upper level", low=0.0, high=1.0)
+    duty: float = parameter(0.5, description="fraction of the cycle on the upper level", low=0.0, high=1.0)
 
 
 @kernel
@@ -57,13 +57,7 @@ def square(p, x, u):
 
 
 def final(parameters, p) -> float:
-    """Return the level at the end of a cycle [m].
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    p : ndarray
-    """
+    """Return the level at the end of a cycle [m]."""
     before = p.copy()
     before[PHASE] = (p[PHASE] - 1e-6) % 1.0
     return first_value(square, before)

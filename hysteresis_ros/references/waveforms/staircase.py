@@ -55,14 +55,7 @@ def staircase(p, x, u):
 
 
 def own(parameters, sample_time: float) -> list[float]:
-    """Return the number of levels a cycle.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
-    """
+    """Return the number of levels per cycle."""
     return [parameters.staircase.steps * (2.0 if parameters.polarity == "unipolar" else 4.0)]
 
 

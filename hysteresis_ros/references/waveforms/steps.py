@@ -20,7 +20,7 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.block import kernel
 from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, OWN, Packed, WaveformShape, head, refuse
 
-COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it repeats (0 = never), starts and levels
+COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # number of entries, period [samples] (0: none), starts and levels
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class StepsParameters(Parameters):
     )
 
     def check(self):
-        """Values and times belong together, times grow, the period covers them."""
+        """Yield a Problem when times and values differ in number, times do not grow, or the period is too short."""
         if not self.values or len(self.values) != len(self.times):
             yield Problem("times", self.times, f"must have one time for each of the {len(self.values)} values, ≥ 1")
         elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
@@ -45,7 +45,7 @@ class StepsParameters(Parameters):
 
 @kernel
 def steps(p, x, u):
-    """Value i from its start sample on, zero before the first; binary search of the start samples."""
+    """Return value i from its start sample on, and zero before the first one; a binary search finds i."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:
@@ -65,12 +65,6 @@ def steps(p, x, u):
 
 def pack(parameters, sample_time: float) -> Packed:
     """Return the levels with the samples at which they begin.
-
-    Parameters
-    ----------
-    parameters : WaveformParameters
-    sample_time : float
-        [s]
 
     Raises
     ------
@@ -97,12 +91,7 @@ def pack(parameters, sample_time: float) -> Packed:
 
 
 def duration(p) -> int:
-    """Return the samples until all levels have been held; the last as long as the one before it.
-
-    Parameters
-    ----------
-    p : ndarray
-    """
+    """Return the length in samples; the last level has the duration of the previous one."""
     if p[REPEAT] != 0.0:
         return int(p[END])
     starts = p[TABLE : TABLE + int(p[COUNT])]

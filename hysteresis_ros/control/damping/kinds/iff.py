@@ -7,21 +7,21 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Integral force feedback: the integral of the measured force in the stack, taken off the command [1]_, [2]_.
+"""Integral force feedback: the integral of the measured force in the stack is subtracted from the command [1]_, [2]_.
 
 u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
-The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. An integrator of
-it, in phase with the velocity between them, damps the poles, by (ω_p − ω_z)/(2 ω_z) at most where it does nothing
-else [1]_. A pure integrator would bring the force at rest, k_f y, to zero and with it the displacement. So it leaks
-at ω_c = α β, which is what a feedthrough β of the command into the force makes of it [3]_, and a high-pass at ω_h
-leaves out what is constant: an offset or a drift of the sensor does not move the axis, and at rest the law's output
-is the command, γ = 1. Without the high-pass, ω_h = 0, the force at rest stays in the loop and γ = 1 + k_f α/ω_c.
+The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. Between them its integral
+is in phase with the velocity and damps the poles, by a damping ratio of at most (ω_p − ω_z)/(2 ω_z) for a pure
+integrator [1]_. A pure integrator would bring the force at rest, k_f y, and with it the displacement to zero. Therefore
+it leaks at ω_c = α β, which is equivalent to a feedthrough β of the command into the force [3]_, and a high-pass at ω_h
+removes constant signals: an offset or a drift of the sensor does not move the axis, and at rest the law's output is the
+command, γ = 1. Without the high-pass, ω_h = 0, the force at rest stays in the loop and γ = 1 + k_f α/ω_c.
 
-It is discretised by the bilinear transformation, h = 2/T. Nothing in it winds up: its poles are stable and its input is
-measured, whatever of the command was carried out.
+It is discretised by the bilinear transformation, h = 2/T. It does not wind up: its poles are stable and its input is
+measured, also with a saturated command.
 
-A delay of more than about a quarter of the resonance's period turns the sign that damps: α < 0.
+A delay of more than about a quarter of the resonance's period reverses the sign that damps: α < 0.
 
 References
 ----------
@@ -48,28 +48,21 @@ class IffParameters(Parameters):
     """Gain, leak and high-pass of integral force feedback."""
 
     gain: float = parameter(
-        0.0, unit="m/(N s)", description="α of the integral; below 0 where a delay turns the sign that damps"
+        0.0, unit="m/(N s)", description="gain α of the integral; below 0 if a delay reverses the damping sign"
     )
-    leak: float = parameter(100.0, unit="rad/s", low=1e-6, description="ω_c below which it no longer integrates")
+    leak: float = parameter(100.0, unit="rad/s", low=1e-6, description="corner ω_c below which it does not integrate")
     high_pass: float = parameter(
-        100.0, unit="rad/s", low=0.0, description="ω_h below which the force is left out; 0: it counts at rest as well"
+        100.0, unit="rad/s", low=0.0, description="corner ω_h of the high-pass; 0: the force at rest acts too"
     )
 
     def check(self):
-        """Yield that it does nothing."""
+        """Yield a Problem when the gain is 0."""
         if self.gain == 0.0:
             yield Problem("gain", self.gain, "must not be 0: let `hysteresis design --damping iff` find it")
 
 
 def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
-    """Return −α s/((s + ω_c)(s + ω_h)), from force to command.
-
-    Parameters
-    ----------
-    parameters : IffParameters
-    sample_time : float
-        [s]
-    """
+    """Return −α s/((s + ω_c)(s + ω_h)), from force to command."""
     gain, leak, high = parameters.gain, parameters.leak, parameters.high_pass
     if not high:
         return first_order(-gain, leak, sample_time)
@@ -77,24 +70,13 @@ def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return where to look for (α by the stiffness over ω, both corners over ω), for both signs.
-
-    Parameters
-    ----------
-    mode : Mode
-    """
+    """Return the search ranges of (α times stiffness over ω, both corners over ω), for both signs."""
     corner = (0.03, 3.0, True)
     return ((0.1, 10.0, True), corner), ((-10.0, -0.1, True), corner)
 
 
 def chosen(point, mode: Mode) -> IffParameters:
-    """Return the parameters of a point.
-
-    Parameters
-    ----------
-    point : sequence of float, shape (2,)
-    mode : Mode
-    """
+    """Return the parameters of a point."""
     omega = 2.0 * math.pi * mode.frequency
     gain, corner = shortened(omega * point[0] / mode.force), shortened(omega * point[1])
     return IffParameters(gain=gain, leak=corner, high_pass=corner)
@@ -102,7 +84,7 @@ def chosen(point, mode: Mode) -> IffParameters:
 
 DAMPING = DampingKind(
     name="iff",
-    description="integral feedback of the force that a joint of its own measures (Preumont; Fleming 2010)",
+    description="integral feedback of the measured force, from the force joint (Preumont; Fleming 2010)",
     source=FORCE,
     parameters=IffParameters,
     filter=iff,

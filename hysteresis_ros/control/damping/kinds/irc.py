@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Integral resonant control: integral feedback around the plant with a feedthrough of its own [1]_, [2]_.
+"""Integral resonant control: integral feedback around the plant with an added feedthrough [1]_, [2]_.
 
 With a feedthrough D_f the plant G + D_f has a zero below its first pole, and integral feedback of it damps the
 resonances. For tracking the same loop is written as a controller on the displacement alone,
@@ -15,9 +15,9 @@ resonances. For tracking the same loop is written as a controller on the displac
 C₂(s) = −k/(s − k D_f)
 
 which acts on r_c − y. Here the law's output enters behind it, at the command, so that the zero s = k D_f stays in the
-path of the reference, and with a weight γ that keeps the gain at rest: u = γ w + k/(s − k D_f) y.
+path of the reference, and with a weight γ that keeps the DC gain: u = γ w + k/(s − k D_f) y.
 
-A delay of more than about a quarter of the resonance's period turns the sign that damps: k < 0 with D_f > 0.
+A delay of more than about a quarter of the resonance's period reverses the sign that damps: k < 0 with D_f > 0.
 
 References
 ----------
@@ -42,51 +42,33 @@ from hysteresis_ros.models.linear import StateSpace
 class IrcParameters(Parameters):
     """Gain and feedthrough of integral resonant control."""
 
-    k: float = parameter(0.0, unit="1/s", description="integral gain; below 0 where a delay turns the sign that damps")
+    k: float = parameter(0.0, unit="1/s", description="integral gain; below 0 if a delay reverses the damping sign")
     feedthrough: float = parameter(
-        -2.0, description="D_f, of the other sign than k: 1/|D_f| is the gain of the feedback at rest"
+        -2.0, description="D_f, with the opposite sign of k: 1/|D_f| is the DC gain of the feedback"
     )
 
     def check(self):
-        """Yield that the filter would not settle."""
+        """Yield a Problem when the filter would be unstable."""
         if not self.k * self.feedthrough < 0.0:
-            remedy = f"must not be 0, and of the other sign than feedthrough = {self.feedthrough:g}"
-            yield Problem("k", self.k, remedy + ", or the filter k/(s − k D_f) does not settle")
+            remedy = f"must not be 0, and must have the opposite sign of feedthrough = {self.feedthrough:g}"
+            yield Problem("k", self.k, remedy + ", or the filter k/(s − k D_f) is unstable")
 
 
 def irc(parameters: IrcParameters, sample_time: float) -> StateSpace:
-    """Return k/(s − k D_f), from displacement to command.
-
-    Parameters
-    ----------
-    parameters : IrcParameters
-    sample_time : float
-        [s]
-    """
+    """Return k/(s − k D_f), from displacement to command."""
     return first_order(parameters.k, -parameters.k * parameters.feedthrough, sample_time)
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return where to look for (feedback at rest, corner of the filter [rad/s]), for both signs.
-
-    Parameters
-    ----------
-    mode : Mode
-    """
+    """Return the search ranges of (DC gain of the feedback, corner of the filter [rad/s]), for both signs."""
     omega = 2.0 * math.pi * mode.frequency
     corner = (0.05 * omega, 20.0 * omega, True)
-    # positive feedback of 0.4 of the plant's gain leaves a gain margin of 8 dB: 6 dB, and the gain off by a quarter
+    # positive feedback of 0.4 of the plant's gain has a gain margin of 8 dB: 6 dB, and a gain error of a quarter
     return ((0.05, 0.4, True), corner), ((-2.0, -0.05, True), corner)
 
 
 def chosen(point, mode: Mode) -> IrcParameters:
-    """Return the parameters with a feedback at rest and a corner.
-
-    Parameters
-    ----------
-    point : sequence of float, shape (2,)
-    mode : Mode
-    """
+    """Return the parameters for a DC gain of the feedback and a corner."""
     feedback, corner = point[0] / mode.gain, point[1]
     return IrcParameters(k=shortened(feedback * corner), feedthrough=shortened(-1.0 / feedback))
 

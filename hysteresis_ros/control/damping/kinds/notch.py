@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Notch filters, one to four, behind the law: its output does not excite the resonances; nothing is damped.
+"""One to four notch filters behind the law: its output does not excite the resonances, which keep their own damping.
 
 N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
 
-of unit gain at rest and at high frequencies, ζ_i/η_i at ω_i. What else excites a resonance (disturbances, noise) goes
-on ringing with the damping that the plant has.
+with unit gain at rest and at high frequencies, and ζ_i/η_i at ω_i. Disturbances and noise still excite a resonance,
+with the plant's own damping.
 """
 
 from __future__ import annotations
@@ -42,25 +42,21 @@ MOST = 4
 class NotchParameters(Parameters):
     """The notch filters, one to four."""
 
-    frequencies: tuple[float, ...] = parameter((), unit="Hz", low=1e-6, description="of the notches, one to four")
-    damping: tuple[float, ...] = parameter(
-        (), low=0.0, description="of each numerator, part of the critical one: that of the plant's resonance"
+    frequencies: tuple[float, ...] = parameter(
+        (), unit="Hz", low=1e-6, description="frequencies of the notches, one to four"
     )
-    width: tuple[float, ...] = parameter((), low=1e-4, description="damping of each denominator")
+    damping: tuple[float, ...] = parameter(
+        (), low=0.0, description="damping ratio of each numerator, that of the plant's resonance"
+    )
+    width: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each denominator")
 
     def check(self):
-        """Yield that the filters are too many or incomplete."""
+        """Yield a Problem for too many or incomplete filters."""
         yield from require_filters(self, MOST, ("damping", "width"))
 
 
 def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
-    """Return the filters one after the other, from the law's output to the command.
-
-    Parameters
-    ----------
-    parameters : NotchParameters
-    sample_time : float
-        [s]
+    """Return the filters in series, from the law's output to the command.
 
     Raises
     ------
@@ -78,25 +74,14 @@ def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return where to look for (frequency [Hz], damping of the numerator, width).
-
-    Parameters
-    ----------
-    mode : Mode
-    """
+    """Return the search ranges of (frequency [Hz], damping of the numerator, width)."""
     least = min(mode.damping, 0.5)
     frequency = (0.8 * mode.frequency, 1.25 * mode.frequency, True)
     return ((frequency, (least, 0.9, True), (0.1, 3.0, True)),)
 
 
 def chosen(point, mode: Mode) -> NotchParameters:
-    """Return the parameters of one notch.
-
-    Parameters
-    ----------
-    point : sequence of float, shape (3,)
-    mode : Mode
-    """
+    """Return the parameters of one notch."""
     frequency, damping, width = (shortened(value) for value in point)
     return NotchParameters(frequencies=(frequency,), damping=(damping,), width=(width,))
 

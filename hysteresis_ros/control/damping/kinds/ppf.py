@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Positive position feedback: the displacement through one or two resonant filters, added to the command [1]_, [2]_.
+"""Positive position feedback: one or two resonant filters of the displacement, added to the command [1]_, [2]_.
 
 u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
 
-γ keeps the gain at rest. Below its frequency a filter stiffens or softens, at it it damps. A delay of more than about a
-quarter of the resonance's period turns the sign that damps: g < 0.
+γ keeps the DC gain. Below its frequency a filter changes the stiffness; at its frequency it damps. A delay of more than
+about a quarter of the resonance's period reverses the sign that damps: g < 0.
 
 References
 ----------
@@ -48,25 +48,21 @@ MOST = 2
 class PpfParameters(Parameters):
     """The filters of positive position feedback, one or two."""
 
-    frequencies: tuple[float, ...] = parameter((), unit="Hz", low=1e-6, description="of the filters, one or two")
-    damping: tuple[float, ...] = parameter((), low=1e-4, description="part of the critical one, of each filter")
+    frequencies: tuple[float, ...] = parameter(
+        (), unit="Hz", low=1e-6, description="frequencies of the filters, one or two"
+    )
+    damping: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each filter")
     gains: tuple[float, ...] = parameter(
-        (), description="at rest, of each filter; below 0 where a delay turns the sign that damps"
+        (), description="DC gain of each filter; below 0 if a delay reverses the damping sign"
     )
 
     def check(self):
-        """Yield that the filters are too many or incomplete."""
+        """Yield a Problem for too many or incomplete filters."""
         yield from require_filters(self, MOST, ("damping", "gains"))
 
 
 def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
     """Return the sum of the filters, from displacement to command.
-
-    Parameters
-    ----------
-    parameters : PpfParameters
-    sample_time : float
-        [s]
 
     Raises
     ------
@@ -84,24 +80,13 @@ def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
 
 
 def ranges(mode: Mode) -> tuple:
-    """Return where to look for (gain, frequency [Hz], damping) of one filter, for both signs.
-
-    Parameters
-    ----------
-    mode : Mode
-    """
+    """Return the search ranges of (gain, frequency [Hz], damping) of one filter, for both signs."""
     frequency, damping = (0.3 * mode.frequency, 3.0 * mode.frequency, True), (0.05, 2.0, True)
     return ((0.02, 0.4, True), frequency, damping), ((-1.0, -0.02, True), frequency, damping)
 
 
 def chosen(point, mode: Mode) -> PpfParameters:
-    """Return the parameters of one filter.
-
-    Parameters
-    ----------
-    point : sequence of float, shape (3,)
-    mode : Mode
-    """
+    """Return the parameters of one filter."""
     gain, frequency, damping = shortened(point[0] / mode.gain), shortened(point[1]), shortened(point[2])
     return PpfParameters(frequencies=(frequency,), damping=(damping,), gains=(gain,))
 
