@@ -113,7 +113,8 @@ def design(
         Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` removes the damping of the
         file.
     response : path-like or Response, optional
-        Response measured by :func:`frequency_response`: the design is robust on it, and its margins are taken from it.
+        Measured frequency response, see :func:`frequency_response`: the design tolerates its difference from the model,
+        and its margins are evaluated on it.
     namespace : str, optional
         The axis, where a configuration contains several.
 

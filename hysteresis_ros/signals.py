@@ -53,12 +53,12 @@ def _motor(name: str, unit: str, description: str, state: str = "") -> Signal:
 
 #: All signals, in the order of a row: those of every axis, then those of an inchworm motor only.
 SIGNALS = (
-    Signal("setpoint", "m", USER, "setpoint in force", _at(SOURCE, MOTOR_SOURCE, name="setpoint"), "setpoint"),
+    Signal("setpoint", "m", USER, "valid setpoint", _at(SOURCE, MOTOR_SOURCE, name="setpoint"), "setpoint"),
     Signal(
         "reference",
         "m",
         SOURCE,
-        "wanted displacement",
+        "desired displacement",
         (*_at(SOURCE, MOTOR_SOURCE, CONTROLLER, name="reference"),),
         "reference",
     ),

@@ -197,9 +197,9 @@ const char *hysteresis_describe(int32_t code)
         [MEMORY] = "the memory of stage %s cannot be reached; look at /dev/shm%s",
         [DIED] = "the process of stage %s has died; start `stage_device %s` again, then cleanup and configure",
         [STOPPED] = "the process of stage %s has stopped; check stage_device %s",
-        [RANGE] = "stage %s takes no such voltage: it is no number or out of its range; look at the limits of %s",
-        [INTERVENED] = "the watchdog of stage %s has put out the safe voltage, because none came for too long; call "
-                       "~/start when the axis may go on with %s",
+        [RANGE] = "stage %s refuses the voltage: it is not a number, or out of range; check the limits of %s",
+        [INTERVENED] = "the watchdog of stage %s has output the safe voltage, because no voltage arrived in time; call "
+                       "~/start when the axis may continue with %s",
     };
     if (code == OPTION)
         snprintf(text, sizeof text, "stage does not understand option %s; give name=NAME, standstill=SECONDS", said);

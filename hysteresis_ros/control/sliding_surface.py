@@ -339,12 +339,12 @@ def pack_surface(parameters, sample_time: float | None):
     ParameterError
         The design fails; names are relative to the controller's parameters.
     """
-    dynamics, smc, kalman = parameters.model.dynamics, parameters.sliding_mode, parameters.kalman
+    dynamics, sliding_mode, kalman = parameters.model.dynamics, parameters.sliding_mode, parameters.kalman
     if not dynamics.order:
         state_feedback.refuse(
             "model.dynamics.A", dynamics.A, "sliding mode needs a model; give A, B, C or choose open_loop"
         )
-    integral = smc.tracking == "integral"
+    integral = sliding_mode.tracking == "integral"
     if integral and kalman.disturbance != "none":
         raise ParameterError(
             [
@@ -359,7 +359,7 @@ def pack_surface(parameters, sample_time: float | None):
     model = dynamics.state_space
     n = model.order
     filtering = pack_kalman(kalman, model, sample_time)
-    gains = design_sliding_mode(smc, model)
+    gains = design_sliding_mode(sliding_mode, model)
     _, rest_input = state_feedback.steady_state(model)
     sign = 1.0 if gains.switching_gain > 0.0 else -1.0
     head = np.zeros(GAINS)
@@ -372,13 +372,13 @@ def pack_surface(parameters, sample_time: float | None):
     head[REST_COMMAND] = rest_input
     head[INTEGRAL_GAIN] = gains.K[n] if integral else 0.0
     head[INTEGRAL_HYPERPLANE] = gains.S[n] if integral else 0.0
-    head[SLOPE] = sign * smc.eta / abs(gains.switching_gain)
-    head[LEVEL] = sign * smc.beta
-    head[WIDTH] = smc.delta
-    head[THRESHOLD] = smc.anti_windup_threshold
+    head[SLOPE] = sign * sliding_mode.eta / abs(gains.switching_gain)
+    head[LEVEL] = sign * sliding_mode.beta
+    head[WIDTH] = sliding_mode.delta
+    head[THRESHOLD] = sliding_mode.anti_windup_threshold
     head[MOVING] = parameters.feedforward.type == "inverse_dynamics"
     head[LAMBDA] = gains.switching_gain
-    head[PHI] = smc.phi
+    head[PHI] = sliding_mode.phi
     packed = np.concatenate([head, gains.K[:n], gains.S[:n], filtering])
     packed.flags.writeable = False
     return gains, packed

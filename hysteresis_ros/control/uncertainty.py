@@ -397,7 +397,7 @@ class ResponseUncertainty:
         values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
         share = self.share(frequencies)
-        # the displacement through an unknown resonance is missing from the model's own response
+        # displacement that passes an unknown resonance does not pass the modelled dynamics
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
         distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain

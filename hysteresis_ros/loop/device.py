@@ -253,7 +253,7 @@ tell_joints.kinds[DevicePlantArrays] = no_joints
 
 _TOLD = interpreted(told_force)
 
-#: Seconds between two attempts to make a device safe whose output could not be taken off.
+#: Seconds between two attempts to make a device safe after a failed attempt.
 INSIST = 1.0
 
 

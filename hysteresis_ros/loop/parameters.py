@@ -110,7 +110,7 @@ class NodeParameters(Parameters):
         choices=("reliable", "best_effort"),
         read_only=True,
         description="reliability of the subscription to joint_states: best_effort if a driver of the user publishes "
-        "them so;  "
+        "them so; "
         "realtime only",
     )
 
@@ -467,7 +467,7 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         low=0.0,
         high=1.0e6,
         read_only=True,
-        description="rate of ~/controller_state and ~/pid_state, if control_msgs is installed;  0: never",
+        description="rate of ~/controller_state and ~/pid_state, if control_msgs is installed; 0: never",
     )
 
     def check(self):

@@ -394,7 +394,7 @@ class AdaptationParameters(Parameters):
         (),
         low=0.0,
         read_only=True,
-        description="factors already included in the given weights, as ~/save writes them;  empty: all 1",
+        description="factors already included in the given weights, as ~/save writes them; empty: all 1",
     )
     save_file: str = parameter(
         "", read_only=True, description="parameter file that ~/save writes; '': none", place="files"

@@ -289,7 +289,7 @@ class Clamp(Chain):
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that the amplifier puts out."""
+        """Output voltage [V] of the amplifier."""
         return float(self.limits.x[OUTPUT])
 
     def reset(self) -> None:

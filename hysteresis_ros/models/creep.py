@@ -184,7 +184,7 @@ class Creep(Block):
 
 @kernel
 def creep_inverse(p, x, y):
-    """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is left as it is.
+    """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is not changed.
 
     Exact at the samples. The model advances by the achieved displacement. Without operators the result is ``y``, bit
     for bit.

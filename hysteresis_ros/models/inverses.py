@@ -49,7 +49,7 @@ def _trial(hysteresis, x_i, p_h, x_h, voltage):
 
 @composite(*INVERSE)
 def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is left as it is.
+    """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is not changed.
 
     Trial voltages start at the last voltage and go in the direction of the change until the model's output has passed
     the target. Then regula falsi with Anderson-Björck weights narrows the bracket, and bisection when three trials have

@@ -206,7 +206,7 @@ class LinearParameters(Parameters):
     delay: float = parameter(
         0.0,
         description="delay of amplifier, converter and transport beyond the matrices, also of fractions of a sample; "
-        "needs  "
+        "needs "
         "sample_time",
         unit="s",
         low=0.0,

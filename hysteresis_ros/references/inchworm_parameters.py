@@ -596,7 +596,7 @@ class GuardParameters(Parameters):
         low=0.0,
         high=1.0,
         read_only=True,
-        description="slower apparent slip of the front clamp counts as drift of the sensors or creep",
+        description="speed below which slip of the front clamp counts as drift of the sensors or creep",
     )
     sensor_timeout: float = parameter(
         1.0e-3,

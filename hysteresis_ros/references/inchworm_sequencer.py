@@ -125,10 +125,10 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
     except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
         raise refused("is not a file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
     if learned.step != step:
-        raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn anew")
+        raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn again")
     for array in arrays:
         if array.shape != (splines,):
-            raise refused(f"has {array.size} coefficients; walk.splines is {splines}: learn anew")
+            raise refused(f"has {array.size} coefficients; walk.splines is {splines}: learn again")
         if not np.all(np.abs(array) <= bound):
             raise refused(f"has a coefficient beyond walk.bound = {bound:g} m, or one that is not finite")
     return learned

@@ -188,7 +188,7 @@ def test_without_voltages_its_watchdog_puts_out_the_safe_one_and_takes_none_unti
         device.write([100.0])
         await_position(device, 9.75e-6)
         await_position(device, 0.25e-6)  # nobody wrote
-        with pytest.raises(DriverError, match=f"the watchdog of stage {stage.name} has put out the safe voltage"):
+        with pytest.raises(DriverError, match=f"the watchdog of stage {stage.name} has output the safe voltage"):
             device.write([100.0])
         device.make_safe()
         device.write([100.0])

@@ -22,7 +22,7 @@ Discretisation: exact for signals that are straight lines between the samples (f
    I_k = I_{k-1} + K_i T \, \frac{e_k + e_{k-1}}{2}, \qquad
    D_k = a D_{k-1} + K_d (1 - a) \frac{v_k - v_{k-1}}{T}, \qquad a = e^{-N T}
 
-(trapezoidal rule; N = 0: no filter, a = 0). Neither sees the first sample as a step: I starts there from a value, D
+(trapezoidal rule; N = 0: no filter, a = 0). The first sample does not act as a step: there I starts from a value, D
 from zero.
 
 Anti-windup uses the achieved command: the excess is the part of the last command that was cut by the controller's own
