@@ -18,9 +18,9 @@ from the samples around the one a period before; the end of a period needs no ad
 
 Samples that cannot be used for learning are not finite numbers in the ring of errors. Where more than a tenth of the
 filter's weight meets such samples, the correction repeats; where the reason is a saturated command, the correction
-decreases, because it would keep the axis at its limits. A late voltage causes an error that is independent of the
-correction: the samples of its response are not used, for a shorter time than after saturation, because one sample is a
-small disturbance. A reference that differs from that of the previous period fades the correction out.
+decreases, because it would keep the axis at its limits. A late voltage causes an error that the correction does not
+influence: learning pauses while the axis responds to it. This pause is shorter than after saturation, because one
+sample is a small disturbance. A reference that differs from that of the previous period fades the correction out.
 
 References
 ----------

@@ -146,9 +146,9 @@ def hold_voltage(p, x, voltage, stopped, least):
     """Return the output voltage [V] of a sample, given the voltage received in time (NaN: none).
 
     It is the last received voltage. After the time-out, and while ``stopped`` is not 0, the output slews to the safe
-    voltage by at most one step per sample. On the way back, its difference to the received voltage shrinks by at least
-    one step per sample: it may move by that step plus the motion of the received voltage, so the way back always ends.
-    A target below ``least`` is replaced by ``least``.
+    voltage by at most one step per sample. On the way back, its difference from the received voltage decreases by at
+    least one step per sample: it may move by that step plus the motion of the received voltage, so it always arrives. A
+    target below ``least`` is replaced by ``least``.
     """
     step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
