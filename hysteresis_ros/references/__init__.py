@@ -11,8 +11,7 @@
 
 Start with :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
 (:mod:`.declaration`). :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes`
-contains the excitations for identification,
-:mod:`.scan` and ``scans/`` the paths of several axes over a plane.
+contains the excitations for identification, :mod:`.scan` and ``scans/`` the paths of several axes over a plane.
 
 The package has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
