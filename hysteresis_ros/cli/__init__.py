@@ -10,5 +10,6 @@
 """The command ``hysteresis``: thin subcommands over the rest of the package.
 
 ``entry`` starts it, ``main`` has the table of commands and imports one only when it is called; ``options`` and
-``progress`` are what commands share. Commands of the laboratory are in its folders, as ``command.py``.
+``progress`` are what commands share, ``recording`` has those that read one (report, verify, export, repair). Commands
+of the laboratory are in its folders, as ``command.py``.
 """

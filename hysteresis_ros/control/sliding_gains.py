@@ -13,7 +13,8 @@ Two numbers determine the speed of such a loop: the pole that sets the bandwidth
 of the filter, which sets the rejection of disturbances and reduces the margins. A search varies both on grids that
 become finer around the best point. Among the points that meet the requirements, the best one has the largest product of
 bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because there tracking depends on the
-accuracy of the model. If no point meets the requirements, the closest one is returned; its margins show that.
+accuracy of the model. If no point meets the requirements, the closest one is returned; its margins show that. The
+equations of hyperplane and feedback gain are in :mod:`.state_feedback`, those of the laws in ``laws/``.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ def power_of_two(exponent: float) -> float:
 
 
 def pole_of(halvings: float) -> float:
-    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST` after this number of halvings."""
+    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST_POLE` after this number of halvings."""
     angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
     return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
 

@@ -11,5 +11,6 @@
 
 Start with :mod:`.parameters`, then :mod:`.tick`: source, plant, controller and compensator are its four parts, each a
 module of that name. :mod:`.watch` defines what a part does without input, :mod:`.faults` the faults that replace an
-input. :mod:`.axis` runs the parts from Python, :mod:`.fused` in one thread, :mod:`.simulation` as a whole recorded run.
+input; :mod:`.plant` counts late voltages and trips. :mod:`.axis` runs the parts from Python, :mod:`.fused` in one
+thread, :mod:`.simulation` as a whole recorded run, and compares a recording with it (``hysteresis verify``).
 """

@@ -11,6 +11,7 @@
 
 A missing input is NaN: no value was received, or the value is unusable. :func:`accept` decides that for measurements
 and commands, :func:`hold_voltage` for the voltage of an amplifier. The reaction of a part is its *mode*.
+Late voltages and trips of the whole axis are in :mod:`.plant`.
 """
 
 from __future__ import annotations
