@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of a commissioning: every stage with its findings and its charts, as plain numbers that JSON can hold."""
+"""The report page of a commissioning: the findings and charts of every stage, as numbers that JSON can hold."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from hysteresis_ros import __version__
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
 
-#: Points of a line that is kept.
+#: Most points of a stored line.
 POINTS = 3000
-#: Colours of the first, second … line.
+#: Colours of the lines, in order.
 COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a picture."""
+    """A line of a figure, as data."""
 
     label: str
     x: list[float]
@@ -38,14 +38,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of lines."""
+    """A figure of lines, as data."""
 
     caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
     across: str
     up: str
     lines: list[Line]
-    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, both or none of them.
-    equal: bool = False  #: Whether both axes have one scale.
+    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, ``xy`` or empty.
+    equal: bool = False  #: Whether both axes have the same scale.
 
 
 def line(label: str, x, y) -> Line:
@@ -60,7 +60,7 @@ def line(label: str, x, y) -> Line:
 
 
 def picture_figure(picture: Picture):
-    """Return the figure of a picture."""
+    """Return the Matplotlib figure of a picture."""
     figure, (axis,) = new_figure(5.0 if picture.equal else 3.4)
     for number, one in enumerate(picture.lines):
         width = 1.8 if number == 0 and len(picture.lines) > 1 else 1.0
@@ -76,7 +76,7 @@ def picture_figure(picture: Picture):
 
 
 class Found(Protocol):
-    """What a stage found, as far as the page shows it."""
+    """The findings of a stage that the page shows."""
 
     lines: list[str]
     figures: dict
@@ -85,7 +85,7 @@ class Found(Protocol):
 
 
 def write_commissioning_report(path, source: str, found: Mapping[str, Found], titles: Mapping[str, str]) -> None:
-    """Write the page: one HTML file that needs nothing beside it."""
+    """Write the page as one self-contained HTML file."""
     stages = [
         dict(
             name=name,

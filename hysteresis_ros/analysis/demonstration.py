@@ -23,7 +23,7 @@ _MISSED = "#e08e0b"
 
 
 def opening_of_stroke(run: Recording) -> float:
-    """Return how far the loop of displacement over reference is open, as a part of the reference's stroke."""
+    """Return the width of the loop of displacement over reference, as a part of the reference's stroke."""
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
     return opening / float(np.ptp(run["reference"]))
 
@@ -42,11 +42,11 @@ def moved_part(run: Recording, before: float, after: float) -> Recording:
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return what the demonstration shows, in sentences: what the method leaves, then what this machine made of it."""
+    """Return the results in sentences: first those of the method offline, then those of the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
-        f"The loop is open by {without} of the stroke without the inverse of the hysteresis, by {inverse} with it: "
-        "the method, offline, without a missed deadline."
+        f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, "
+        f"{inverse} with it (offline, no missed deadlines)."
     ]
     if not live:
         return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
@@ -62,7 +62,7 @@ def message(here, alone, skipped, live: bool) -> list[str]:
 def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording):
     """Return the figure of displacement over reference, and of the error over reference, of both runs [µm].
 
-    The first branch is left out: it starts at rest and belongs to no loop.
+    The figure omits the first branch, which starts at rest and belongs to no loop.
     """
     figure, (loop, error) = new_figure(4.4, 2)
     marked = False
@@ -70,7 +70,7 @@ def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording
     for run, made, colour, words in runs:
         first = int(turning_points(run["reference"])[1])
         reference, displacement = run["reference"][first:] * _MICRO, run["displacement"][first:] * _MICRO
-        label = f"{words} inverse: open by {100.0 * opening_of_stroke(run):.2g} % of the stroke"
+        label = f"{words} inverse: loop width {100.0 * opening_of_stroke(run):.2g} % of the stroke"
         loop.plot(reference, displacement, color=colour, linewidth=1.3, label=label)
         error.plot(reference, displacement - reference, color=colour, linewidth=1.3)
         missed = np.flatnonzero(made["skipped"][first:]) + first if made is not None else np.zeros(0, dtype=int)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of an identification or validation: what was measured beside what the model says, and what is left."""
+"""The report page of an identification or validation: measurement, prediction and residual."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from hysteresis_ros.units import readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
-#: Samples of a loop on paper.
+#: Most samples of a drawn loop.
 LOOP_POINTS = 20000
-#: Rows of the table: name, words, unit, factor.
+#: Rows of the table: name, label, unit, factor from SI.
 ROWS = (
     ("rmse_m", "RMS error of the prediction", "µm", 1e6),
     ("rmse_percent_of_stroke", "RMS error", "% of stroke", 1.0),
@@ -36,21 +36,23 @@ ROWS = (
     ("fpe_m2", "Final prediction error", "µm²", 1e12),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("offset_m", "Constant removed", "µm", 1e6),
-    ("inverse_rmse_v", "RMS error of the voltage the inverse finds", "V", 1.0),
+    ("inverse_rmse_v", "RMS error of the voltage from the inverse", "V", 1.0),
     ("inverse_rmse_percent", "RMS error of that voltage", "% of its range", 1.0),
     ("samples", "Samples compared", "", 1),
     ("skipped", "Samples left out at the start", "", 1),
     ("lag_s", "Lag", "ms", 1e3),
     ("delay_s", "Delay", "ms", 1e3),
-    ("creep_rate_per_decade", "Creep a decade", "% of the step", 100.0),
+    ("creep_rate_per_decade", "Creep per decade", "% of the step", 100.0),
 )
 
 
 def write_identification_report(path, found: Identified) -> None:
-    """Write the page of an identification: one HTML file that needs nothing beside it."""
+    """Write the page of an identification as one self-contained HTML file."""
     plots, result = _plots(found), found.identification
     if result.trajectory is not None:
-        plots.append(("Parameters of the best run, each over its final value", trajectory_figure(*result.trajectory)))
+        plots.append(
+            ("Parameters of the best run, each divided by its final value", trajectory_figure(*result.trajectory))
+        )
     title = f"{result.model} identified from {found.data.source or 'a recording'}"
     _write(path, title, found, plots, assumptions(result))
 
@@ -92,7 +94,7 @@ def _plots(found: Compared) -> list:
         ),
     ]
     if found.inverse is not None:
-        caption = "Voltage that the inverse finds behind the displacement, less the applied"
+        caption = "Voltage that the inverse computes from the displacement − applied voltage"
         plots.append((caption, inverse_figure(data, found.inverse)))
     return plots
 
@@ -154,7 +156,7 @@ def _correlation(axis, title: str, test: CorrelationTest) -> None:
     axis.axhspan(-test.bound, test.bound, color="#dfe7f3", zorder=0)
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     axis.vlines(test.lags, 0.0, test.correlation, color=_MEASURED, linewidth=1.6)
-    verdict = "within the bounds together" if test.passed else f"{test.outside} lags outside"
+    verdict = "within the joint bounds" if test.passed else f"{test.outside} lags outside"
     axis.set_title(f"{title}: {verdict}", fontsize=11)
     axis.set(xlabel="lag [samples]", ylabel="correlation")
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of merit of an inchworm's run: its moves, its steps, and whether a clamp always held. SI units."""
+"""Figures of merit of an inchworm motor's run: its moves, its steps, and whether a clamp always held. SI units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_parameters import GaitParameters, InchwormSequencerParameters
 from hysteresis_ros.signals import MOTOR_SOURCE as SEQUENCER
 
-#: What a run needs beside ``setpoint`` and ``displacement`` (or ``measured``): signals of the sequencer.
+#: Sequencer signals that a run needs in addition to ``setpoint`` and ``displacement`` (or ``measured``).
 REQUIRED = (
     *("phase", "steps", "total_steps", "step_commanded", "step_achieved", "slip", "arrived", "missed"),
     *("front_voltage", "rear_voltage"),
@@ -32,16 +32,16 @@ REQUIRED = (
 #: Signals that only an inchworm's run has.
 DISTINCTIVE = ("phase", "total_steps", "step_achieved", "front_voltage", "rear_voltage")
 
-#: Distance [m] from the first setpoint at which the beginning of a run is no move, where no tolerance is configured.
+#: Without a configured tolerance: a run that begins within this distance [m] of its first setpoint begins at rest.
 TOLERANCE = 10.0e-9
 
 
 @dataclass(frozen=True)
 class Steps:
-    """The steps of a run, in their order."""
+    """The steps of a run, in order."""
 
-    index: np.ndarray  #: shape (S,); Sample at which each was judged.
-    time: np.ndarray  #: shape (S,); Its time [s].
+    index: np.ndarray  #: shape (S,); Sample at which each step was evaluated.
+    time: np.ndarray  #: shape (S,); Time of that sample [s].
     direction: np.ndarray  #: shape (S,); +1 forward, -1 backward.
     #: commanded, achieved: shape (S,); Lengths [m], negative backward; ``achieved`` by the measured slider.
     commanded: np.ndarray
@@ -55,29 +55,29 @@ class Steps:
         return self.slip + self.direction * self.achieved
 
     def between(self, first: int, last: int) -> Steps:
-        """Return the steps that were judged in samples ``first`` ≤ k < ``last``."""
+        """Return the steps that were evaluated in samples ``first`` ≤ k < ``last``."""
         chosen = (self.index >= first) & (self.index < last)
         return Steps(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
 class Move:
-    """Stretch of a run in which one thing was asked for."""
+    """Part of a run with one request."""
 
     first: int  #: first, last: Samples ``first`` ≤ k < ``last``.
     last: int
     kind: str  #: ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
-    goal: float | None  #: Where to [m]; None where nobody asked for a place.
-    #: Sample from which on the sequencer says that it has arrived, to the end; None when it does not.
+    goal: float | None  #: Requested position [m]; None when the request names no position.
+    #: Sample from which the sequencer reports arrival until the end of the move; None without arrival.
     arrival: int | None
 
 
 @dataclass(frozen=True)
 class InchwormRun:
-    """An inchworm's run made ready: samples that lack a signal are left out."""
+    """An inchworm motor's run, prepared: samples that lack a signal are omitted."""
 
-    #: time, setpoint, slider: shape (N,) [s], [m], and the true displacement of the slider, or the measured one where
-    #: nobody knows the true one [m].
+    #: time, setpoint, slider: shape (N,) [s], [m], and the displacement of the slider [m]: the true one, or the
+    #: measured one when the true one is unknown.
     time: np.ndarray
     setpoint: np.ndarray
     slider: np.ndarray
@@ -90,7 +90,7 @@ class InchwormRun:
 
 
 def is_inchworm(recording: Recording) -> bool:
-    """Tell whether a recording is an inchworm's: by its signals, or by its configuration."""
+    """Return whether a recording is of an inchworm motor, by its signals or by its configuration."""
     if any(recording.has(name) for name in DISTINCTIVE):
         return True
     return _described(recording)
@@ -107,7 +107,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
         )
     notes = list(recording.notes)
     if actual == "measured":
-        notes.append("no displacement: errors are judged by the measured one")
+        notes.append("no true displacement: errors are computed from the measured displacement")
     good = np.all([np.isfinite(recording[name]) for name in ("setpoint", actual, *REQUIRED)], axis=0)
     if not np.any(good):
         raise RecordingError("no sample of the recording has all the signals of an inchworm")
@@ -123,7 +123,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
 
 
 def find_steps(time, signals) -> Steps:
-    """Return the steps of a run: the samples at which ``total_steps`` grows, and what the sequencer says there."""
+    """Return the steps of a run: the samples at which ``total_steps`` grows, and the sequencer's signals there."""
     index = np.flatnonzero(np.diff(signals["total_steps"]) > 0.0) + 1
     return Steps(
         index,
@@ -137,15 +137,15 @@ def find_steps(time, signals) -> Steps:
 
 
 def find_moves(signals, slider, tolerance: float, home: float | None = None) -> tuple[Move, ...]:
-    """Return the moves of a run: from each new setpoint, request or speed to the next one.
+    """Return the moves of a run, each from a new setpoint, request or speed to the next one.
 
-    The beginning of a run, before anything was asked for, is a move when the slider is not at the setpoint already.
+    The beginning of a run, before the first request, is a move unless the slider is already at the setpoint.
 
     Units: ``slider`` [m], ``tolerance`` [m], ``home`` [m].
     """
     setpoint, size = signals["setpoint"], len(slider)
     request = np.nan_to_num(signals.get("request", np.zeros(size)))
-    request = np.where(request <= at.RELEASE_REQUEST, request, at.NO_REQUEST)  # learning asks for no motion
+    request = np.where(request <= at.RELEASE_REQUEST, request, at.NO_REQUEST)  # learning requests no motion
     speed = np.nan_to_num(signals.get("speed", np.zeros(size)))
     changed = (np.diff(setpoint) != 0.0) | (np.diff(speed) != 0.0) | (request[1:] != 0.0)
     starts = [0, *(np.flatnonzero(changed) + 1).tolist()]
@@ -157,7 +157,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
         if first and setpoint[first] != setpoint[first - 1]:
             goal = float(setpoint[first])
         elif first and speed[first] == 0.0 and speed[first - 1] != 0.0:
-            goal = None  # it stays where it is
+            goal = None  # the slider stays where it is
         if asked == at.HOME_REQUEST:
             goal = float(setpoint[first]) if home is None else home
         if asked:
@@ -173,19 +173,19 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
 
 
 def _arrival(arrived, first: int, last: int) -> int | None:
-    """Return the sample from which on ``arrived`` is 1 until ``last``."""
+    """Return the sample from which ``arrived`` stays 1 until ``last``."""
     away = np.flatnonzero(arrived[first:last] != 1.0)
     start = first + (int(away[-1]) + 1 if away.size else 0)
     return start if start < last else None
 
 
 def _described(recording: Recording) -> bool:
-    """Tell whether the configuration has a sequencer: values for every node reach one that is not there, too."""
+    """Return whether the configuration has a section of the sequencer itself, not only values for every node."""
     return described(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
 
 
 def _parameters(recording: Recording):
-    """Return the sequencer's parameters, None when the recording does not hold them."""
+    """Return the sequencer's parameters; None when the recording does not contain them."""
     if not _described(recording):
         return None
     values = configured(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
@@ -197,10 +197,10 @@ def _parameters(recording: Recording):
         return None
 
 
-#: Steps whose extension is at least this part of the move's median are full steps.
+#: A full step extends by at least this part of the move's median extension.
 FULL_PART = 0.95
 
-#: Figures of a move: name, label, unit shown to people, factor from SI.
+#: Figures of a move: name, label, displayed unit, factor from SI.
 MOVE_FIGURES = (
     ("start_s", "given at", "s", 1.0),
     ("setpoint_m", "setpoint", "mm", 1e3),
@@ -229,13 +229,13 @@ RUN_FIGURES = (
     ("slip_m", "Slip, all steps", "µm", 1e6),
     ("slip_percent", "Slip", "% of extension", 1.0),
     ("clamp_voltage_v", "Higher clamp voltage, lowest", "V", 1.0),
-    ("clamp_threshold_v", "Voltage of a closed clamp, least", "V", 1.0),
+    ("clamp_threshold_v", "Lowest voltage of a closed clamp", "V", 1.0),
     ("clamp_force_n", "Larger clamp force, lowest", "N", 1.0),
     ("gait_speed_m_s", "Speed of the gait", "µm/s", 1e6),
     ("stroke_m", "Stroke of the gait", "µm", 1e6),
     ("period_s", "Period of the gait", "ms", 1e3),
 )
-#: Figures of every report that say something about an inchworm too.
+#: Figures of every report that also apply to an inchworm motor.
 COMMON = (
     *("chattering_m", "chattering_m_s", "command_reversals_hz", "voltage_rate_v_s", "voltage_variation_v"),
     *("samples", "missing_samples", "duration_s", "sample_rate_hz", "rate_hz", "jitter_p99_s"),
@@ -245,18 +245,18 @@ COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
 
 
 def inchworm_figures(recording: Recording) -> dict:
-    """Return the figures of merit of an inchworm's run.
+    """Return the figures of merit of an inchworm motor's run.
 
     A *move* lasts from a new setpoint (request, speed) to the next one; q is the slider's true displacement, or the
-    measured one where the recording's notes say so.
+    measured one if the recording's notes say so.
 
     ============================== ===================================================================================
-    ``start_s``, ``setpoint_m``    when it was asked for, and where to (None: no place)
+    ``start_s``, ``setpoint_m``    time of the request and requested position (None: no position)
     ``outcome``                    ``arrived``, ``not arrived``, ``walking``, ``stopped``, ``released``, ``holding``, or
                                    ``error:`` and its name
     ``travel_m``                   setpoint - q at the beginning; without a setpoint q at the end - q at the beginning
-    ``time_s``                     until the sequencer says for good (until the next move) that it has arrived
-    ``steps``, ``missed``          steps made, whole and partial; grips that were missed or repeated
+    ``time_s``                     until the sequencer reports arrival that lasts until the next move
+    ``steps``, ``missed``          number of steps, whole and partial; missed or repeated grips
     ``mean_speed_m_s``             abs(q at arrival - q at the beginning) / ``time_s``
     ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; full
                                    steps are those of at least 95 % of the move's median extension
@@ -269,16 +269,16 @@ def inchworm_figures(recording: Recording) -> dict:
     ============================== ===================================================================================
 
     Of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m`` (commanded
-    less achieved length along the step), ``clamp_voltage_v`` (the higher of the two clamp voltages where it is
-    lowest: never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and
-    ``gait_speed_m_s``, ``stroke_m``, ``period_s`` of the configuration. The rest is as in
+    less achieved length along the step), ``clamp_voltage_v`` (the higher of the two clamp voltages where it is lowest:
+    never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and ``gait_speed_m_s``,
+    ``stroke_m``, ``period_s`` of the configuration. The other figures are those of
     :func:`hysteresis_ros.analysis.metrics.compute_metrics`; its ``reference`` is the extender's.
     """
     return figures_of(inchworm_run(recording), recording)
 
 
 def figures_of(run: InchwormRun, recording: Recording) -> dict:
-    """Return what :func:`inchworm_figures` does of a run whose moves are found already."""
+    """Return the figures of :func:`inchworm_figures` for a prepared run."""
     notes: dict = {"recording": list(run.notes)}
     common = dict.fromkeys(COMMON)
     reference = run.signals.get("reference", run.setpoint)
@@ -291,12 +291,12 @@ def figures_of(run: InchwormRun, recording: Recording) -> dict:
 
 
 def format_inchworm(figures: dict) -> str:
-    """Return the figures as aligned lines for a terminal: a column for each move, then those of the run."""
+    """Return the figures as aligned lines for a terminal: one column per move, then the figures of the run."""
     moves = figures["moves"]
     rows = [("Move", [str(i + 1) for i in range(len(moves))], ""), ("outcome", [m["outcome"] for m in moves], "")]
     for name, label, unit, factor in MOVE_FIGURES:
         rows.append((label, [format_value(move[name], factor) for move in moves], unit))
-    lines = aligned(rows) if moves else ["no moves: nothing was asked for"]
+    lines = aligned(rows) if moves else ["no moves: the run has no request"]
     lines.append("")
     of_run = []
     for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES)):
@@ -394,7 +394,7 @@ def _run_figures(run: InchwormRun) -> dict:
 
 
 def _plain(value):
-    """Return the same without numbers that JSON has not."""
+    """Return the value with numbers that JSON cannot represent replaced by None."""
     if isinstance(value, dict):
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, list):

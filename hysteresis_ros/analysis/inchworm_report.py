@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of an inchworm's run, with its plots: travel in mm, gait in µm, V and N, arrival in nm."""
+"""The report of an inchworm motor's run with its plots: travel in mm, gait in µm, V and N, arrival in nm."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from hysteresis_ros.analysis.tables import format_value, shown_row
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
-#: Steps shown one by one.
+#: Number of steps shown individually.
 SHOWN_STEPS = 3
-#: Moves of which the arrival is shown; of more than these the first ones.
+#: Most moves whose arrival is shown, from the first one on.
 SHOWN_MOVES = 40
 #: Time shown before and after the arrival [s].
 BEFORE, AFTER = 0.1, 0.15
@@ -50,14 +50,14 @@ PHASE_COLOURS = {
     at.STOPPING: "#f7b5b0",
     at.STARTING: "#efefef",
 }
-#: What a phase belongs to where there is no room for single steps, and its colour.
+#: Activity of each phase and its colour, for plots without room for single steps.
 ACTIVITIES = {
     "walking": ("#cfdff2", range(at.RELEASING_REAR, at.GRIPPING_FRONT + 1)),
     "fine positioning": ("#cdebc8", (at.POSITIONING,)),
     "stopping": ("#f7b5b0", (at.STOPPING,)),
     "released": ("#dddddd", (at.RELEASED,)),
 }
-#: Holds between the steps of a walk are no activity of their own when they are shorter than this [s].
+#: Holds shorter than this [s] between the steps of a walk belong to the walk.
 PAUSE = 0.05
 
 _SETPOINT, _SLIDER, _EXTENDER, _REFERENCE = "#444444", "#d1495b", "#1f6f8b", "#9a9a9a"
@@ -66,7 +66,7 @@ _WAYS = ((1.0, "forward", "#1f6f8b"), (-1.0, "backward", "#d1495b"))
 
 
 def travel_figure(run: InchwormRun):
-    """Return the figure of setpoint and slider over time with what the motor does as bands [mm, s]."""
+    """Return the figure of setpoint and slider over time, with the motor's activity as bands [mm, s]."""
     figure, (axis,) = new_figure(3.6)
     draw_activities(axis, run)
     time, values = envelope(run.time, run.setpoint * 1e3)
@@ -108,7 +108,7 @@ def gait_figure(run: InchwormRun):
 
 
 def arrival_figure(run: InchwormRun):
-    """Return the figure of the arrivals: the last micrometres and the last nanometres, of each move [µm, nm, ms]."""
+    """Return the figure of the last micrometres and the last nanometres of each move [µm, nm, ms]."""
     figure, (coarse, fine) = new_figure(4.0, 2)
     moves = [move for move in run.moves if move.arrival is not None][:SHOWN_MOVES]
     thin = 1.3 if len(moves) < 6 else 0.7
@@ -166,7 +166,7 @@ def step_length_figure(run: InchwormRun):
                 style = dict(histtype="step", color=colour, linewidth=1.6, label=f"achieved, {label}")
                 lengths.hist(chosen, edges, **style)
         difference = steps.direction * (steps.commanded - steps.achieved) * 1e9
-        # single steps far off (missed grips, the first of all) would squeeze all others into one bar
+        # outliers (missed grips, the first step) would squeeze all other steps into one bar
         middle = np.median(difference)
         spread = max(float(np.median(np.abs(difference - middle))), 1e-3)
         low, high = _span(np.clip(difference, middle - 6.0 * spread, middle + 6.0 * spread))
@@ -189,7 +189,7 @@ def step_length_figure(run: InchwormRun):
 
 
 def slip_figure(run: InchwormRun):
-    """Return the figure of slip and of missed grips over the steps, and of what the steps lack [nm, steps]."""
+    """Return the figure of slip, missed grips, and commanded − achieved length over the steps [nm, steps]."""
     figure, (slip, lack) = new_figure(4.8, rows=2)
     steps = run.steps
     number = np.arange(1, steps.index.size + 1)
@@ -212,12 +212,12 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
-#: Charts of the page of which the picture is another one, with more in it: name, caption and picture.
+#: Charts of the page whose static picture shows more than the chart: name, caption and picture.
 IN_THE_PLACE = (
     ("travel", "Position over time", travel_figure),
     ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),
 )
-#: Plots of the page: caption and function of an :class:`InchwormRun`.
+#: Plots of the page: caption, and function that draws an :class:`InchwormRun`.
 INCHWORM_PLOTS = (
     (f"{SHOWN_STEPS} steps: positions, voltages and clamp forces", gait_figure),
     ("Arrival: the last micrometres and the last nanometres", arrival_figure),
@@ -227,7 +227,7 @@ INCHWORM_PLOTS = (
 
 
 def inchworm_charts(run: InchwormRun) -> list[Chart]:
-    """Return the charts over time into which one can look: position, final error, voltages."""
+    """Return the interactive charts over time: position, final error, voltages."""
     captions = {name: caption for name, caption, _ in IN_THE_PLACE}
     away = np.full(len(run.time), np.nan)
     for move in run.moves:
@@ -252,7 +252,7 @@ def inchworm_charts(run: InchwormRun) -> list[Chart]:
 
 
 def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
-    """Return the samples of ``count`` steps in the middle of the move with the most steps; short runs wholly."""
+    """Return the samples of ``count`` steps in the middle of the move with the most steps, or of the whole run."""
     parts = [run.steps.between(move.first, move.last).index for move in run.moves] or [run.steps.index]
     index = max(parts, key=len)
     if len(index) < 2:
@@ -311,7 +311,7 @@ def draw_activities(axis, run: InchwormRun) -> None:
 
 
 def _stretches(codes) -> list[tuple[int, int, int]]:
-    """Return (first, last, code) of the stretches ``first`` ≤ k < ``last`` of equal codes."""
+    """Return (first, last, code) of each interval ``first`` ≤ k < ``last`` with one code."""
     cuts = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), len(codes)]
     return [(first, last, int(codes[first])) for first, last in zip(cuts, cuts[1:], strict=False) if last > first]
 

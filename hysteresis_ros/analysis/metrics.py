@@ -9,7 +9,7 @@
 
 """Figures of merit of a run. Each is defined in :func:`compute_metrics`; SI units.
 
-The configuration in the recording says what is judged against what (:class:`AxisSettings`).
+The configuration in the recording decides which reference and limits apply (:class:`AxisSettings`).
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """Settings that matter for judging a run."""
+    """Settings of the axis that the figures of merit depend on."""
 
-    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant where those are not given [V].
+    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has none [V].
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model, which is not part of the reference [m].
-    preview: int = 0  #: Samples that the recorded reference is ahead of what the controller follows.
+    preview: int = 0  #: Samples by which the recorded reference is ahead of the one that the controller follows.
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
-    """Return the settings of the recording's configuration; whatever it does not say is None or 0."""
+    """Return the settings of the recording's configuration; missing ones are None or 0."""
     text, namespace = recording.configuration, str(recording.metadata.get("namespace", ""))
     limits = {
         **_group(configured(text, "plant_simulator", namespace), "limits."),
@@ -66,15 +66,15 @@ def axis_settings(recording: Recording) -> AxisSettings:
 
 
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
-    """Return the reference that the displacement is judged by, shape (N,) [m].
+    """Return the reference that the displacement is compared with, shape (N,) [m].
 
-    With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
-    be its first reference; where the sample to look back to is missing, or left out of an excerpt, NaN.
+    With a preview of P samples it is the recorded reference P samples later. Before the recording the reference is
+    assumed to equal its first value. It is NaN when the sample P earlier is missing or outside of an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
         return reference
-    # by time and not by place: samples may be missing
+    # by time, not by index: samples may be missing
     numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
     places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
     found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
@@ -83,7 +83,7 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
 
 
 def delayed(reference, preview: int) -> np.ndarray:
-    """Return the reference to be followed at each sample when the one received is ``preview`` samples ahead.
+    """Return the reference to follow at each sample when the received one is ``preview`` samples ahead.
 
     Units: ``reference`` [m].
     """
@@ -111,7 +111,7 @@ def _number(value) -> float | None:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-#: Figures that come from command and voltage alone.
+#: Figures computed from command and voltage alone.
 SMOOTHNESS = {
     "command": ("chattering_m", "chattering_m_s", "command_reversals_hz"),
     "voltage": ("voltage_rate_v_s", "voltage_variation_v"),
@@ -126,7 +126,7 @@ TIMELINESS = (
     ("skipped_samples", "Skipped samples", "", 1.0),
 )
 
-#: All figures with the unit shown to people, the factor from SI and a label; the order is that of the tables.
+#: All figures in the order of the tables: name, label, displayed unit, factor from SI.
 FIGURES = (
     ("rms_error_m", "RMS error", "µm", 1e6),
     ("rms_error_percent_of_stroke", "RMS error", "% of stroke", 1.0),
@@ -144,7 +144,7 @@ FIGURES = (
     ("command_reversals_hz", "Reversals of the command", "1/s", 1.0),
     ("voltage_rate_v_s", "Control effort, voltage rate", "V/s rms", 1.0),
     ("voltage_variation_v", "Total variation of the voltage", "V", 1.0),
-    ("saturated_percent", "Commands that the limits cut", "% of samples", 1.0),
+    ("saturated_percent", "Samples cut by the limits", "% of samples", 1.0),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("steps", "Steps", "", 1.0),
     ("samples", "Samples", "", 1.0),
@@ -160,14 +160,13 @@ FIGURES = (
 def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:
     """Return the figures of merit of a run.
 
-    The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
-    the recording's notes then say) less the preload offset W of the controller's model. With ``feedforward.preview``
-    every figure is about the reference so many samples later. Samples where either is missing do not count, and in the
-    errors none before the first reversal of a scan into which a jump leads
-    (:func:`hysteresis_ros.analysis.parts.scan_start`); where an excerpt begins its reader has chosen, and all of it
-    counts. Where the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`) nothing is judged: errors, steps,
-    loops and the residual leave it out. Without a reference there are no errors; the stroke is then that of the
-    displacement.
+    The error is e = reference - displacement. The displacement is the true one less the preload offset W of the
+    controller's model; on hardware it is the measured one, and the recording's notes say so. With
+    ``feedforward.preview`` every figure uses the reference that many samples later. Samples without reference or
+    displacement do not count. If a jump leads into a scan, errors count from the scan's first reversal
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, which counts whole. Errors, steps, loops
+    and the residual omit the samples in which the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`).
+    Without a reference there are no errors, and the stroke is that of the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -176,48 +175,49 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``stroke_m``                            largest less smallest reference of the run
     ``iae_m_s``                             ∫ abs(e) dt, trapezoidal
     ``overshoot_percent``                   farthest displacement beyond the value finally reached, in the direction of
-                                            the step, in % of the step; the largest of all steps in the parts of the run
-                                            that are steps
+                                            the step, in % of the step; the largest of all steps
     ``settling_time_s``                     from the step until the displacement stays within 2 % of the step around
                                             the value finally reached (mean of the last tenth of the hold); the longest
                                             of all steps
     ``steady_state_error_m``                largest abs(reference - value finally reached) of all steps
     ``residual_m``                          displacement at the end (last tenth) of the last hold at zero reference that
                                             follows a motion
-    ``loop_width_percent``                  largest opening of the loop displacement over reference, in % of the stroke
+    ``loop_width_percent``                  largest width of the loop displacement over reference, in % of the stroke
     ``voltage_loop_width_percent``          the same over voltage
-    ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: a command that goes
-                                            ±a from sample to sample has the chattering a, a smooth one none. The ten
-                                            samples from a jump of the reference on (its movement changes by a hundredth
-                                            of the stroke from one sample to the next) do not count
+    ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: alternating by ±a
+                                            gives a, a smooth command 0. The ten samples after a jump of the reference
+                                            (its movement per sample changes by a hundredth of the stroke) do not count
     ``chattering_m_s``                      (Σ abs(u_k - u_(k-1)) - Σ abs(r_k - r_(k-1))) / duration, at least 0: the
                                             variation of the command that the reference does not explain
     ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (rests do not count) less those
                                             of the reference, at least 0
     ``voltage_rate_v_s``                    rms of (V_k - V_(k-1)) / sample time
     ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
-    ``saturated_percent``                   samples whose command the compensator's range or slew rate cut, in % of all
+    ``saturated_percent``                   samples whose command the compensator's range or slew rate limits, in %
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
                                             sample less that of the first
-    ``missing_samples``                     samples the bag lacks wholly or in a signal
+    ``missing_samples``                     samples that are not in the bag, or lack a signal
     ``sample_rate_hz``                      1 / distance of the stamps, missing samples counted
-    ``rate_hz``                             rate at which samples really came, from the times of reception; the sample
-                                            rate where a recording has no such times
+    ``rate_hz``                             achieved rate, from the times of reception; the sample rate if the recording
+                                            has no such times
     ``jitter_p99_s``                        99th percentile of abs(distance of two receptions - its median)
-    ``lateness_p50_s``, ``…p99_s``,         of a fused run: how late half, 99 % and 99.9 % of the samples began at most,
-    ``…p999_s``, ``…max_s``                 and the latest one
-    ``skipped_samples``                     of a fused run: samples whose time was missed, which nobody answered
-    ``parts``                               list of dicts, the parts of the run in their order: ``part`` (approach,
-                                            steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, what the part is
-                                            judged by (figures as above, of a scan over its whole periods), and where
-                                            its reference repeats ``periods`` and ``period_s``
+    ``lateness_p50_s``, ``…p99_s``,         of a fused run: lateness of the samples, percentiles 50, 99 and 99.9,
+    ``…p999_s``, ``…max_s``                 and largest
+    ``skipped_samples``                     of a fused run: samples that were skipped because their time had passed
+    ``parts``                               list of dicts, the parts of the run in order: ``part`` (approach,
+                                            steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, the figures that
+                                            apply to it (those of a scan over its whole periods), and for a repeating
+                                            reference ``periods`` and ``period_s``
     ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
     ======================================= ==========================================================================
     """
     notes: dict = {"recording": recording.notes}
     actual = actual_name(recording)
     if actual == "measured":
-        notes["recording"] = [*notes["recording"], "no displacement: errors are judged by the measured one"]
+        notes["recording"] = [
+            *notes["recording"],
+            "no true displacement: errors are computed from the measured displacement",
+        ]
     settings = settings or axis_settings(recording)
     offset = settings.offset
     if offset:
@@ -225,7 +225,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     if not recording.has("reference"):
         return _without_reference(recording, recording[actual] - offset, notes)
     if settings.preview:
-        late = f"judged against the reference {settings.preview} samples after it was given (feedforward.preview)"
+        late = f"errors are computed from the reference {settings.preview} samples later (feedforward.preview)"
         notes["recording"] = [*notes["recording"], late]
     time, reference, displacement = (
         recording.time,
@@ -265,7 +265,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     return {"parts": each, **figures}
 
 
-#: Figures that a shutdown does not count in.
+#: Figures that omit a shutdown.
 _JUDGED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("overshoot_percent", "settling_time_s", "steady_state_error_m", "residual_m"),
@@ -274,7 +274,7 @@ _JUDGED = (
 
 
 def _judge(figures, parts, time, reference, displacement, judged, recording, notes, good) -> None:
-    """Fill in errors, steps and loops of the samples in which the axis was not stopped."""
+    """Fill in errors, steps and loops, from the samples in which the axis was not stopped."""
     voltage = recording["voltage"][good][judged] if recording.has("voltage") else None
     inside = reference[judged], displacement[judged]
     start = 0 if recording.metadata.get("excerpt") else scan_start(*inside)
@@ -291,21 +291,19 @@ def _judge(figures, parts, time, reference, displacement, judged, recording, not
 
 
 def actual_name(recording: Recording) -> str:
-    """Return the signal by which a run is judged: the true displacement, or the measured one without a true one."""
+    """Return the signal to evaluate: the true displacement, or the measured one when the true one is unknown."""
     if recording.has("displacement"):
         return "displacement"
     if recording.has("measured"):
         return "measured"
     there = ", ".join(name for name in recording.signals if recording.has(name)) or "nothing"
-    raise RecordingError(
-        f"the recording has no values of 'displacement' or 'measured': nothing to judge; it has {there}"
-    )
+    raise RecordingError(f"the recording has no values of 'displacement' or 'measured'; it has {there}")
 
 
 def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
-    """Return what there is to say of a run whose reference nobody knows, as of identification."""
+    """Return the figures of a run without a reference, such as an identification."""
     figures: dict = {name: None for name, *_ in FIGURES}
-    notes["recording"] = [*notes["recording"], "no reference in the recording: nothing says how far off the axis was"]
+    notes["recording"] = [*notes["recording"], "no reference in the recording: the error is unknown"]
     for name in figures:
         if "error" in name or name in ("iae_m_s", "overshoot_percent", "settling_time_s", "loop_width_percent"):
             notes[name] = "no reference in the recording"
@@ -316,7 +314,7 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     moves = voltage is not None and figures["stroke_m"] > 0.0
     opening = loop_opening(voltage, displacement[good]) if moves else None
     if opening is None:
-        notes["voltage_loop_width_percent"] = "no voltage that goes to and fro in the recording"
+        notes["voltage_loop_width_percent"] = "no reversing voltage in the recording"
     else:
         figures["voltage_loop_width_percent"] = 100.0 * opening / figures["stroke_m"]
     figures.update(chattering_figures(recording.time[good], displacement[good], None, voltage, notes))
@@ -337,7 +335,7 @@ def _error_figures(time, reference, displacement, start, stroke, notes) -> dict:
 
 
 def error_figures(error, stroke: float) -> dict[str, float]:
-    """Return rms and largest error as :func:`compute_metrics` defines them; those of no stroke are left out.
+    """Return rms and largest error as :func:`compute_metrics` defines them; without a stroke no percentages.
 
     Units: ``error`` [m], ``stroke`` [m].
     """
@@ -359,7 +357,7 @@ def absolute_integral(time, error) -> float:
 
 
 def _step_figures(parts, time, reference, displacement, notes) -> dict:
-    """Return the worst figures of all steps, of those parts that are steps."""
+    """Return the worst figures of all steps."""
     inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
     each = [step_figures(time[part], reference[part], displacement[part]) for part in inside]
     each = [figures for figures in each if figures["steps"]]
@@ -380,13 +378,13 @@ def _loop_figures(reference, displacement, voltage, stroke, notes) -> dict:
     figures: dict = {}
     opening = loop_opening(reference, displacement)
     if opening is None or stroke <= 0.0:
-        why = "no loop: the reference does not go to and fro through at least ten levels"
+        why = "no loop: the reference does not rise and fall through at least ten levels"
         notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
         return figures
     figures["loop_width_percent"] = 100.0 * opening / stroke
     opening = loop_opening(voltage, displacement) if voltage is not None else None
     if opening is None:
-        notes["voltage_loop_width_percent"] = "no voltage that goes to and fro in the recording"
+        notes["voltage_loop_width_percent"] = "no reversing voltage in the recording"
     else:
         figures["voltage_loop_width_percent"] = 100.0 * opening / stroke
     return figures
@@ -442,7 +440,7 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
     flags = recording["saturated"] if recording.has("saturated") else np.zeros(0)
     flags = flags[np.isfinite(flags)]
     if not len(flags):
-        notes["saturated_percent"] = "the recording does not say what the compensator's limits cut"
+        notes["saturated_percent"] = "the recording does not contain the compensator's saturation"
         return None
     return 100.0 * float(np.mean(flags > 0.0))
 
@@ -469,7 +467,7 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
     late = recording["lateness"] if recording.has("lateness") else np.zeros(0)
     late = late[np.isfinite(late)]
     if late.size or "lateness_max_s" in timing:
-        # a recording that has only the figures of the whole run has no others for a part of it
+        # metadata hold the figures of the whole run only: a part of it has none
         figures |= {
             name: float(np.percentile(late, part)) if late.size else timing[name] for name, part in LATENESS.items()
         }
@@ -484,12 +482,12 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: A moment: so long in all [s], or this share of the run.
+#: Shortest saturation that is reported: total time [s], or share of the run.
 MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return for which part of a run the output was limited, and by what; empty: for no more than a moment."""
+    """Return for how long the output was limited and by what; empty when it was for less than :data:`MOMENT`."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0
@@ -514,6 +512,6 @@ def limited_text(recording: Recording) -> str:
     found = sorted(((float(np.mean(which)), name) for name, which in reasons if np.any(which)), reverse=True)
     by = ", ".join(f"{name} ({100.0 * part:.3g} %)" for part, name in found)
     return (
-        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: what was asked did "
-        "not leave for the actuator then, and the figures of these samples are those of the limits"
+        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: the actuator "
+        "received less than the command, and the figures of these samples are those of the limits"
     )

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a notebook shows of a run, a model or a design: a small table, and a plot where Matplotlib is installed."""
+"""The HTML of a run, a model or a design in a notebook: a small table, and a plot if Matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.identification.workflow import Compared
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import readable
 
-#: Rows of a run: figure, words, unit.
+#: Rows of a run: figure, label, unit.
 RUN_ROWS = (
     ("rms_error_m", "RMS error", "m"),
     ("max_error_m", "largest error", "m"),
@@ -41,12 +41,12 @@ MODEL_ROWS = (
     ("fit_percent", "fit", "%"),
     ("inverse_rmse_v", "RMS error of the inverse", "V"),
 )
-#: Most warnings in a cell.
+#: Most warnings in one cell.
 MOST_WARNINGS = 3
 
 
 def metrics_of(run: Recording) -> dict[str, Any]:
-    """Return the figures of merit of a run, of an inchworm those of its moves and steps."""
+    """Return the figures of merit of a run; those of an inchworm motor are of its moves and steps."""
     return inchworm_figures(run) if is_inchworm(run) else compute_metrics(run)
 
 
@@ -81,7 +81,7 @@ def design_cell(title: str, margins: Margins, warnings: Iterable[str]) -> str:
 
 
 def _rows(figures: dict, declared: tuple[tuple[str, str, str], ...]) -> list[tuple[str, str]]:
-    """Return the rows of those figures that there are."""
+    """Return the rows of the figures that have a value."""
     return [(label, readable(figures[name], unit)) for name, label, unit in declared if figures.get(name) is not None]
 
 

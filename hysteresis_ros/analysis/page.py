@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Pages: one HTML file each, which needs nothing beside it, and the charts and sums that its scripts draw from."""
+"""Report pages: self-contained HTML files, with the charts and sums that their scripts draw."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from hysteresis_ros.errors import MissingExtraError, RecordingError
 from hysteresis_ros.files import write_text
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Endings of the names of pages.
+#: Suffixes of pages.
 PAGES = (".html", ".htm")
 
 
 def render_page(template: str, **values) -> str:
-    """Return the page that a template of this package gives with ``values``."""
+    """Return the page of a template of this package, filled with ``values``."""
     try:
         import jinja2
     except ImportError:
@@ -46,17 +46,17 @@ def render_page(template: str, **values) -> str:
 
 
 def asset(name: str) -> str:
-    """Return the text of a file that pages carry in themselves."""
+    """Return the text of a file that pages embed."""
     return (resources.files("hysteresis_ros.analysis") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _date(seconds: float) -> str:
-    """Return an instant of the clock in words."""
+    """Return a time of the clock as text."""
     return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(seconds))
 
 
 def origin(recording: Recording) -> str:
-    """Return where a run comes from: its axis, what it is stored in, and when it was recorded."""
+    """Return the origin of a run: its axis, its file, and when it was recorded."""
     said = [
         f"Axis in namespace {recording.metadata.get('namespace') or '/'}",
         str(recording.metadata.get("source", "")),
@@ -67,12 +67,12 @@ def origin(recording: Recording) -> str:
 
 
 def require_page(path) -> None:
-    """Raise RecordingError for a file whose name is not that of a page, or whose folder is not there."""
+    """Raise RecordingError when the suffix is not that of a page or the folder does not exist."""
     suffix = pathlib.Path(path).suffix
     if suffix.lower() not in PAGES:
         raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")
     if not pathlib.Path(path).absolute().parent.is_dir():
-        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+        raise RecordingError(f"{path}: cannot be written: the folder does not exist; choose another one")
 
 
 def write_page(path, html: str) -> None:
@@ -81,7 +81,7 @@ def write_page(path, html: str) -> None:
     write_text(path, html, RecordingError)
 
 
-#: Points of the time axis that all charts over time share, and of any other line.
+#: Most points of the shared time axis, and of any other line.
 TIME_POINTS, LINE_POINTS = 12000, 4000
 
 
@@ -93,7 +93,7 @@ def packed(values, kind: str = "<f4") -> str:
 def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
     """Return charts for the page: those over time on one thinned time axis, each other line with its own x."""
     over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
-    # nobody sees more than 7 digits of a value, but instants may be far from 0
+    # 7 digits are enough for a drawn value, but not for a time far from 0
     time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
     kept = iter(columns)
     return {
@@ -132,6 +132,6 @@ def _chart(chart: Chart, columns, points: int) -> dict:
 
 
 def script_text(payload: dict) -> str:
-    """Return JSON that may stand in a script element: nothing in it can end the element."""
+    """Return JSON for a script element; no text in it can end the element."""
     text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

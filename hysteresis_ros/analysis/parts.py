@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parts of a run: steps and holds, approach, scan, path and shutdown, each with what it is judged by, and excerpts.
+"""Parts of a run (steps and holds, approach, scan, path, shutdown) with the figures that apply to each, and excerpts.
 
-A scan repeats: its reference equals itself one period later, which is looked at and not assumed from two reversals.
-Steps lead from one hold to another. What moves otherwise is a path; a single move into a scan is its approach. While
-the axis is stopped its voltage goes to the safe value and nothing follows the reference: a shutdown is not judged.
+A scan repeats: its reference equals itself one period later, which is checked and not assumed from two reversals. Steps
+lead from one hold to another. Any other motion is a path; a single move into a scan is its approach. While the axis is
+stopped, its voltage goes to the safe value and it does not follow the reference: a shutdown has no figures.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
 from hysteresis_ros.units import quantity
 
-#: Samples a reference must stand still to count as a hold.
+#: Fewest samples of constant reference that count as a hold.
 HOLD_SAMPLES = 10
 #: Part of a hold, at its end, whose mean is the value finally reached.
 FINAL_PART = 0.1
-#: A reference whose movement changes by more than this part of its stroke from one sample to the next jumps.
+#: The reference jumps when its movement per sample changes by more than this part of its stroke.
 JUMP = 0.01
 #: A reversal of a scan is at least this part of its stroke.
 REVERSAL = 0.1
@@ -41,7 +41,7 @@ SETTLING_BAND = 0.02
 
 @dataclass(frozen=True)
 class Hold:
-    """Samples ``start`` to ``stop`` (exclusive) in which the reference stands still at ``level`` [m]."""
+    """Samples ``start`` to ``stop`` (exclusive) in which the reference is constant at ``level`` [m]."""
 
     start: int
     stop: int
@@ -56,14 +56,14 @@ class Hold:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """The answer to one step."""
+    """The response to one step."""
 
     start: float  #: Time at which the reference began to move [s].
     size: float  #: Height of the step in the reference, signed [m].
     final: float  #: Value finally reached: mean displacement over the last tenth of the hold [m].
     #: Farthest displacement beyond ``final`` in the direction of the step, as a part of ``|size|``; at least 0.
     overshoot: float
-    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None when it has not
+    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None if it has not
     #: settled before the last tenth of the hold.
     settling_time: float | None
     steady_state_error: float  #: ``reference - final`` [m].
@@ -83,11 +83,11 @@ def find_holds(reference) -> list[Hold]:
 
 
 def scan_start(reference, displacement) -> int:
-    """Return the sample from which on a scan is judged: its first reversal where a jump leads into it, 0 elsewhere.
+    """Return the sample from which the errors of a scan count: its first reversal after a jump into it, otherwise 0.
 
-    A reference that goes to and fro may begin away from where the axis rests. How far that is says nothing of how well
-    the scan is followed. It is a jump when the error then is larger than any after the first reversal. Steps from hold
-    to hold are what is judged there: all of them count.
+    A scan may begin away from the position at which the axis rests; the error of this first motion says nothing about
+    the tracking of the scan. It counts as a jump when its error is larger than any after the first reversal. In steps
+    from hold to hold all samples count.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -102,7 +102,7 @@ def scan_start(reference, displacement) -> int:
 
 
 def step_responses(time, reference, displacement) -> list[StepResponse]:
-    """Return the answers to all steps from one hold of the reference to the next at another level.
+    """Return the responses to all steps from one hold of the reference to the next at another level.
 
     A step may be a jump or a limited move; its time counts from the last sample of the hold before.
 
@@ -114,7 +114,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
         size = after.level - before.level
         if size == 0.0:
             continue
-        # a jump at sample k commands from time[k] on; a limited move leaves the old level with the last held sample
+        # a jump at sample k acts from time[k] on; a limited move begins with the last held sample
         first = after.start if after.start == before.stop else before.stop - 1
         answer = displacement[first : after.stop]
         if not np.all(np.isfinite(answer)):
@@ -137,17 +137,17 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
     return responses
 
 
-#: A reference repeats when it differs from itself one period later by at most this part of its range, for at most so
-#: many samples in a row by more, and over this part of a period beyond the first one.
+#: A reference repeats when it differs from itself one period later by at most this part of its range, by more for at
+#: most this many samples in a row, and over at least this part of a period beyond the first one.
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
-#: Most reversals of a period.
+#: Most reversals in a period.
 REVERSALS = 40
-#: Modes of nodes that say that the axis is stopped.
+#: Modes of nodes in which the axis is stopped.
 MODES = ("plant_mode", "compensator_mode", "controller_mode")
 
 
 class Kind(enum.StrEnum):
-    """What a part of a run is."""
+    """Kind of a part of a run."""
 
     APPROACH = "approach"
     STEPS = "steps"
@@ -157,8 +157,7 @@ class Kind(enum.StrEnum):
     SHUTDOWN = "shutdown"
 
 
-#: Figures that judge each kind, in their order; the figures are those of
-#: :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
+#: Figures of each kind, in order; they are defined in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
 JUDGED_BY = {
     Kind.APPROACH: (),
     Kind.STEPS: ("overshoot_percent", "settling_time_s", "steady_state_error_m"),
@@ -170,7 +169,7 @@ JUDGED_BY = {
     Kind.HOLD: ("rms_error_m", "max_error_m"),
     Kind.SHUTDOWN: (),
 }
-#: Why a kind is not judged.
+#: Why a kind has no figures.
 NOT_JUDGED = {
     Kind.APPROACH: "not judged: it leads into the scan",
     Kind.SHUTDOWN: "not judged: the axis was stopped, its voltage goes to the safe value",
@@ -179,7 +178,7 @@ NOT_JUDGED = {
 
 @dataclass(frozen=True)
 class Part:
-    """Samples ``start`` to ``stop`` (exclusive) of one kind; ``ends`` are the samples at which whole periods end.
+    """Samples ``start`` to ``stop`` (exclusive) of one kind; whole periods end at the samples ``ends``.
 
     ``moves`` is the number of moves from hold to hold.
     """
@@ -191,15 +190,15 @@ class Part:
     moves: int = 1
 
     def moved(self, by: int) -> Part:
-        """Return the same part of a run that begins so many samples earlier."""
+        """Return the same part for a run that begins ``count`` samples earlier."""
         return replace(self, start=self.start + by, stop=self.stop + by, ends=tuple(end + by for end in self.ends))
 
 
 def stopped(recording: Recording) -> np.ndarray:
     """Return at which samples the axis is stopped, shape (N,).
 
-    The plant says so, or a node between reference and voltage. A node without input counts with them when the axis is
-    stopped next, or the run ends so. Without these signals it is what stopped the nodes, as far as the recording knows.
+    The plant or a node between reference and voltage reports it. A node without input also counts when the axis is
+    stopped next or the run ends in that state. Without these signals the recorded causes of the stop decide.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -232,7 +231,7 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
 
 
 def find_parts(reference, displacement=None, off=None) -> list[Part]:
-    """Return the parts of a run in their order; together they are all of it.
+    """Return the parts of a run in order; together they cover it.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -250,7 +249,7 @@ def find_parts(reference, displacement=None, off=None) -> list[Part]:
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
-    """Let a scan or a hold into which a jump leads begin with its approach: up to the first reversal, or settled."""
+    """Split the approach off a scan or a hold that a jump leads into: up to the first reversal, or until settled."""
     if parts[0].kind is Kind.HOLD:
         inside = slice(parts[0].start, parts[0].stop)
         error = np.abs(reference[inside] - displacement[inside])
@@ -281,7 +280,7 @@ def _running(reference) -> list[Part]:
         return _joined(_between_holds(reference))
     holds = find_holds(reference[found.start : found.stop])
     if sum(hold.stop - hold.start for hold in holds) > 0.5 * (found.stop - found.start):
-        # steps that repeat: with the holds around them
+        # repeating steps include the holds around them
         stop = max((hold.stop for hold in find_holds(reference) if hold.start <= found.stop), default=found.stop)
         stop = max(stop, found.stop)
         found = replace(found, kind=Kind.STEPS, moves=len(holds), start=_with_hold(reference, found.start), stop=stop)
@@ -293,16 +292,16 @@ def _running(reference) -> list[Part]:
 
 
 def _with_hold(reference, start: int) -> int:
-    """Return where a part begins that needs the end of the hold before it."""
+    """Return the start of a part that includes the end of the hold before it."""
     held = next((hold for hold in find_holds(reference) if hold.start <= start <= hold.stop), None)
     return start if held is None else max(min(start, held.stop) - HOLD_SAMPLES, held.start)
 
 
 def _repeating(reference, first: int, last: int) -> Part | None:
-    """Return the longest stretch between two samples in which the reference equals itself one period later."""
+    """Return the longest interval between two samples in which the reference equals itself one period later."""
     points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
     size = EQUAL * float(np.ptp(reference[first:last]))
-    # the last reversals may belong to the way back, the first one to the way there
+    # the first reversal may belong to the approach, the last ones to the return
     counts = range(2, min(points.size, REVERSALS + 1), 2)
     for reversals, skipped, tail in ((n, i, j) for n in counts for i in range(2) for j in range(3)):
         ends = points[: points.size - tail][::-1][::reversals][::-1][skipped:]
@@ -313,7 +312,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
         if np.ptp(periods) > max(EQUAL * period, JITTER):
             continue
         unlike = np.abs(reference[first + period : last] - reference[first : last - period]) > size
-        # what lasts a sample or two is where a jump falls between samples
+        # a difference of one or two samples comes from a jump between samples
         unlike[JITTER:] &= unlike[1 : unlike.size - JITTER + 1] & unlike[: unlike.size - JITTER]
         begin, end = int(ends[0]) - first, max(int(ends[-1]) - first - period, int(ends[0]) - first + 1)
         if end > unlike.size or unlike[begin:end].any():
@@ -331,7 +330,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
 
 
 def _between_holds(reference) -> list[Part]:
-    """Return the parts of a reference that does not repeat as a whole: what happens between its holds."""
+    """Return the parts of a reference that does not repeat: its motions between holds."""
     holds = find_holds(reference)
     if not holds or holds[0].start > 0:
         holds = [Hold(0, 0, float(reference[0])), *holds]
@@ -362,7 +361,7 @@ def _between_holds(reference) -> list[Part]:
 
 
 def _joined(parts: list[Part]) -> list[Part]:
-    """Join steps that follow each other, give them the end of the hold before them, and name what leads into a scan."""
+    """Join consecutive steps, include the end of the hold before them, and mark the approach of a scan."""
     joined: list[Part] = []
     for part in parts:
         if joined and part.kind is Kind.STEPS:
@@ -385,9 +384,9 @@ def _joined(parts: list[Part]) -> list[Part]:
 
 
 def part_figures(part: Part, time, reference, displacement, stroke: float) -> dict:
-    """Return the figures that judge a part, the number of its steps, and its whole periods.
+    """Return the figures of a part, the number of its steps, and its whole periods.
 
-    Those of a scan are over its whole periods, where it has any.
+    The figures of a scan are over its whole periods, if it has any.
     """
     found: dict = dict.fromkeys(JUDGED_BY[part.kind])
     inside = slice(part.start, part.stop)
@@ -410,7 +409,7 @@ def part_figures(part: Part, time, reference, displacement, stroke: float) -> di
 
 
 def step_figures(time, reference, displacement) -> dict:
-    """Return the worst figures of the steps there, how many there are, and how many do not settle."""
+    """Return the worst figures of a part's steps, the number of steps, and how many do not settle."""
     responses = step_responses(time, reference, displacement)
     found: dict = {"steps": len(responses)}
     if responses:
@@ -423,7 +422,7 @@ def step_figures(time, reference, displacement) -> dict:
 
 
 def seconds(text: str, option: str) -> float:
-    """Return an instant of the run [s]."""
+    """Return a time of the run [s]."""
     try:
         value, unit = quantity(text)
         if unit not in ("", "s") or value < 0.0:
@@ -434,30 +433,30 @@ def seconds(text: str, option: str) -> float:
 
 
 def within(recording: Recording, first: float, last: float) -> Recording:
-    """Return the samples from one instant to another.
+    """Return the samples from one time to another.
 
     Units: ``first`` [s], ``last`` [s].
     """
     time = recording.time - recording.time[0]
     chosen = (time >= first - 1e-9) & (time <= last + 1e-9)
     if np.count_nonzero(chosen) < 2:
-        raise RecordingError(f"from {first:g} s to {last:g} s there is nothing to judge: the run lasts {time[-1]:g} s")
+        raise RecordingError(f"the run has no samples from {first:g} s to {last:g} s: it lasts {time[-1]:g} s")
     if np.all(chosen):
         return recording
     note = f"judged from {time[chosen][0]:.6g} s to {time[chosen][-1]:.6g} s of {time[-1]:.6g} s"
     metadata = {**recording.metadata, "notes": [*recording.notes, note]}
     metadata.setdefault("first_s", float(recording.time[0]))
     if not chosen[0]:
-        # what a preview looks back to is another than the first reference
+        # with a preview, the reference before the excerpt differs from its first one
         metadata["excerpt"] = True
     signals = {name: values[chosen] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
 
 
 def period_ends(recording: Recording) -> np.ndarray:
-    """Return the instants at which whole periods of the reference end, the last first, shape (P + 1,) [s].
+    """Return the times at which whole periods of the reference end, the last first, shape (P + 1,) [s].
 
-    They are those of the longest part of the run that repeats, since the first sample. Empty when nothing does.
+    They are those of the longest repeating part of the run, counted from the first sample; empty without one.
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
     finite = np.flatnonzero(np.isfinite(reference))
@@ -467,11 +466,11 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a reference that repeats, up to its last reversal and no rest after it."""
+    """Return the last periods of a repeating reference, up to its last reversal, without a rest after it."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
     if count > ends.size - 1:
         raise RecordingError(f"--last-periods {count}: the run has {ends.size - 1} whole periods between reversals")
-    # a sample at the end begins the next period
+    # the sample at the end belongs to the next period
     return within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Pictures with Matplotlib's object interface (no pyplot, no display), and charts as data that a page draws too.
+"""Figures with Matplotlib's object interface (no pyplot, no display), and charts as data for pages.
 
-Matplotlib is imported at the first picture only.
+Matplotlib is imported with the first figure.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ import numpy as np
 from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
-#: Points of a line on paper; longer signals are drawn as the minimum and maximum of as many intervals.
+#: Most points of a drawn line; longer signals are drawn as minimum and maximum of intervals.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
 
 
 def new_figure(height: float, columns: int = 1, rows: int = 1):
-    """Return a figure of ``height`` inches without a display, and its axes row by row, shape (rows · columns,)."""
+    """Return a figure of ``height`` inches and its axes row by row, shape (rows · columns,)."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def new_figure(height: float, columns: int = 1, rows: int = 1):
 
 
 def envelope(time, values, points: int = LINE_POINTS):
-    """Return ``time`` and ``values`` thinned so that no peak is lost: minimum and maximum of each interval."""
+    """Return ``time`` and ``values``, thinned to minimum and maximum of each interval so that peaks stay."""
     intervals = points // 2
     size = values.size // intervals
     if size < 2:
@@ -68,7 +68,7 @@ def envelope(time, values, points: int = LINE_POINTS):
 
 
 def length_unit(largest: float) -> tuple[str, float]:
-    """Return in which unit lengths are drawn, and how many of it are in a metre: nm where all of them are small.
+    """Return the unit in which lengths are drawn, µm or nm by the largest one, and the factor from metres.
 
     Units: ``largest`` [m].
     """
@@ -83,7 +83,7 @@ def png(figure) -> bytes:
 
 
 def data_uri(figure) -> str:
-    """Return a figure as an address that an HTML file can hold in itself."""
+    """Return a figure as a data URL, which an HTML file can embed."""
     return "data:image/png;base64," + base64.b64encode(png(figure)).decode("ascii")
 
 
@@ -104,9 +104,9 @@ COLOURS = {
     "limit": ("#444444", "#b4b4b4"),
     "late": ("#b36a00", "#f0b050"),
 }
-#: Colours of the first, second … run where several stand side by side.
+#: Colours of the runs in a comparison, in order.
 SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
-#: Points of a path in a picture; in the page there are fewer.
+#: Most points of a path in a static figure; a page has fewer.
 PATH_POINTS = 20000
 
 
@@ -115,12 +115,12 @@ class Line:
     """A line of a chart."""
 
     label: str
-    colour: str  #: Of :data:`COLOURS`.
+    colour: str  #: One of :data:`COLOURS`.
     x: np.ndarray  #: x, y: shape (N,); In the units of the chart; NaN breaks the line.
     y: np.ndarray
     width: float = 1.2  #: [points]
-    dash: tuple[float, ...] = ()  #: Lengths of strokes and gaps; empty: none.
-    #: shape (N,); Of a path: time of each point [s], by which the page shows a part of it.
+    dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: a solid line.
+    #: shape (N,); Time of each point of a path [s], by which the page selects a part of it.
     key: np.ndarray | None = None
 
 
@@ -128,30 +128,30 @@ class Line:
 class Chart:
     """A chart."""
 
-    name: str  #: Of the chart among those of a page.
+    name: str  #: Name of the chart, unique in its page.
     caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
     across: str
     up: str
     lines: Sequence[Line]
-    #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same of lines that have
-    #: instants of their own; ``graph``: x increases along each line; ``path``: x goes to and fro; ``steps``: x are the
-    #: left edges of bars.
+    #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same, but each line has its
+    #: own times; ``graph``: x increases along each line; ``path``: x may reverse; ``steps``: x are the left edges of
+    #: bars.
     kind: str = "time"
-    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, ``xy`` or empty.
     levels: Sequence[float] = ()  #: Horizontal lines, such as limits.
-    level_label: str = ""  #: What these are.
-    shaded: tuple[float, float] | None = None  #: From where to where the chart is grey, and :attr:`shaded_label` why.
+    level_label: str = ""  #: Meaning of the levels.
+    shaded: tuple[float, float] | None = None  #: Range of x that is shaded; :attr:`shaded_label` says why.
     shaded_label: str = ""
     limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default those of the lines.
     note: str = ""  #: A sentence below the chart.
-    height: float = 2.8  #: Of the picture [inches].
+    height: float = 2.8  #: Height of the static figure [inches].
 
 
 def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
-    """Return columns over common instants so that none loses an extreme: two points for each block of samples.
+    """Return columns over common times, with two points for each block of samples so that extremes stay.
 
-    In each block a column has its lowest and its highest value, in the order in which they came; the two instants are
-    those of the block's first and middle sample, so that a peak stands at most a block from its true place.
+    In each block a column has its lowest and its highest value, in their order; the two times are those of the block's
+    first and middle sample, so that a peak is drawn at most one block from its true time.
 
     Units: ``time`` [s].
     """
@@ -162,7 +162,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
     padding = np.full(blocks * size - time.size, np.nan)
     starts = np.arange(blocks) * size
     middles = np.minimum(starts + size // 2, time.size - 1)
-    # the last block may be a single sample: its second instant must come after the first
+    # the last block may be a single sample: its second time must come after the first
     instants = np.stack([time[starts], np.where(middles > starts, time[middles], np.nan)], axis=1).ravel()
     thinned = []
     for values in columns:
@@ -178,7 +178,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
 
 
 def thin_path(line: Line, points: int) -> Line:
-    """Return a path with the extremes in both directions of each block of its points, and the block's first point."""
+    """Return a path thinned to the first point and the extremes in both directions of each block of points."""
     there = np.flatnonzero(np.isfinite(line.x) & np.isfinite(line.y))
     if there.size > points:
         blocks = max(1, points // 5)
@@ -196,7 +196,7 @@ def thin_path(line: Line, points: int) -> Line:
 
 
 def chart_figure(chart: Chart):
-    """Return the picture of a chart (Matplotlib)."""
+    """Return the Matplotlib figure of a chart."""
     figure, (axis,) = new_figure(chart.height)
     if chart.shaded is not None:
         axis.axvspan(*chart.shaded, color=COLOURS["setpoint"][0], alpha=0.25, label=chart.shaded_label, linewidth=0)
@@ -221,6 +221,6 @@ def chart_figure(chart: Chart):
         axis.set_ylim(*chart.limits)
     axis.set(xlabel=chart.across, ylabel=chart.up)
     if len(chart.lines) > 1 or chart.shaded is not None or chart.level_label:
-        # labels of paths are sentences
+        # labels of paths are long
         add_legend(axis, 1 if chart.kind == "path" else 4)
     return figure

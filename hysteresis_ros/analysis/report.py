@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of a run: a page that can be read anywhere, and looked into, span by span, where scripts run."""
+"""The report of a run: a static page that, with scripts enabled, also shows the figures of any span."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import FINE
 
-#: Blocks of samples of which the page knows the sums; a span of the page ends where blocks end.
+#: Number of blocks of samples whose sums the page contains; a span of the page consists of whole blocks.
 BLOCKS = 1500
-#: Periods of the second column of figures.
+#: Number of last periods in the second column of figures.
 LAST = 2
-#: Kinds of parts that have a column, most of them, and the share of a run from which on a part is all of it.
+#: Kinds of parts with a column, most such columns, and the share from which a part counts as the whole run.
 SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
-#: Figures that the page adds up for the span it shows; the others need every sample of it.
+#: Figures that the page computes for the span it shows; the others need every sample.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("voltage_rate_v_s", "voltage_variation_v", "saturated_percent", "stroke_m", "samples", "duration_s"),
@@ -67,10 +67,10 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the spans whose figures stand in the page's table: the whole run, its longest parts, and last periods."""
+    """Return the spans with a column in the page's table: the whole run, its longest parts, and last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
-    # a part that is all of the run has its column
+    # a part that is the whole run needs no column of its own
     parts = [one for one in figures.get("parts", ()) if one["part"] in SHOWN]
     parts = [one for one in parts if one["to_s"] - one["from_s"] < WHOLE * (time[-1] - time[0])]
     parts = sorted(parts, key=lambda one: one["to_s"] - one["from_s"])[-PARTS:]
@@ -78,11 +78,11 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
     ends = time[0] + (period_ends(recording) if recording.has("reference") else time[:0])
     count = min(LAST, ends.size - 2)
     if count > 0:
-        # a sample at the end begins the next period
+        # the sample at the end belongs to the next period
         name = "last period" if count == 1 else f"last {count} periods"
         spans.append((name, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time))
     for name, first, last in spans:
-        # the measurement may have ended before the reference
+        # the measurement may end before the reference
         with contextlib.suppress(RecordingError):
             part = within(recording, first - time[0], last - time[0])
             found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
@@ -90,22 +90,22 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
 
 
 def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
-    """Return sums over blocks of samples from which figures of a span of whole blocks follow exactly.
+    """Return sums over blocks of samples, from which the figures of any span of whole blocks follow exactly.
 
-    A term that joins a sample with the one before it belongs to the later sample's block; ``joint_…`` is that of the
-    block's first sample, which a span that begins with the block leaves out.
+    A term between two samples belongs to the later sample's block; ``joint_…`` is the term of the block's first sample,
+    which a span that begins with the block omits.
 
     ====================== ================================================================================
-    ``from``, ``to``       first and last instant of the block [s]
+    ``from``, ``to``       first and last time of the block [s]
     ``samples``            number of samples
     ``errors``, ``square`` number of errors that count, and Σ e² [m²]
     ``largest``            largest abs(e) [m]
     ``area``               Σ ½ (abs(e_k) + abs(e_(k-1))) (t_k - t_(k-1)) [m s]
-    ``low``, ``high``      of the reference, or of the displacement where there is none [m]
+    ``low``, ``high``      range of the reference, or of the displacement without one [m]
     ``volts``, ``rises``   number of voltages, Σ abs(V_k - V_(k-1)) [V]
     ``rates``              Σ ((V_k - V_(k-1)) / (t_k - t_(k-1)))² [V²/s²]
-    ``flags``, ``cut``     samples that say whether limits cut them, and those that were cut
-    ``late``, ``skipped``  latest beginning [s], skipped samples
+    ``flags``, ``cut``     samples with a saturation flag, and saturated samples
+    ``late``, ``skipped``  largest lateness [s], skipped samples
     ====================== ================================================================================
     """
     recording, time = run.recording, run.recording.time
@@ -160,29 +160,29 @@ def _voltage_sums(block, time, voltage, count: int) -> dict[str, np.ndarray]:
 
 
 def _joined(name: str, block, terms, count: int) -> dict[str, np.ndarray]:
-    """Return the sums of terms between neighbours, and the terms that lead into each block."""
+    """Return for each block the sum of terms between neighbours, and the term that leads into it."""
     joint = np.zeros(count)
     crossing = np.flatnonzero(np.diff(block)) + 1
     joint[block[crossing]] = terms[crossing - 1]
     return {name: np.bincount(block[1:], terms, minlength=count), f"joint_{name}": joint}
 
 
-#: Charts of a run, in their order; each None where there is nothing to show.
+#: Functions of the charts of a run, in order; each returns None without data.
 CHARTS = (
     *(traces_chart, error_chart, loops_chart, trace_retrace_chart, last_periods_chart, spectrum_chart),
     *(histogram_chart, voltage_chart, adaptation_chart, learned_chart, lateness_chart, late_samples_chart),
 )
-#: Largest size of a page [bytes]; what is drawn becomes coarser before a page becomes larger.
+#: Largest size of a page [bytes]; a larger page is drawn with fewer points.
 LARGEST = 2_000_000
 
 
 def charts_of(run: Judged) -> list[Chart]:
-    """Return the charts that there are of a run."""
+    """Return the charts of a run for which it has data."""
     return [chart for make in CHARTS if (chart := make(run)) is not None]
 
 
 def sampling_text(recording: Recording) -> str:
-    """Return at which instants a run is judged, in a sentence."""
+    """Return a sentence about the samples that the figures use."""
     if len(recording) < 2:
         return "Judged at a single sample."
     limited = limited_text(recording)
@@ -195,7 +195,7 @@ def sampling_text(recording: Recording) -> str:
 
 
 def _samples_per_voltage(recording: Recording) -> int:
-    """Return for how many samples each voltage is held; 1 where it changes from sample to sample."""
+    """Return for how many samples each voltage is held; 1 if it changes from sample to sample."""
     if not recording.has("voltage"):
         return 1
     changes = np.flatnonzero(np.diff(recording["voltage"]) != 0.0)
@@ -203,7 +203,7 @@ def _samples_per_voltage(recording: Recording) -> int:
 
 
 def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
-    """Return the charts as a template shows them where no script runs: name, caption, picture and note."""
+    """Return the charts as a template shows them without scripts: name, caption, picture and note."""
     return [
         dict(
             name=chart.name,
@@ -218,7 +218,7 @@ def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
 def render_interactive(
     template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
 ) -> str:
-    """Return a page with charts, no larger than :data:`LARGEST` where that can be had by coarser charts."""
+    """Return a page with charts, with fewer points if it were larger than :data:`LARGEST`."""
     pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
@@ -269,7 +269,7 @@ def render_report(
 
 
 def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
-    """Return the sums over blocks of a run as a page holds them."""
+    """Return the sums over blocks of a run in the form that a page embeds."""
     return {name: packed(values, "<f8") for name, values in block_sums(run, blocks).items()}
 
 
@@ -277,6 +277,6 @@ def write_report(
     recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> None:
     """Write the report; the other parameters are those of :func:`render_report`."""
-    # before a second of drawing
+    # before the slow drawing
     require_page(path)
     write_page(path, render_report(recording, title, figures, first))

@@ -25,12 +25,12 @@ from hysteresis_ros.identification.frequency_response import PROBABILITY, Analys
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
-#: Part of the plane around −1 that Nyquist's plot shows.
+#: Part of the plane around −1 that the Nyquist plot shows.
 NYQUIST = 2.5
 
 
 class Shown(Protocol):
-    """What is drawn of a measured axis."""
+    """A measured axis, as far as the plots need it."""
 
     plant: Analysis
     loop: MeasuredLoop | None
@@ -42,7 +42,7 @@ class Shown(Protocol):
 
 
 def response_figures(found: Shown) -> list[tuple[str, object]]:
-    """Return captions and figures: Bode of the plant, and of a loop sensitivities and Nyquist."""
+    """Return captions and figures: Bode plot of the plant; for a loop also sensitivities and Nyquist plot."""
     figure, axes = new_figure(6.4 if found.plant.response.coherence is None else 8.0, rows=_rows(found))
     _bode(axes, found)
     figures = [("Frequency response", figure)]
@@ -57,16 +57,16 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
 
 
 def require_picture(path) -> None:
-    """Refuse a name that is not that of a picture, or whose folder is not there."""
+    """Raise RecordingError when the suffix is not that of a picture or the folder does not exist."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ".png":
         raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")
     if not path.absolute().parent.is_dir():
-        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+        raise RecordingError(f"{path}: cannot be written: the folder does not exist; choose another one")
 
 
 def write_response_picture(path, found: Shown) -> None:
-    """Write all plots as one picture."""
+    """Write all plots into one picture."""
     require_picture(path)
     rows = _rows(found)
     loop = found.loop
@@ -82,7 +82,7 @@ def write_response_picture(path, found: Shown) -> None:
 
 
 def write_response_report(path, title: str, found: Shown) -> None:
-    """Write the page: one HTML file that needs nothing beside it."""
+    """Write the page as one self-contained HTML file."""
     plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in response_figures(found)]
     write_page(path, render_page("response.html.j2", title=title, lines=found.lines(), plots=plots))
 
@@ -92,7 +92,7 @@ def _rows(found: Shown) -> int:
 
 
 def _bode(axes, found: Shown) -> None:
-    """Draw magnitude and phase with their bands, levels of distortion, and coherence where there is one."""
+    """Draw magnitude and phase with their bands, levels of distortion, and the coherence if there is one."""
     response, levels = found.plant.response, found.plant.distortion
     f, G = response.frequency, response.single
     magnitude, phase = axes[:2]
@@ -124,7 +124,7 @@ def _bode(axes, found: Shown) -> None:
 
 
 def _band(axis, f, size, radius, label: str | None = None) -> None:
-    """Fill from size − radius to size + radius; where nothing is left below, down to a hundredth of the size."""
+    """Fill from size − radius, at least a hundredth of the size, to size + radius."""
     axis.fill_between(
         f,
         np.maximum(size - radius, 0.01 * size),
@@ -137,7 +137,7 @@ def _band(axis, f, size, radius, label: str | None = None) -> None:
 
 
 def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw |S| and |T| with their bands, and the bound of every design."""
+    """Draw |S| and |T| with their bands, and the M_s bound that every design must meet."""
     curves = ((loop.sensitivity, "sensitivity S", _MEASURED), (loop.complementary, "complementary T", _SECOND))
     if model is not None:
         S = 1.0 / (1.0 + model)
@@ -156,7 +156,7 @@ def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
-    """Draw L around −1 with the circles of its lines, the unit circle and that of M_s."""
+    """Draw L around −1 with the uncertainty circles of its lines, the unit circle and the M_s circle."""
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     bound = REQUIRED.sensitivity_peak
     axis.plot(turn.real, turn.imag, color="#bbbbbb", linewidth=0.8)
@@ -176,7 +176,7 @@ def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
         color=_MEASURED,
         linewidth=0.9,
         markersize=3.0,
-        label="measured, with circles",
+        label="measured, with uncertainty circles",
     )
     for name, (value, direction) in _margins(loop).items():
         axis.annotate(name, value, xytext=direction, textcoords="offset points", fontsize=8,
@@ -187,7 +187,7 @@ def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
 
 
 def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Return what is written at which point of the plane, and how far beside it."""
+    """Return the labels with their points in the plane and offsets."""
     found = {}
     if np.isfinite(loop.gain_margin.value):
         found[f"gain margin {loop.gain_margin.value:.1f} dB"] = (

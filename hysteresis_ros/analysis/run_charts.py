@@ -9,7 +9,7 @@
 
 """Charts of a run: displacement, error with spectrum and histogram, loops, voltage, adaptation, learning, lateness.
 
-Micrometres and nanometres, because people read them.
+Lengths are drawn in micrometres or nanometres.
 """
 
 from __future__ import annotations
@@ -27,15 +27,14 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning_points
 from hysteresis_ros.recordings.provenance import configured
 
-#: Fewer whole periods show nothing.
+#: Fewest whole periods for the chart.
 LEAST_PERIODS = 3
 
 
 def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the periods that were learned [s], and the RMS of the undelayed error in each [m].
+    """Return the ends of the learned periods [s], and the RMS error against the undelayed reference in each [m].
 
-    Both are empty where nothing was learned, or fewer than three periods long. Without a true displacement the measured
-    one counts.
+    Both are empty when fewer than three periods were learned. Without a true displacement the measured one counts.
     """
     given = configured(recording.configuration, "motion_controller", recording.metadata.get("namespace") or "")
     nothing = np.zeros(0), np.zeros(0)
@@ -56,28 +55,28 @@ _MICRO = 1e6
 
 @dataclass(frozen=True)
 class Judged:
-    """A run as it is judged."""
+    """The signals of a run that its charts show."""
 
     recording: Recording
     settings: AxisSettings
     displacement: np.ndarray  #: shape (N,); True, or measured, less the preload offset [m].
-    #: reference, error: shape (N,); What the displacement is judged by, and reference - displacement [m], NaN where
-    #: the axis is stopped; None: the recording has no reference.
+    #: reference, error: shape (N,); Reference that the displacement is compared with, and reference - displacement [m],
+    #: NaN while the axis is stopped; None: the recording has no reference.
     reference: np.ndarray | None
     error: np.ndarray | None
     start: int  #: First sample whose error counts.
-    unit: tuple[str, float] = ("µm", _MICRO)  #: Unit in which errors are drawn, and how many of it are in a metre.
+    unit: tuple[str, float] = ("µm", _MICRO)  #: Unit in which errors are drawn, and its factor from metres.
 
     @property
     def counted(self) -> np.ndarray:
-        """Which samples have an error that counts, shape (N,)."""
+        """Whether the error of each sample counts, shape (N,)."""
         if self.error is None:
             return np.zeros(len(self.recording), dtype=bool)
         return np.isfinite(self.error) & (np.arange(len(self.recording)) >= self.start)
 
 
 def judged(recording: Recording) -> Judged:
-    """Return a run as it is judged."""
+    """Return the signals of a run that its charts show."""
     settings = axis_settings(recording)
     displacement = recording[actual_name(recording)] - settings.offset
     if not recording.has("reference"):
@@ -93,12 +92,12 @@ def judged(recording: Recording) -> Judged:
 
 
 def largest_error(run: Judged) -> float:
-    """Return the largest error that counts [m]; 0 where there is none."""
+    """Return the largest error that counts [m]; 0 without one."""
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
 def traces_chart(run: Judged) -> Chart:
-    """Return the chart of setpoint, reference (as late as judged), displacement and estimate over time [µm, s]."""
+    """Return the chart of setpoint, reference (delayed by the preview), displacement and estimate over time [µm, s]."""
     recording, preview = run.recording, run.settings.preview
     styles: dict[str, dict] = {
         "setpoint": dict(dash=(4.0, 3.0), width=1.1),
@@ -127,7 +126,7 @@ def error_chart(run: Judged) -> Chart | None:
     line = Line("error", "displacement", time, run.error * factor, 1.0)
     shown: dict = {}
     if run.start:
-        # what does not count does not make the rest small
+        # errors that do not count do not set the scale
         largest = 1.5 * factor * largest_error(run)
         shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump into the scan")
         shown["limits"] = (-largest, largest)
@@ -136,9 +135,9 @@ def error_chart(run: Judged) -> Chart | None:
 
 
 def loops_chart(run: Judged) -> Chart | None:
-    """Return the chart of the loop before compensation (over voltage) on top of that after it (over reference) [µm, %].
+    """Return the chart of the loop before (over voltage) and after compensation (over reference) [µm, %].
 
-    A voltage that does not go to and fro has no loop and is not drawn; None when nothing does.
+    A voltage without reversals has no loop and is not drawn; None when neither input reverses.
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
     inputs = [("before compensation, over the voltage", "voltage", voltage, "V", 1.0)]
@@ -155,7 +154,7 @@ def loops_chart(run: Judged) -> Chart | None:
         label = f"{text} ({low * factor:.4g} … {high * factor:.4g} {unit}): {100.0 * opening / stroke:.3g} % of stroke"
         part = 100.0 * (values - low) / (high - low)
         lines.append(Line(label, colour, part, run.displacement * _MICRO, 0.9, key=recording.time))
-    # a voltage that jumps to and fro with its reference has no loop either
+    # a voltage that jumps back and forth with its reference has no loop either
     if not lines or lines[-1].colour != inputs[-1][1]:
         return None
     across, caption = "voltage or reference [% of its range]", "Hysteresis loop before and after compensation"
@@ -177,7 +176,7 @@ def voltage_chart(run: Judged) -> Chart | None:
 
 
 def adaptation_chart(run: Judged) -> Chart | None:
-    """Return the chart of the gain of an inverse that adapts over time; None: it does not."""
+    """Return the chart of the gain of an adapted inverse over time; None without adaptation."""
     recording = run.recording
     if not recording.has("adaptation") or not np.any(np.nan_to_num(recording["adaptation"])):
         return None
@@ -186,23 +185,23 @@ def adaptation_chart(run: Judged) -> Chart | None:
         Line("frozen", "limit", recording.time, gain, 1.0),
         Line("adapting", "voltage", recording.time, np.where(adapts, gain, np.nan), 1.8),
     ]
-    caption = "Gain of the adapted inverse, as a part of the identified one"
+    caption = "Gain of the adapted inverse over the identified one"
     return Chart("adaptation", caption, "time [s]", "gain [1]", lines)
 
 
 def learned_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of each period [µm or nm] over time [s]; None where nothing was learned."""
+    """Return the chart of the error of each period [µm or nm] over time [s]; None without learning."""
     ends, errors = period_errors(run.recording)
     if not ends.size:
         return None
     unit, factor = length_unit(float(np.nanmax(errors)))
     line = Line("period", "displacement", ends, errors * factor)
-    caption = "Error of each period that was learned (undelayed reference − displacement)"
+    caption = "Error of each learned period, against the undelayed reference"
     return Chart("learned", caption, "time [s]", f"RMS of a period [{unit}]", [line], "graph", "y")
 
 
 def lateness_chart(run: Judged) -> Chart | None:
-    """Return the chart of how late each sample began over time [µs, s]; None where nobody noted it."""
+    """Return the chart of the lateness of each sample over time [µs, s]; None if it was not recorded."""
     if not run.recording.has("lateness"):
         return None
     line = Line("lateness", "late", run.recording.time, run.recording["lateness"] * _MICRO, 0.9)
@@ -210,15 +209,15 @@ def lateness_chart(run: Judged) -> Chart | None:
 
 
 def late_samples_chart(run: Judged) -> Chart | None:
-    """Return the chart of the part of the samples that began later than so much [µs]; None where nobody noted it."""
+    """Return the chart of the part of the samples that exceed a lateness [µs]; None if it was not recorded."""
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
-    # the latest ones one by one, the others at ever larger distances: both axes are logarithmic
+    # both axes are logarithmic: every one of the latest samples, ever fewer of the others
     ranks = np.unique(np.rint(np.geomspace(1, late.size, 400)).astype(np.int64))
-    # what begins in time has no place on a logarithmic axis
+    # a lateness of 0 has no place on a logarithmic axis
     line = Line("samples", "late", np.maximum(late[ranks - 1], 0.1)[::-1], (ranks / late.size)[::-1])
-    caption = "Part of the samples that began at least so late"
+    caption = "Part of the samples with at least this lateness"
     return Chart("late_samples", caption, "lateness [µs]", "part of the samples [1]", [line], "graph", "xy")
 
 
@@ -226,15 +225,15 @@ def _finite(values) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-#: Segments into which a spectrum divides a run at least, and samples of a segment at most.
+#: Fewest segments into which a spectrum divides a run, and most samples of a segment.
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
-#: Fewer samples have no spectrum.
+#: Fewest samples for a spectrum.
 LEAST_SAMPLES = 64
-#: Points of a spectrum: above as many lines the largest of each interval is drawn.
+#: Most points of a spectrum; of more lines, the largest of each interval is drawn.
 SPECTRUM_POINTS = 1500
 #: Bars of a histogram.
 BARS = 60
-#: Periods laid on top of each other.
+#: Most overlaid periods.
 PERIODS = 3
 
 _NANO, _TO_MICROMETRES = 1e9, 1e6
@@ -243,8 +242,8 @@ _NANO, _TO_MICROMETRES = 1e9, 1e6
 def amplitude_spectrum(time, values, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the amplitude spectral density of a signal by Welch's method (Hann windows that overlap by half).
 
-    The mean of each segment is left out; the density is one-sided: its square summed over all lines times their
-    distance is the variance. Missing samples are replaced by a straight line between their neighbours.
+    The mean of each segment is removed. The density is one-sided: the sum of its squares over all lines times their
+    distance is the variance. Missing samples are interpolated linearly.
 
     Units: ``time`` [s], ``values`` [m], ``sample_time`` [s].
     """
@@ -313,7 +312,7 @@ def histogram_chart(run: Judged) -> Chart | None:
 
 
 def last_periods_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error in the last periods on top of each other [nm]; None where nothing repeats."""
+    """Return the chart of the overlaid errors of the last periods [nm]; None without a repeating reference."""
     if run.error is None:
         return None
     time = run.recording.time - run.recording.time[0]
@@ -333,13 +332,13 @@ def last_periods_chart(run: Judged) -> Chart | None:
             )
     if not lines:
         return None
-    caption = "Error in the last periods, one on top of the other"
+    caption = "Error in the last periods, overlaid"
     across, note = f"time in the period [{unit}]", f"A period lasts {period * factor:.6g} {unit}."
     return Chart("periods", caption, across, "error [nm]", lines[::-1], "graph", levels=(0.0,), note=note)
 
 
 def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None:
-    """Return the samples of the last two branches of a reference; None when it does not go to and fro.
+    """Return the samples of the last two branches of a reference; None when it does not reverse.
 
     Units: ``reference`` [m].
     """
@@ -355,7 +354,7 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of trace and retrace over the reference [nm, µm]; None where there are none."""
+    """Return the chart of the error of trace and retrace over the reference [nm, µm]; None without reversals."""
     if run.error is None or run.reference is None:
         return None
     branches = last_branches(run.recording, run.reference)
@@ -382,6 +381,6 @@ def trace_retrace_chart(run: Judged) -> Chart | None:
     said = ""
     if apart.size:
         largest, typical = float(np.max(np.abs(apart))) * _NANO, float(np.sqrt(np.mean(apart**2))) * _NANO
-        said = f"At the same reference the two are apart by {typical:.4g} nm rms and {largest:.4g} nm at most."
-    caption = "Trace against retrace: error over the reference, last way there and back"
+        said = f"At the same reference trace and retrace differ by {typical:.4g} nm rms and {largest:.4g} nm at most."
+    caption = "Trace against retrace: error over the reference, last two branches"
     return Chart("trace", caption, "reference [µm]", "error [nm]", lines, "graph", levels=(0.0,), note=said)

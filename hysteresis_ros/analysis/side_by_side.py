@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs side by side, of actuators or of inchworm motors: one table of figures, and their charts in common axes."""
+"""Comparison of runs, of actuators or of inchworm motors: one table of figures, and overlaid charts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hysteresis_ros.analysis.tables import aligned, format_parts, leading, part_
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Of each chart the lines that are laid over those of other runs, and how each is drawn; more would be too many.
+#: Lines of each chart that are overlaid with those of other runs, and their styles.
 OVERLAID: dict[str, dict[str, tuple[float, ...]]] = {
     "traces": {"displacement": ()},
     "error": {"error": ()},
@@ -64,7 +64,7 @@ def figures_of_each(runs: dict[str, Recording], figures: Callable[[Recording], d
 
 
 def _there(run: Recording) -> set[str]:
-    """Return what a run has values of; a measurement is a displacement."""
+    """Return the names of the signals with values; ``measured`` counts as ``displacement``."""
     return {"displacement" if name == "measured" else name for name in run.signals if run.has(name)}
 
 
@@ -73,7 +73,7 @@ def require_common(signals: dict[str, set[str]]) -> set[str]:
     common = set.intersection(*signals.values())
     if not common:
         said = "; ".join(f"{name} has {', '.join(sorted(there)) or 'nothing'}" for name, there in signals.items())
-        raise RecordingError(f"the runs have no signal in common: {said}; give runs that can be laid over each other")
+        raise RecordingError(f"the runs have no signal in common: {said}; give runs with a common signal")
     return common
 
 
@@ -85,14 +85,14 @@ def format_runs(figures: dict[str, dict]) -> str:
 
 
 def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
-    """Return a table of several runs as aligned lines for a terminal, and what is noted of each run."""
+    """Return a table of several runs as aligned lines for a terminal, with the notes of each run."""
     lines = [("Run", list(figures), ""), *((row["label"], row["cells"], row["shown_unit"]) for row in rows)]
     notes = [f"note: {name}: {note}" for name, one in figures.items() for note in one["notes"]["recording"]]
     return "\n".join([*aligned(lines), *notes])
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
-    """Return the charts of several runs laid over each other, each from its first sample on."""
+    """Return the overlaid charts of several runs, each from its first sample on."""
     unit = length_unit(max(largest_error(run) for run in runs.values()))
     charts: dict[str, list[tuple[str, str, Chart]]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -121,7 +121,7 @@ def _laid_over(name: str, charts: list[tuple[str, str, Chart]]) -> Chart:
 
 
 def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
-    """Return the references of the runs; of those that are alike the first one."""
+    """Return the references of the runs; equal ones once."""
     found: list[Line] = []
     for label, _, chart in charts:
         for line in chart.lines:
@@ -133,7 +133,7 @@ def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
 
 
 def _alike(line: Line, other: Line) -> bool:
-    """Tell whether two lines are the same to a thousandth of their range, as far as both go."""
+    """Return whether two lines agree to a thousandth of their range over their common length."""
     last = min(line.x[-1], other.x[-1])
     there = line.x <= last
     apart = np.abs(np.interp(line.x[there], other.x, other.y) - line.y[there])
@@ -141,7 +141,7 @@ def _alike(line: Line, other: Line) -> bool:
 
 
 def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
-    """Return headings and texts: the configuration of the first run, and in what those of the others differ."""
+    """Return headings and texts: the configuration of the first run, and the differences of the others."""
     (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
     texts = [(f"Configuration of {first}", base)] if base else []
     for name, text in others:
@@ -154,9 +154,9 @@ def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
 
 
 def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, charts laid over each other, configurations."""
+    """Return the page of several runs: table of figures, overlaid charts, configurations."""
     figures = figures or compare_runs(runs)
-    # each from its first sample on
+    # every run begins at its first sample
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
     blocks = max(100, BLOCKS // len(runs))
     sums = [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()]
@@ -195,7 +195,7 @@ def render_laid_over(
     )
 
 
-#: What the moves of a run come to: name, label, unit shown to people, factor from SI.
+#: Summary of the moves of a run: name, label, displayed unit, factor from SI.
 SUMMARY = (
     ("moves", "Moves", "", 1.0),
     ("arrived", "Moves that arrived", "", 1.0),
@@ -206,12 +206,12 @@ SUMMARY = (
     ("final_error_max_m", "Final error, largest", "nm", 1e9),
     ("overshoot_m", "Overshoot, worst move", "µm", 1e6),
 )
-#: Which line of a chart stands for a run.
+#: The line of a chart that represents a run.
 OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
 
 
 def summary(moves: list[dict]) -> dict:
-    """Return what moves come to, by the names of :data:`SUMMARY`; None where none has such a figure."""
+    """Return the summary of moves, by the names of :data:`SUMMARY`; None for a figure that no move has."""
 
     def of(name: str) -> list[float]:
         return [move[name] for move in moves if move[name] is not None]
@@ -229,13 +229,13 @@ def summary(moves: list[dict]) -> dict:
 
 
 def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
-    """Return the figures of each run, and under ``summary`` what its moves come to."""
+    """Return the figures of each run, and the summary of its moves under ``summary``."""
     found = figures_of_each(runs, inchworm_figures)
     return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
 
 
 def _rows(figures: dict[str, dict]) -> list[dict]:
-    """Return the rows of the table: the moves together, the run, and what every run has."""
+    """Return the rows of the table: summary of the moves, figures of the run, figures of every run."""
     of = list(figures.values())
     return [
         *table_of([one["summary"] for one in of], SUMMARY),
@@ -250,7 +250,7 @@ def format_motors(figures: dict[str, dict]) -> str:
 
 
 def laid_over(runs: dict[str, Recording]) -> list[Chart]:
-    """Return position and final error of several runs over each other, each from its first sample on."""
+    """Return the overlaid positions and final errors of several runs, each from its first sample on."""
     found: dict[str, Chart] = {}
     lines: dict[str, list[Line]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -265,21 +265,21 @@ def laid_over(runs: dict[str, Recording]) -> list[Chart]:
 
 
 def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, charts laid over each other, configurations."""
+    """Return the page of several runs: table of figures, overlaid charts, configurations."""
     figures = figures or compare_motors(runs)
     return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
 
 
 class Kind(NamedTuple):
-    """How runs of a kind are judged together."""
+    """The functions that compare runs of one kind."""
 
-    judge: Callable[..., dict[str, dict]]  #: ``judge(runs)`` returns the figures of each.
+    judge: Callable[..., dict[str, dict]]  #: ``judge(runs)`` returns the figures of each run.
     table: Callable[..., str]  #: ``table(figures)`` returns lines for a terminal.
     render: Callable[..., str]  #: ``render(runs, title, figures)`` returns a page.
 
 
 def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
-    """Return a name for each recording: that of its file, or as much of its path as tells it from the others."""
+    """Return a name for each recording: that of its file, with as much of its path as makes it unique."""
     whole = [pathlib.Path(path).resolve() for path in paths]
     if len(set(whole)) < len(whole):
         again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
@@ -292,12 +292,13 @@ def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path
 
 
 def kind_of(runs: dict[str, Recording]) -> Kind:
-    """Return how runs are judged together."""
+    """Return the functions that compare the runs, by their kind."""
     motors = [name for name, run in runs.items() if is_inchworm(run)]
     others = [name for name in runs if name not in motors]
     if motors and others:
         raise RecordingError(
-            f"{motors[0]} is a run of an inchworm, which is judged by its moves, and {others[0]} is none: "
+            f"{motors[0]} is a run of an inchworm motor, whose figures are of its moves, and {others[0]} is of an "
+            "actuator: "
             "report runs of one kind together"
         )
     if motors:
@@ -306,9 +307,9 @@ def kind_of(runs: dict[str, Recording]) -> Kind:
 
 
 def report_several(runs: dict[str, Recording], path=None, title: str | None = None) -> tuple[dict[str, dict], str]:
-    """Judge runs side by side, and write a page of them; return the figures of each, and lines for a terminal."""
+    """Compare runs and write a page; return the figures of each run, and lines for a terminal."""
     if not runs:
-        raise RecordingError("there is no run to report: give at least one")
+        raise RecordingError("no run to report: give at least one")
     kind = kind_of(runs)
     figures = kind.judge(runs)
     if path is not None:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures as people read them: numbers in their units, rows and tables for pages and terminals."""
+"""Human-readable figures: numbers with units, rows and tables for pages and terminals."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from hysteresis_ros.analysis.metrics import FIGURES
 from hysteresis_ros.analysis.parts import JUDGED_BY, NOT_JUDGED, Kind
 from hysteresis_ros.units import FINE
 
-#: Units of figures and the next finer ones, a thousand times as many.
+#: Units of figures and their thousandths.
 FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs", "V": "mV"}
 
 
 def shown(value, unit: str, factor: float) -> tuple[str, str]:
-    """Return a figure for people and its unit: small ones in the finer unit, 12.3 nm and not 0.0123 µm."""
+    """Return a figure as text and its unit, with small values in the finer unit: 12.3 nm and not 0.0123 µm."""
     if value and unit in FINER and abs(value) * factor < FINE:
         return format_value(value, 1e3 * factor), FINER[unit]
     return format_value(value, factor), unit
 
 
 def shown_row(label: str, value, unit: str, factor: float) -> dict:
-    """Return a row of a page's table: label, value and unit for people, see :func:`shown`."""
+    """Return a row of a page's table: label, value and unit as of :func:`shown`."""
     text, finer = shown(value, unit, factor)
     return dict(label=label, value=text, unit=finer)
 
 
-#: How the figures of a part are called in its line.
+#: Short names of the figures of a part.
 _SHORT = {
     "rms_error_m": "RMS error",
     "max_error_m": "maximum",
@@ -47,7 +47,7 @@ _UNITS = {name: (unit.removesuffix(" of stroke"), factor) for name, _, unit, fac
 
 
 def part_rows(figures: dict) -> list[dict]:
-    """Return the parts of a run in words: ``part``, ``span`` [s], and what it is judged by as ``text``."""
+    """Return the parts of a run as text: ``part``, ``span`` [s], and its figures as ``text``."""
     return [
         dict(part=one["part"], span=f"{one['from_s']:.5g} … {one['to_s']:.5g} s", text=_judgement(one))
         for one in figures.get("parts", ())
@@ -79,7 +79,7 @@ def _judgement(one: dict) -> str:
 
 
 def leading(columns: Sequence[dict]) -> tuple:
-    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES` with those first that judge the longest part."""
+    """Return :data:`~hysteresis_ros.analysis.metrics.FIGURES`, beginning with those of the longest part."""
     lasting: dict[str, float] = {}
     for one in (one for figures in columns for one in figures.get("parts", ())):
         if one["part"] in (Kind.STEPS, Kind.SCAN, Kind.PATH):
@@ -90,7 +90,7 @@ def leading(columns: Sequence[dict]) -> tuple:
 
 
 def format_table(figures: dict) -> str:
-    """Return parts and figures as aligned lines for a terminal, in the units people use, and why one has none."""
+    """Return parts and figures as aligned lines for a terminal, and the reasons for figures without a value."""
     rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in leading([figures])]
     width = max(len(label) for label, *_ in rows)
     lines = format_parts(figures)
@@ -104,7 +104,7 @@ def format_table(figures: dict) -> str:
 
 
 def format_parts(figures: dict, name: str = "") -> list[str]:
-    """Return the parts of a run as aligned lines for a terminal, each after the name of the run where it has one."""
+    """Return the parts of a run as aligned lines for a terminal, each after the name of the run if it has one."""
     rows = part_rows(figures)
     wide = max((len(row["part"]) for row in rows), default=0), max((len(row["span"]) for row in rows), default=0)
     before = f"{name}: " if name else ""
@@ -112,7 +112,7 @@ def format_parts(figures: dict, name: str = "") -> list[str]:
 
 
 def format_value(value, factor: float = 1.0) -> str:
-    """Return a number for people: four significant digits, whole numbers as they are, a dash for None."""
+    """Return a number as text: four significant digits, whole numbers unrounded, a dash for None."""
     if value is None:
         return "–"
     if isinstance(value, int):
@@ -121,7 +121,7 @@ def format_value(value, factor: float = 1.0) -> str:
 
 
 def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
-    """Return figures for people and their unit: the finer one where even the largest is small."""
+    """Return figures as text and their unit, the finer one when even the largest is small."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     if unit in FINER and 0.0 < largest * factor < FINE:
         unit, factor = FINER[unit], 1e3 * factor
@@ -129,7 +129,7 @@ def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
 
 
 def table_of(columns: Sequence[dict], names: Sequence[tuple] = FIGURES) -> list[dict]:
-    """Return the rows of a page's table of figures: label, cells, units, and why a cell has no value."""
+    """Return the rows of a page's table of figures: label, cells, units, and reasons for empty cells."""
     rows = []
     for name, label, unit, factor in names:
         cells, finer = beside([figures[name] for figures in columns], unit, factor)
@@ -140,7 +140,7 @@ def table_of(columns: Sequence[dict], names: Sequence[tuple] = FIGURES) -> list[
 
 
 def aligned(rows: Sequence[tuple[str, Sequence[str], str]]) -> list[str]:
-    """Return rows as lines for a terminal: label, cells and unit below each other."""
+    """Return rows as aligned lines for a terminal: label, cells and unit."""
     width = max(len(label) for label, *_ in rows)
     cells = [max(len(row[1][i]) for row in rows) for i in range(len(rows[0][1]))]
     return [

@@ -287,7 +287,7 @@ def test_a_recording_without_a_reference_has_a_page_too():
     page = report.render_report(Recording(run.time, {**signals, "counter": run.time}, {"counter": "1"}), "foreign")
     words = Words(page)
     text = " ".join("".join(words.text).split())
-    assert "no reference in the recording: nothing says how far off the axis was" in text
+    assert "no reference in the recording: the error is unknown" in text
     assert words.pictures == ["Displacement over time", "Hysteresis loop", "Voltage"]
     assert "errors" not in data_of(page)["runs"][0]["sums"]
 
