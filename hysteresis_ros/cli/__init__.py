@@ -9,7 +9,7 @@
 
 """The command ``hysteresis``: thin subcommands over the rest of the package.
 
-``entry`` starts it, ``main`` has the table of commands and imports one only when it is called; ``options`` and
-``progress`` are what commands share, ``recording`` has those that read one (report, verify, export, repair). Commands
-of the laboratory are in its folders, as ``command.py``.
+Module ``entry`` starts it, ``main`` has the table of commands and imports a command only when it is called; the
+commands share ``options`` and ``progress``; ``recording`` contains those that read one (report, verify, export,
+repair). Commands of the laboratory are in its folders, as ``command.py``.
 """

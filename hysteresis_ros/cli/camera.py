@@ -81,7 +81,7 @@ def _metres(option: str, text: str) -> float:
 
 
 def _parameters(config, namespace, calibrating, method, along, region, scale):
-    """Return the parameters of the file, changed by the options; a scale to be found may have any value."""
+    """Return the parameters of the file, changed by the options; a scale that is still to be determined may be any."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.hardware.tracker import CameraParameters
 
@@ -99,7 +99,7 @@ def _parameters(config, namespace, calibrating, method, along, region, scale):
     elif calibrating:
         given["calibration.scale"] = 1.0e-6
     elif "calibration.scale" not in values:
-        raise click.UsageError("how many metres a pixel is: give --scale or --config; --known and --target find it")
+        raise click.UsageError("the scale is missing: give --scale or --config; --known and --target determine it")
     return CameraParameters.from_mapping(
         {**values, **{name: value for name, value in given.items() if value is not None}}
     )
@@ -125,7 +125,7 @@ def _of_target(footage, size, parameters):
 
     first, tracking = next(iter(footage)), parameters.tracking
     if first is None or not fits(first, tracking):
-        raise FrameError("the first frame cannot be read, or does not hold the region")
+        raise FrameError("the first frame cannot be read, or does not contain the region")
     return scale_of_target(looked_at(first, tracking), size, tracking.smallest_contrast, tracking.largest_blur)
 
 
@@ -134,4 +134,4 @@ def _print_scale(found) -> None:
     click.echo(f"      scale: {found.metres_per_pixel:.9e}    # m/px, ± {found.uncertainty:.1e}")
     if found.offset == found.offset:
         click.echo(f"      sign: {found.sign}\n      offset: {found.offset:.9e}    # m")
-        click.echo(f"# what a straight line leaves: {1e9 * found.residual:.3g} nm rms")
+        click.echo(f"# residual of the straight line: {1e9 * found.residual:.3g} nm rms")

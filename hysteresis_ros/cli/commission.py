@@ -74,7 +74,7 @@ def new(file, driver, options, plant, joint, **given):
     click.echo(f"{file}: written; next: hysteresis commission {file}")
 
 
-#: Exit code of a scan whose error is much larger than the predicted one; the files are written.
+#: Exit code when the error of the scan is much larger than predicted; the files are written.
 UNPREDICTED = 4
 #: Maximum interval between two progress messages [s]; stages last some seconds.
 SILENCE = 5.0
@@ -133,7 +133,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
     situation.progress = lambda number, text: busy.update(text=text)
     attendant = Terminal(yes, progress)
     try:
-        with progress.during("still at it", lambda: busy["text"]):
+        with progress.during("still running", lambda: busy["text"]):
             whole = do(situation, bench, attendant, stages)
     finally:
         if situation.found:
@@ -143,14 +143,14 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
             click.echo(f"report: {page}")
     if whole:
         seconds = sum(outcome.seconds for outcome in situation.found.values())
-        click.echo(f"all stages: {seconds:.3g} s of the axis")
+        click.echo(f"all stages: the axis was driven for {seconds:.3g} s")
         click.echo(f"written: {directory / COMMISSIONED}; run it: hysteresis up {directory / COMMISSIONED}")
         if not situation.found["scan"].figures["as_predicted"]:
             ctx.exit(UNPREDICTED)
 
 
 def _situation(file, directory, resumed, plant, offline, choices):
-    """Return the situation of the stages, and the bench."""
+    """Return the common data of the stages, and the bench."""
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
     from hysteresis_ros.cli.commissioning.new_file import parsed
     from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
@@ -188,7 +188,7 @@ class Terminal:
         if self._yes:
             return True
         if not sys.stdin.isatty():
-            raise ConfigurationError(f"{stage}: nobody is there to allow this movement; give --yes")
+            raise ConfigurationError(f"{stage}: no terminal to ask for permission to move; give --yes")
         with self._progress.paused():
             return click.confirm("  may it move?", default=False)
 

@@ -49,9 +49,9 @@ def demo(output, factor):
     """Run the inchworm's propulsion part of Kim 2009 at 3 kHz; write bags, a picture, report.html and metrics.json.
 
     In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
-    Then the triangle as four processes in lockstep, compared bit for bit with the offline twin.
+    Afterwards the triangle runs as four processes in lockstep, compared bit for bit with the offline twin.
     """
-    # the result alone goes to stdout, its message first
+    # only the results go to stdout
     progress = Progress(err=True, silence=SILENCE)
     progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
     with progress.during("loading"):
@@ -98,12 +98,12 @@ def _axes(factor: float) -> dict:
     triangle |= dict(waveform__amplitude=stroke)
     open_loop = configuration.override("motion_controller", type="open_loop")
     closed = open_loop.override("reference_generator", **triangle)
-    # the steps do not use the waveform of the file: the setpoints come from the topic
+    # in the run with steps the setpoints come from the topic, not from the waveform of the file
     steps = configuration.override("reference_generator", waveform__type="hold")
     return {
         WITHOUT: _axis(closed.override("hysteresis_compensator", inverse__type="none"), WITHOUT, cycles / frequency),
         WITH: _axis(closed, WITH, cycles / frequency),
-        # in real time it runs until all have arrived; a stopped lockstep run ends within a sample
+        # in real time it runs until all setpoints have arrived; a stopped lockstep run ends within a sample
         STEPS: _axis(steps, "steps", None if COMPILED else INTERPRETED),
     }
 
@@ -143,7 +143,7 @@ def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
     plant = axes[STEPS].plant_simulator
     live = plant.time_mode == "fused"
     how = f"in real time, factor {plant.real_time_factor:g}" if live else "in lockstep"
-    progress.say(f"three axes at {plant.sample_rate:g} Hz {how}: each one process, recorded whole")
+    progress.say(f"three axes at {plant.sample_rate:g} Hz {how}: one process each, all samples recorded")
     command = _publisher_command(axes[STEPS].namespace)
     with contextlib.ExitStack() as stack, progress.during("nodes start, find each other and run"):
         publisher = subprocess.Popen(command, env=node_environment())
@@ -220,12 +220,12 @@ def _same_as_live(folder: pathlib.Path) -> str:
     processes, loop = (load_run(folder / name, further=True) for name in (PROCESSES, WITH))
     size = processes.time.size
     if loop["skipped"][:size].any():
-        return "four processes and one loop: not alike here, because the loop had to skip samples"
+        return "four processes and one loop: different here, because the loop had to skip samples"
     same = np.array_equal(processes["displacement"], loop["displacement"][:size])
     return f"four processes and one loop: {'the same' if same else 'not the same'} {size} samples"
 
 
-# -- what it leaves ----------------------------------------------------------------------------------------------
+# -- results -------------------------------------------------------------------------------------------------------
 
 
 def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progress) -> None:

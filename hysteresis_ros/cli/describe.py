@@ -91,9 +91,8 @@ def urdf(config, namespace):
 def policy(config, output, processes, rate, record, plant, namespace, remap):
     """Write a policy for `ros2 security` that permits only the interfaces that each process of CONFIG uses.
 
-    The nodes are created in an isolated ROS domain; no device is opened. Further enclaves are those of an operator,
-    which may publish user inputs and call services, of a monitor, which may only subscribe, of watch, which serves the
-    page, and of epics_ioc.
+    The nodes are created in an isolated ROS domain; no device is opened. The policy also has enclaves for an operator
+    (may publish user inputs and call services), a monitor (may only subscribe), watch (serves the page) and epics_ioc.
     """
     from hysteresis_ros.nodes.launcher import run_apart
 

@@ -55,7 +55,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
 @click.option("--preview", type=int, help="Preview of the reference [samples], with --feedforward.")
 @click.option(
-    "--robust", is_flag=True, help="Robust gains for the worst of random plants around the model, within these ranges:"
+    "--robust", is_flag=True, help="Robust gains for the worst of random plants around the model, in the ranges below."
 )
 @click.option("--gain-range", type=float, help="Relative uncertainty of the gain.  [default: 0.05]")
 @click.option(

@@ -142,7 +142,7 @@ def advice(found: dict, permitted: bool) -> list[str]:
             "login, or CAP_SYS_NICE"
         )
     if system_["cores"] < 2:
-        lines.append("one core: whatever else runs keeps the loop waiting; give it a second one (realtime.cpu)")
+        lines.append("one core: any other process delays the loop; add a second core (realtime.cpu)")
     if system_["governor"] not in ("performance", "unknown"):
         lines.append(
             f"governor {system_['governor']}: cores sleep deeply; choose 'performance' (cpupower frequency-set)"
@@ -174,11 +174,11 @@ def doctor(path: pathlib.Path | None) -> None:
     time at 300 Hz how soon a measurement is answered, and how many voltages come late.
     """
     if path is not None and not path.absolute().parent.is_dir():
-        raise click.UsageError(f"--json {path}: there is no such folder; choose another place")
+        raise click.UsageError(f"--json {path}: the folder does not exist; choose another one")
     begun = time.monotonic()
     progress = Progress(steady=True)
-    progress.say("what this machine holds (Kim's axis, simulated); it takes up to a minute")
-    with progress.during("looking at the installation"):
+    progress.say("rates that this machine achieves (Kim's axis, simulated); it takes up to a minute")
+    with progress.during("checking the installation"):
         found: dict = {"system": system(), "libraries": versions(), "middleware": middleware()}
     for line in _installed(found):
         progress.say(line)
@@ -302,7 +302,7 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
     found: dict[str, dict] = {}
     for name, samples, composed in (("composed", COMPOSED, True), ("processes", PROCESSES, False)):
         if time.monotonic() > latest:
-            progress.say(f"nodes, {name}: not measured, compiling took the time; once more, it is quick")
+            progress.say(f"nodes, {name}: not measured, compilation took the time; run it again")
             continue
         with progress.during(f"nodes, {name}"):
             found[name] = {"lockstep_hz": Trial(axis, samples, composed).message_rate()}
@@ -317,7 +317,7 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
 def _answered(took: Answers) -> str:
     """Return a line about the response times of nodes."""
     if took.p50 is None or took.p99 is None or took.max is None:
-        return f"not one of {took.samples} measurements was answered; the machine has no time for it"
+        return f"none of {took.samples} measurements was answered; the machine is too slow or too busy"
     late = f"{took.late} of {took.samples} voltages late ({100.0 * took.late / max(took.samples, 1):.2g} %)"
     return f"answered after p50 {1e3 * took.p50:.2g}, p99 {1e3 * took.p99:.2g}, max {1e3 * took.max:.2g} ms; {late}"
 

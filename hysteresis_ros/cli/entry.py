@@ -33,7 +33,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
 
     def repeat_interrupt(unraisable: Any) -> None:
-        """Repeat an interrupt that came where Python cannot raise (a callback, a finalizer): it would be lost."""
+        """Repeat an interrupt that is lost because Python cannot raise there (in a callback or a finalizer)."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(unraisable)
             return
@@ -48,7 +48,7 @@ def main() -> None:
 
         command(prog_name="hysteresis")
     except (KeyboardInterrupt, Exception) as error:
-        # a compiler whose callback was interrupted fails soon after with its own message
+        # a compiler fails with its own message soon after an interrupted callback
         if not dropped and not isinstance(error, KeyboardInterrupt):
             raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -59,12 +59,12 @@ def main() -> None:
             _leave_at_once()
         raise
     finally:
-        # only the interpreter's shutdown is left: an interrupt there would only print a traceback
+        # during the interpreter's shutdown an interrupt would only print a traceback
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _leave_at_once() -> NoReturn:
-    """Leave with the exit code of Ctrl-C: Python would end by the signal itself when ``exec`` was interrupted."""
+    """Exit with the code of Ctrl-C; after an interrupted ``exec`` Python would end by the signal itself."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(INTERRUPTED)

@@ -55,9 +55,9 @@ def excite(
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
     `hysteresis identify` reads the bag directly. Recipes: triangles (growing peaks), decaying (minor loops), multisine
-    and chirp (dynamics), steps, creep. With one, --amplitude is the part of its own amplitude (0.5), and --frequency
-    that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference lengths may be
-    given in volts too (60V), or in metres at the gain of the compensator's model (5um).
+    and chirp (dynamics), steps, creep. With a recipe, --amplitude is relative to its own amplitude (0.5), and
+    --frequency is that of the cycles, of the lines of the multisine, or of the chirp's start. With --reference,
+    amplitudes may be in volts (60V), or in metres at the gain of the compensator's model (5um).
     """
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
@@ -80,8 +80,9 @@ def excite(
     given = single_axis(configuration, namespace)
     if given.inchworm_sequencer is not None:
         raise ConfigurationError(
-            f"{configuration.source}: an inchworm_sequencer stands in the place of the reference generator, which "
-            "drives the recipes; excite the extender alone: a plant_simulator of type actuator, without sequencer"
+            f"{configuration.source}: the recipes need a reference generator, and this file has an "
+            "inchworm_sequencer instead; excite the extender alone, in a file with a plant_simulator of type "
+            "actuator and no sequencer"
         )
     limits, sample_rate = given.hysteresis_compensator.limits, given.plant_simulator.sample_rate
     gain = hysteresis_block(given.hysteresis_compensator.hysteresis, 1.0 / sample_rate).gain

@@ -18,7 +18,7 @@ import click
 from hysteresis_ros.cli.options import ConfigurationName, write_json
 from hysteresis_ros.cli.progress import Progress
 
-#: Endings of recordings; a folder is a bag.
+#: Suffixes of recordings; a folder is a bag.
 RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
 #: Options with units: the unit, and the argument of the experiment.
 WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
@@ -81,9 +81,9 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     """Measure the frequency response of an axis of CONFIG at an operating point, or estimate it from RECORDING.
 
     Open loop: from voltage (or command, through the inverse) to displacement. Closed loop: sensitivity, complementary
-    sensitivity and loop transfer with measured margins beside those of the model. Bands hold the true response with
-    95 % probability; a multisine tells noise, odd and even distortion apart. Exit code 2: wrong input, or an excitation
-    that drowns in the noise.
+    sensitivity and loop transfer with measured margins beside those of the model. Bands contain the true response with
+    95 % probability; a multisine separates noise, odd and even distortion. Exit code 2: wrong input, or an excitation
+    below the noise.
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture
@@ -115,7 +115,7 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
 
 
 def _with_units(options: dict) -> dict:
-    """Return the options that carry units, in SI."""
+    """Return the options with units, in SI."""
     from hysteresis_ros.cli.commissioning.new_file import parsed
 
     given = {name: options[name] for name in WITH_UNITS if options[name] is not None}
@@ -131,7 +131,7 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
     for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
         if options[name] is not None:
-            raise ConfigurationError(f"--{name}: {path} is a recording, which was excited already; leave it out")
+            raise ConfigurationError(f"--{name}: {path} is a recording, which is already excited; omit the option")
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
         run = load_run(path, namespace, further=True)

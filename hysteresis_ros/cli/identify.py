@@ -19,9 +19,9 @@ from hysteresis_ros.cli.options import ConfigurationName, data_options, format_f
 from hysteresis_ros.cli.progress import Progress, shown
 from hysteresis_ros.errors import ConfigurationError
 
-#: Exit code of a fit that did not converge: the best point was written.
+#: Exit code of a fit that did not converge; the best point is written.
 NOT_CONVERGED = 3
-#: Exit code of a model that is suitable for an inverse but not for feedback, as the recording shows.
+#: Exit code of a model that the recording shows to be suitable for an inverse but not for feedback.
 UNFIT = 4
 #: Figures that are shown first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
@@ -87,8 +87,8 @@ def identify(
     """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
-    point was written. 4: the recording shows that the model is not fit for feedback as fast as it would allow by
-    itself; one line says at which frequency, and a design keeps below. 2: wrong input.
+    point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
+    would allow; one line names the frequency, and a design stays below it. 2: wrong input.
     """
     from hysteresis_ros.identification.frequency_response import holds_response
 
@@ -132,7 +132,7 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
 
     if into is None:
         raise ConfigurationError(
-            f"{data}: a frequency response tells the dynamics alone; give --into CONFIG, the axis that keeps its "
+            f"{data}: a frequency response contains the dynamics only; give --into CONFIG, the axis that keeps its "
             "hysteresis"
         )
     with Progress(err=True).during("fitting dynamics to the response"):
@@ -148,7 +148,7 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
 @click.argument("params", type=ConfigurationName())
 @click.argument("data", type=click.Path(path_type=pathlib.Path))
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
-@click.option("--no-inverse", is_flag=True, help="Leave the inverse out.")
+@click.option("--no-inverse", is_flag=True, help="Do not validate the inverse.")
 @data_options
 def validate(params, data, report_path, no_inverse, skip, offset, intersample, initial, json_path, **columns):
     """Simulate the plant of PARAMS with the voltage of DATA and compare with the measurement.
@@ -160,7 +160,7 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
     namespace = columns["namespace"] or ""
     reading = read(data, whole=True, **columns)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
-    with shown("simulating what was measured"):
+    with shown("simulating the measured run"):
         found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
     summary = {**found.figures, "warnings": list(found.warnings)}
     if report_path is not None:
@@ -185,7 +185,7 @@ def models(name, as_json, as_yaml):
         from hysteresis_ros.identification.parameter_file import example_text
 
         if not name:
-            raise ConfigurationError(f"--yaml: of which model? There are: {', '.join(MODELS)}")
+            raise ConfigurationError(f"--yaml: the name of the model is missing; there are: {', '.join(MODELS)}")
         click.echo(example_text(chosen[name]), nl=False)
         return
     if as_json:

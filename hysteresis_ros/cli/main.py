@@ -36,7 +36,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run an axis offline, without ROS."),
         "setpoint": (
             "hysteresis_ros.cli.remote:setpoint",
-            "Send a setpoint to a running axis; print whether it was taken.",
+            "Send a setpoint to a running axis; print whether it was accepted.",
         ),
         "status": ("hysteresis_ros.cli.remote:status", "Print nodes, health and position of each running axis."),
         "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
@@ -50,7 +50,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "hysteresis_ros.laboratory.watch.command:watch",
             "Show a running axis in the browser, and tune it there.",
         ),
-        "report": ("hysteresis_ros.cli.recording:report", "Judge recordings: figures, charts, one HTML page."),
+        "report": ("hysteresis_ros.cli.recording:report", "Evaluate recordings: figures, charts, one HTML page."),
         "export": ("hysteresis_ros.cli.recording:export", "Convert a recording to .npz or .csv."),
         "repair": ("hysteresis_ros.cli.recording:repair", "Repair a bag that was cut off."),
     },
@@ -62,7 +62,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "identify": ("hysteresis_ros.cli.identify:identify", "Fit a model to a recording, and write a parameter file."),
         "validate": (
             "hysteresis_ros.cli.identify:validate",
-            "Check a parameter file on a recording that was not fitted.",
+            "Check a parameter file on a recording that was not used for the fit.",
         ),
         "frf": ("hysteresis_ros.cli.frf:frf", "Measure a frequency response, or estimate it from a recording."),
         "models": (
@@ -74,7 +74,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "new": ("hysteresis_ros.cli.commission:new", "Write a safe parameter file for a new stage."),
         "commission": (
             "hysteresis_ros.cli.commission:commission",
-            "Take a new stage to a closed loop: identify, design, judge.",
+            "Take a new stage to a closed loop: identify, design, verify.",
         ),
         "design": (
             "hysteresis_ros.cli.design:design",
@@ -110,23 +110,23 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "reproduce": (
             "hysteresis_ros.laboratory.papers.command:reproduce",
-            "Repeat a paper's experiments: figure in the paper, figure here.",
+            "Repeat a paper's experiments: published and reproduced figures.",
         ),
     },
     "Check": {
         "verify": ("hysteresis_ros.cli.recording:verify", "Compare a recorded run with its offline twin, bit for bit."),
-        "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure which sample rates this machine holds."),
+        "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure which sample rates this machine achieves."),
         "faults": (
             "hysteresis_ros.laboratory.campaign.command:faults",
-            "Break a simulated axis in every way, and report what held.",
+            "Inject faults into a simulated axis, and report the outcome.",
         ),
     },
 }
 #: The same by name.
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
-#: Objects made before the garbage collector looks at the young ones. Compiling makes millions that live on: at Python's
-#: own 700 looking through them, again and again, takes a tenth of the time.
+#: New objects per collection of the youngest generation. Compiling creates millions of objects that stay alive; with
+#: Python's default of 700 the collections take a tenth of the time.
 COLLECT_AFTER = 50_000
 
 
@@ -170,7 +170,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context):
-        """Run a subcommand; Ctrl-C is answered here, before click writes an empty line of its own."""
+        """Run a subcommand; handle Ctrl-C here, before click prints an empty line."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -185,7 +185,7 @@ class LazyGroup(click.Group):
                 code = super().main(args, prog_name, **extra)
         except click.ClickException as error:
             if error.exit_code == 2 and not (args or sys.argv[1:]):
-                error.show()  # the help, without a word given
+                error.show()  # without arguments: the help
                 sys.exit(error.exit_code)
             _refuse(_usage(error), error.exit_code)
         except HysteresisError as error:
@@ -193,10 +193,10 @@ class LazyGroup(click.Group):
         except OSError as error:
             if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
                 raise
-            # of a name of any length every look is refused, also that whether it is there
+            # for a name that is too long, every access fails, also the test whether the file exists
             _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
-            _refuse(f"not enough memory: {error or 'ask for fewer samples'}; ask for a shorter run", 2)
+            _refuse(f"not enough memory: {error or 'too many samples'}; choose a shorter run", 2)
         except (click.Abort, KeyboardInterrupt):
             leave_interrupted()
         sys.exit(code or 0)
@@ -232,7 +232,7 @@ def _nearest_choice(error: click.ClickException) -> str:
 
 @contextlib.contextmanager
 def _leaving_cleanly():
-    """Let SIGTERM end the process through its ``finally`` clauses: temporary folders go, child processes too."""
+    """Let SIGTERM run the ``finally`` clauses, which remove temporary folders and end child processes."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -261,7 +261,7 @@ def _show_version(ctx, parameter, value) -> None:
     help="Show the version and exit.",
 )
 def main() -> None:
-    """Hysteretic actuators under ROS 2: simulate, run, record and judge an axis."""
+    """Hysteretic actuators under ROS 2: simulate, run, record and evaluate an axis."""
 
 
 if __name__ == "__main__":

@@ -64,12 +64,12 @@ class Quantity(click.ParamType):
 
 
 class WaveformName(click.ParamType):
-    """The name of a waveform; unknown names are refused later, where all waveforms are known."""
+    """The name of a waveform; unknown names are refused later, with the list of all waveforms."""
 
     name = "waveform"
 
     def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
-        """Return the waveforms whose names begin so."""
+        """Return the waveforms whose names begin with the typed text."""
         from hysteresis_ros.references.waveforms import WAVEFORMS
 
         return [CompletionItem(name) for name in WAVEFORMS if name.startswith(incomplete)]
@@ -81,7 +81,7 @@ class NodeName(click.ParamType):
     name = "node"
 
     def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
-        """Return the nodes of an axis whose names begin so."""
+        """Return the nodes of an axis whose names begin with the typed text."""
         from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES
 
         return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
@@ -226,7 +226,7 @@ def _seconds(text: str):
 
 
 def write_json(figures: dict, path: str | None, table: str) -> None:
-    """Print the table, or the figures as JSON for ``-``; write them to a file besides where one is named."""
+    """Print the table, or the figures as JSON for ``-``; also write them to a file if one is named."""
     import json
 
     from hysteresis_ros.errors import RecordingError
@@ -316,8 +316,8 @@ class AskedReference:
             return configuration
         if any(configuration.describes("inchworm_sequencer", space) for space in configuration.namespaces()):
             raise ConfigurationError(
-                f"--reference {self.kind}: {configuration.source} is an inchworm, which walks to setpoints and follows "
-                "no waveform; give it setpoints with `hysteresis setpoint`"
+                f"--reference {self.kind}: {configuration.source} is an inchworm motor, which follows no waveform; "
+                "give it setpoints with `hysteresis setpoint`"
             )
         values = {f"waveform.{name}": value for name, value in self.values().items()}
         return configuration.override("reference_generator", **values)

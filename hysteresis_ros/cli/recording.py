@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis report``, ``verify``, ``export`` and ``repair``: judge, compare, convert or repair a recording."""
+"""``hysteresis report``, ``verify``, ``export`` and ``repair``: evaluate, compare, convert or repair a recording."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     "--last-periods", type=click.IntRange(1), metavar="N", help="Evaluate the last N periods of the reference."
 )
 def report(recordings, output, json_path, namespace, title, range_, skip, last_periods) -> None:
-    """Judge recordings (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
+    """Evaluate recordings (bag, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
-    Of an inchworm: each move with its steps, speed, slip and final error. Several recordings are shown side by side.
+    For an inchworm motor: steps, speed, slip and final error of each move. Several recordings are shown side by side.
     Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
     "hysteresis_ros[report]").
     """
@@ -58,7 +58,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
             for label, path in labels_of(recordings).items()
         }
     if len(runs) > 1:
-        with shown(f"judging {len(runs)} runs"):
+        with shown(f"evaluating {len(runs)} runs"):
             figures, table = report_several(runs, output, title)
         write_json({"runs": figures}, json_path, table)
     else:
@@ -69,7 +69,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
 
 
 def _single(run, output, title: str, json_path: str | None) -> None:
-    """Judge one run, an inchworm's by its moves."""
+    """Evaluate one run; that of an inchworm motor by its moves."""
     from hysteresis_ros.analysis.inchworm import is_inchworm
     from hysteresis_ros.analysis.metrics import limited_text
 
@@ -84,7 +84,7 @@ def _single(run, output, title: str, json_path: str | None) -> None:
     limited = limited_text(run)
     if limited:
         click.echo(f"hysteresis: warning: {limited}", err=True)
-    with shown(f"judging {len(run)} samples"):
+    with shown(f"evaluating {len(run)} samples"):
         figures = judge(run)
         if output is not None:
             write(run, output, title, figures)
@@ -131,8 +131,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         simulated = run.metadata.get("source") == "offline simulation"
         if not simulated and axis.plant_simulator.time_mode == "realtime":
             raise RecordingError(
-                f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
-                "fused runs repeat"
+                f"{recording}: is a run in real time, which depends on the times of messages; only lockstep and fused "
+                "runs can be repeated"
             )
         for note in notes:
             click.echo(f"hysteresis: note: {note}", err=True)
@@ -202,9 +202,9 @@ def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
     with shown(f"repairing {bag.name}"):
         done = repairing.repair(bag, output)
     if done.path is None:
-        click.echo(f"{bag}: is whole, {done.messages} messages; nothing to repair")
+        click.echo(f"{bag}: is complete, {done.messages} messages; nothing to repair")
         return
     for line in done.lost:
         click.echo(f"left out: {line}", err=True)
-    mended = f"{', '.join(done.mended)} made whole" if done.mended else "metadata.yaml made anew"
+    mended = f"{', '.join(done.mended)} repaired" if done.mended else "metadata.yaml rebuilt"
     click.echo(f"{done.path}: {done.messages} messages; {mended}")

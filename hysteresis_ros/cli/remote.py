@@ -132,7 +132,7 @@ def echo(topic, once, count, namespace, timeout):
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("value")
-@steered(timeout=30.0)  # an axis that is started for the first time compiles
+@steered(timeout=30.0)  # an axis compiles when it starts for the first time
 def setpoint(value, namespace, timeout):
     """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether its reference source accepts it.
 

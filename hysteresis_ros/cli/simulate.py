@@ -79,7 +79,7 @@ def simulate(config, output, laid_over, duration, setpoints, faults, learned, dr
     generator = parameters.reference_generator
     if generator is not None and generator.waveform.type == "hold" and setpoints is None:
         click.echo(
-            "note: the axis held its place: the waveform of the configuration is hold; let it follow something, e.g. "
+            "note: the axis did not move: the waveform of the configuration is hold; choose a waveform, e.g. "
             "--reference triangle --frequency 5Hz --amplitude 1um",
             err=True,
         )

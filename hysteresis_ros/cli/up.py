@@ -203,7 +203,7 @@ LOOKED_AT = 300_000_000
 
 
 def _say_limited(graph) -> None:
-    """Warn of a recorded run whose output was limited for more than a moment."""
+    """Warn of a recorded run whose output was saturated for a noticeable time."""
     from hysteresis_ros.analysis.metrics import limited_text
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.recordings.align import read_recording
@@ -214,14 +214,14 @@ def _say_limited(graph) -> None:
         try:
             limited = limited_text(read_recording(bag, axis.namespace, further=True))
         except HysteresisError:
-            continue  # errors of the bag are reported below, or when it is read
+            continue  # errors of the bag are reported below or by its reader
         if limited:
             click.echo(f"hysteresis: warning: {axis.namespace}{': ' if axis.namespace else ''}{limited}", err=True)
 
 
 def _say_recorded(graph) -> None:
-    """Print the bags; one whose recorder died or ran out of space is shorter than the run, which is an error."""
-    short = "; it ends before the run, and hysteresis repair makes it whole if it was cut off" if graph.lost else ""
+    """Print the bags; a bag whose recorder died or ran out of space is incomplete, which is an error."""
+    short = "; it ends before the run; if it was cut off, hysteresis repair completes it" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")
     if graph.lost:

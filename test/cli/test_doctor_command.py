@@ -83,7 +83,7 @@ def test_without_a_compiler_nothing_is_measured_and_the_reason_is_said(monkeypat
 
 def test_a_file_that_cannot_be_written_is_refused_before_anything_is_measured(tmp_path):
     result = CliRunner().invoke(main, ["doctor", "--json", str(tmp_path / "nowhere" / "found.json")])
-    assert result.exit_code == 2 and result.output.count("\n") == 1 and "no such folder" in result.output
+    assert result.exit_code == 2 and result.output.count("\n") == 1 and "the folder does not exist" in result.output
 
 
 def test_what_is_missing_comes_with_what_to_do():

@@ -58,7 +58,7 @@ def test_what_cannot_be_emulated_is_refused(words, said):
 def test_a_port_that_is_taken_is_named():
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert f"127.0.0.1:{port}: cannot be listened at" in refusal("gcs", "--port", str(port))
+        assert f"127.0.0.1:{port}: cannot listen on it" in refusal("gcs", "--port", str(port))
 
 
 def test_the_plant_is_that_of_an_axis_with_its_samples():

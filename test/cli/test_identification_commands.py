@@ -291,8 +291,8 @@ def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(tmp_path):
     [
         (["--model", "preisac"], "must be one of"),
         (["--linear", "lags"], "must be auto, none"),
-        (["--linear", "arx,lag"], "stands alone"),
-        (["--model", "proportional", "--linear", "creep"], "does not go with"),
+        (["--linear", "arx,lag"], "cannot be combined"),
+        (["--model", "proportional", "--linear", "creep"], "cannot be used with"),
         (["-p", "plays=3"], "options of prandtl_ishlinskii"),
         (["-p", "play_count=many"], "must be a int"),
         (["--inverse", "multiplicative"], "usual has exact"),

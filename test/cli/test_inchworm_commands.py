@@ -21,8 +21,8 @@ from hysteresis_ros.cli.main import main
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("excite", "inchworm_travel", "--recipe", "chirp", "--record", "bag"), "inchworm_sequencer stands in"),
-        (("compare", "inchworm_travel"), "sequencer stands in"),
+        (("excite", "inchworm_travel", "--recipe", "chirp", "--record", "bag"), "has an inchworm_sequencer instead"),
+        (("compare", "inchworm_travel"), "needs a reference generator"),
         (("identify", "run.npz", "--model", "polynomial", "-o", "model.yaml"), "a run of an inchworm"),
     ],
 )

@@ -53,7 +53,7 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
     run.metadata["source"] = "bag"
     save_run(run, tmp_path / "run.npz")
     code, line = verify(tmp_path / "run.npz")
-    assert code == 2 and "only lockstep and fused runs repeat" in line
+    assert code == 2 and "only lockstep and fused runs can be repeated" in line
     code, line = verify(tmp_path / "nothing")
     assert code == 2 and "no such file" in line
 
@@ -82,7 +82,7 @@ def test_files_are_those_of_the_recording_whatever_has_become_of_them(scanned):
     scan.write_text(scan.read_text().replace("0.7", "0.8"))
     result = CliRunner().invoke(main, ["verify", str(path)])
     assert result.exit_code == 0 and "equal the offline twin bit for bit" in result.stdout
-    assert f"{scan} on this disk is not the file that the run was made with" in result.stderr
+    assert f"{scan} on this disk differs from the file of the run" in result.stderr
     scan.unlink()
     code, line = verify(path)
     assert code == 0 and "bit for bit" in line

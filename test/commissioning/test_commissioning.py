@@ -57,7 +57,7 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     # plugged in again: what is done is not done again; but the closed loop rings
     bench.last, bench.spoil = 99, lambda signals: swing(bench, signals)
     resumed = Willing()
-    with pytest.raises(CommissioningError, match="loop: the closed loop does not come to rest"):
+    with pytest.raises(CommissioningError, match="loop: the closed loop does not settle"):
         commission(sitting(tmp_path, resumed=True), bench, resumed)
     assert [name for name, (_, before) in resumed.heard.items() if before] == ["noise", "gain", "resonance"]
     assert list(resumed.asked) == ["hysteresis", "creep", "loop"]
@@ -116,7 +116,7 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     alone = Willing()
     assert not commission(sitting(tmp_path, resumed=True), bench, alone, ["creep"])
     assert list(alone.asked) == ["creep"] and situation.folder.outcome("identify") is None
-    with pytest.raises(CommissioningError, match="design needs what identify find"):
+    with pytest.raises(CommissioningError, match="design needs the results of identify"):
         commission(sitting(tmp_path, resumed=True), bench, Willing(), ["design"])
 
 
@@ -175,12 +175,12 @@ WRONG = {
     reversed_sign: "gain: the sign is reversed",
     blind: "gain: the sensor does not move with the actuator",
     in_micrometres: "noise: the sensor's noise at rest is .* units",
-    in_kilometres: "gain: the sensor does not move .* off by about 0.001: has the driver other units than m and V",
+    in_kilometres: "gain: the sensor does not move .* factor is about 0.001: does the driver use other units",
     in_tenths: "gain: the gain is 0.08",
-    ringing: "gain: the stage does not come to rest",
-    tripping: "noise: the axis stopped itself after 0.05 s: the sensor measured farther",
+    ringing: "gain: the stage does not settle",
+    tripping: "noise: the axis tripped after 0.05 s: the sensor measured more",
     losing: "noise: 10.0 % of 1000 samples have no measurement or no voltage",
-    stuck: "gain: a step of 5 V was asked for and 1 V were put out",
+    stuck: "gain: a step of 5 V was commanded and 1 V were applied",
     noisy: "noise: the sensor's noise at rest is",
 }
 
@@ -247,7 +247,7 @@ def test_nothing_moves_that_nobody_allows(tmp_path):
 
 def test_a_resumed_sitting_is_of_the_same_file_and_bench(tmp_path):
     sitting(tmp_path)
-    with pytest.raises(ConfigurationError, match="exists already; go on with --resume"):
+    with pytest.raises(ConfigurationError, match="exists already; continue with --resume"):
         sitting(tmp_path)
     path = tmp_path / "stage.yaml"
     text = path.read_text()

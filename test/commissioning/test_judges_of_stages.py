@@ -76,10 +76,10 @@ def test_a_zero_many_strokes_away_is_that_of_another_unit(situation, strokes):
             judge_noise(situation, quiet)
 
 
-@pytest.mark.parametrize(("code", "why"), [(1.0, "too many voltages came late"), (2.0, "measured farther"), (3.0, "")])
+@pytest.mark.parametrize(("code", "why"), [(1.0, "too many voltages came late"), (2.0, "measured more"), (3.0, "")])
 def test_an_axis_that_stopped_itself_is_no_measurement_and_one_that_is_homed_is(code, why):
     stopped = np.where(np.arange(100) < 60, 0.0, code)
-    with pytest.raises(CommissioningError, match=f"the axis stopped itself after 0.03 s: .*{why}"):
+    with pytest.raises(CommissioningError, match=f"the axis tripped after 0.03 s: .*{why}"):
         require_sound(recorded(np.zeros(100), tripped=stopped), 100)
     homed = np.where(np.arange(100) < 60, -1.0, 0.0)
     assert len(require_sound(recorded(np.zeros(100), tripped=homed), 100)) == 100

@@ -57,7 +57,7 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     assert f"all samples equal the offline twin bit for bit, none missing: {counts}" in answer.stdout
     # the message first, and of what goes on no more than can be read
     said = answer.stdout.splitlines()
-    assert said[0].startswith("The loop is open by 12 % of the stroke without the inverse")
+    assert said[0].startswith("The hysteresis loop is 12 % of the stroke wide without the inverse")
     assert "0.25 % with it" in said[0] and said[1].startswith("This machine skipped")
     assert len(said) <= 12 and len(answer.stderr.splitlines()) <= 10, answer.stdout + answer.stderr
     without, inverse, steps, processes = runs.values()
@@ -66,7 +66,7 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     assert np.ptp(without["reference"]) == pytest.approx(stroke, rel=1e-3)
     size = processes.time.size
     if inverse["skipped"][:size].any():
-        assert "not alike here" in answer.stdout
+        assert "different here" in answer.stdout
     else:
         assert np.array_equal(processes["displacement"], inverse["displacement"][:size])
         assert f"the same {size} samples" in answer.stdout

@@ -92,7 +92,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
     ("words", "said"),
     [
         (("{0}/tip.avi",), "give one of -o FILE, --known FILE and --target M"),
-        (("{0}/tip.avi", "-o", "x.npz"), "give --scale or --config; --known and --target find it"),
+        (("{0}/tip.avi", "-o", "x.npz"), "give --scale or --config; --known and --target determine it"),
         (("{0}/tip.avi", "-o", "x.npz", "--scale", "5 V"), "--scale 5 V: is in V, must be in m"),
         (("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "1,b"), "give four numbers, X,Y,W,H"),
         (

@@ -9,7 +9,7 @@
 
 """Commissioning: from a new parameter file to a verified closed loop, stage by stage; imports no ROS.
 
-Read ``stages`` first (their order and what each moves), then ``situation`` (what every stage knows), and the stages
-themselves: ``measuring`` (open loop), ``fitting`` (model and controller), ``closed_loop``. ``bench`` runs an axis for
-a stage; ``new_file`` writes the parameter file that it begins with.
+Read ``stages`` first (the order of the stages and what each moves), then ``situation`` (the data that all stages
+share), and the stages themselves: ``measuring`` (open loop), ``fitting`` (model and controller), ``closed_loop``.
+``bench`` runs an axis for a stage; ``new_file`` writes the first parameter file.
 """

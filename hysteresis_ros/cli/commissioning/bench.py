@@ -30,36 +30,36 @@ from hysteresis_ros.recordings.files import load_run
 
 #: Causes of a trip of the axis, and remedies.
 TRIPPED = {
-    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not hold the rate; lower sample_rate, leave a "
+    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the rate; lower sample_rate, leave a "
     "core free, or use a compiled driver (docs/hardware.md)",
-    BEYOND_TRAVEL: "the sensor measured farther than the actuator gets: look at its scaling, sign and cable",
-    HALTED: "somebody stopped it; begin again when it may go on",
-    DEVICE_FAILED: "the device failed, the line above says how; mend it and begin again",
-    PARTNER_LOST: "a node of the axis was lost, the line above says which; begin again",
+    BEYOND_TRAVEL: "the sensor measured more than the actuator's range: check its scaling, sign and cable",
+    HALTED: "a stop was requested; begin again when the axis may move",
+    DEVICE_FAILED: "the device failed, see the line above; repair it and begin again",
+    PARTNER_LOST: "a node of the axis was lost, see the line above; begin again",
 }
-#: Part of the samples that may be without a measurement.
+#: Largest part of the samples that may lack a measurement.
 MOST_MISSING = 0.05
-#: Signals by which stages are judged, and those of a closed loop.
+#: Signals that the stages evaluate, and those of a closed loop.
 JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen", "skipped")
-#: Distances of samples may differ by this part.
+#: Largest relative difference of sample intervals.
 IRREGULAR = 0.01
 
 
 class Bench(ABC):
-    """Runs axes for the stages of a commissioning, from the safe state to the safe state."""
+    """Runs an axis for each stage of a commissioning; each run begins and ends in the safe state."""
 
     @abstractmethod
     def run(self, axis: AxisParameters) -> Recording:
-        """Run an axis once, as long as its parameters say."""
+        """Run an axis once, for the length in its parameters."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """What it is, for the file of the state."""
+        """Description in the file of the state."""
 
 
 class OfflineBench(Bench):
-    """The simulated plant of the file, as fast as the machine can, without ROS."""
+    """Runs the simulated plant of the file as fast as possible, without ROS."""
 
     name = "offline"
 
@@ -69,20 +69,20 @@ class OfflineBench(Bench):
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
-    """Return a recording of regular samples in which each has its measurement; the few that miss are interpolated."""
+    """Return a recording of regular samples that all have a measurement; a few missing ones are interpolated."""
     if recording.has("tripped"):
         codes = recording["tripped"]
-        stopped = np.flatnonzero(codes > 0.0)  # below zero: a sensor that is being homed
+        stopped = np.flatnonzero(codes > 0.0)  # below zero: the sensor is being homed
         if stopped.size:
             first = stopped[0]
             why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
-            raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
+            raise CommissioningError(f"the axis tripped after {recording.time[first]:.3g} s: {why}")
     there = np.isfinite(recording["measured"]) & np.isfinite(recording["voltage"])
     missing = 1.0 - np.count_nonzero(there) / samples
     if missing > MOST_MISSING:
         raise CommissioningError(
-            f"{100.0 * missing:.1f} % of {samples} samples have no measurement or no voltage: look at the sensor and "
-            "its cable, at whether the run was cut off, and whether this machine holds the rate (hysteresis doctor)"
+            f"{100.0 * missing:.1f} % of {samples} samples have no measurement or no voltage: check the sensor "
+            "and its cable, whether the run was cut off, and whether this machine achieves the rate (hysteresis doctor)"
         )
     distances = np.diff(recording.time)
     regular = np.ptp(distances) < IRREGULAR * distances.mean()
@@ -90,7 +90,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
 
 
 def _complete(recording: Recording, samples: int) -> Recording:
-    """Return a recording with all of its samples, regularly: straight lines between those that are there."""
+    """Return a recording at regular times, with missing samples interpolated linearly."""
     begin, period = recording.time[0], float(np.median(np.diff(recording.time)))
     time = begin + period * np.arange(min(samples, 1 + round((recording.time[-1] - begin) / period)))
     signals = {}
@@ -101,18 +101,18 @@ def _complete(recording: Recording, samples: int) -> Recording:
 
 
 def held_back(recording: Recording) -> list[str]:
-    """Return a line when voltages were late, none when the machine held the rate."""
+    """Return a line if voltages were late, otherwise nothing."""
     count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
     if not count:
         return []
     return [
-        f"this machine was too busy for {count} of {len(recording)} samples: the voltage before was held, and what "
-        "moves meanwhile is farther off than the model says"
+        f"this machine was too busy for {count} of {len(recording)} samples: the previous voltage was held, "
+        "which increases the error during motion"
     ]
 
 
 class GraphBench(Bench):
-    """Runs axes through their nodes in real time, fused where messages are too slow."""
+    """Runs the nodes of an axis in real time, fused if messages are too slow."""
 
     def __init__(self, external: bool):
         require_ros()
@@ -120,11 +120,11 @@ class GraphBench(Bench):
 
     @property
     def name(self) -> str:
-        """What it is, for the file of the state."""
+        """Description in the file of the state."""
         return "external plant" if self._external else "nodes"
 
     def run(self, axis: AxisParameters) -> Recording:
-        """Run an axis once; its nodes bring the outputs to safe when they leave, also when it is interrupted."""
+        """Run an axis once; its nodes bring the outputs to the safe state when they exit, also after an interrupt."""
         require_carried(axis)
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))

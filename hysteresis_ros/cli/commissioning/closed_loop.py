@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages in closed loop: small steps, margins, the scan that is judged, and the scan again with learning.
+"""The stages in closed loop: small steps, margins, the scan, and the scan again with learning.
 
-Each is judged beside its prediction.
+Each result is compared with its prediction.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, way, write_samples
 from hysteresis_ros.units import readable
 
-#: Part of the stroke that is scanned by default, and the periods: those that are not judged, and those that are.
+#: Part of the stroke that is scanned by default; number of periods to settle, and of evaluated periods.
 SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
-#: Small steps in closed loop, as parts of the stroke, and the seconds each is held and its way lasts. They begin above
-#: the end of the stroke: what the past left of it cannot be reached.
+#: Small steps in closed loop, as parts of the stroke, with their hold and rise times [s]. They begin above the end of
+#: the stroke, which cannot be reached again because of the hysteresis.
 FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
-#: Part of a hold at whose end it is judged.
+#: Part of a hold, at its end, that is evaluated.
 JUDGED_PART = 0.2
-#: What is left at the end of a small step may be so many times what was predicted, and this part of the step.
+#: Largest error at the end of a small step: over the predicted one, and as a part of the step.
 LEFT, RINGING = 6.0, 0.05
-#: An error may be so many times the predicted one.
+#: Largest error of the scan over the predicted one.
 ERROR_AS_PREDICTED = 1.5
 
 
@@ -78,12 +78,12 @@ def _reach(situation: Situation, configuration: Configuration) -> tuple[float, f
 
 
 def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
-    """Return the scan [m]: the way to its low end, triangles, and the way back to rest."""
+    """Return the scan [m]: the ramp to its low end, the triangles, and the ramp back to rest."""
     low, high = _reach(situation, configuration)
     size, rate = scan_stroke(situation), situation.rate
     if size > high - low:
         raise CommissioningError(
-            f"a scan of {readable(size, 'm')} was asked for, the stage reaches {readable(high - low, 'm')}; lower "
+            f"a scan of {readable(size, 'm')} was requested, the stage reaches {readable(high - low, 'm')}; lower "
             "scan_stroke in /commissioning"
         )
     begin = 0.5 * (low + high - size)
@@ -130,19 +130,19 @@ def closed_axis(
 
 
 def predicted_scan(situation: Situation, configuration: Configuration) -> Recording:
-    """Return the scan as ``hysteresis simulate`` of the file has it."""
+    """Return the scan as ``hysteresis simulate`` of the file computes it."""
     return simulate(closed_axis(situation, configuration, "scan", scan_reference(situation, configuration)))
 
 
 def error_of(configuration: Configuration, namespace: str, recording: Recording) -> np.ndarray:
-    """Return reference less measurement [m], the reference as late as its preview, the sensor's zero taken off."""
+    """Return the reference, delayed by its preview, less the measurement without the sensor's zero [m]."""
     controller = single_axis(configuration, namespace).motion_controller
     wanted = delayed(recording["reference"], controller.feedforward.preview)
     return wanted - (recording["measured"] - controller.model.preload.offset)
 
 
 def judged_samples(situation: Situation, configuration: Configuration) -> slice:
-    """Return the samples of the scan that are judged: the last periods, as late as the preview."""
+    """Return the evaluated samples of the scan: the last periods, delayed by the preview."""
     period = scan_period(situation)
     begin = scan_begin(situation) + UNJUDGED_PERIODS * period
     preview = single_axis(configuration, situation.axis.namespace).motion_controller.feedforward.preview
@@ -155,7 +155,7 @@ def scan_begin(situation: Situation) -> int:
 
 
 def scan_error(situation: Situation, configuration: Configuration, recording: Recording) -> float:
-    """Return the RMS error [m] of the periods that are judged."""
+    """Return the RMS error [m] of the evaluated periods."""
     error = error_of(configuration, situation.axis.namespace, recording)
     return root_mean_square(error[judged_samples(situation, configuration)])
 
@@ -178,7 +178,7 @@ def loop_axis(situation: Situation) -> AxisParameters:
 
 
 def judge_loop(situation: Situation, recording: Recording) -> Outcome:
-    """Judge small steps: whether the loop comes to rest, as the simulation does."""
+    """Check that the loop settles after small steps, as in the simulation."""
     configuration, namespace = designed(situation), situation.axis.namespace
     error = error_of(configuration, namespace, recording)
     expected = error_of(configuration, namespace, simulate(loop_axis(situation)))
@@ -190,8 +190,8 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
     right = max(float(np.sqrt(np.mean(expected[end] ** 2))) for end in ends)
     if left > max(LEFT * right, RINGING * size):
         raise CommissioningError(
-            f"the closed loop does not come to rest: {1e9 * left:.3g} nm RMS are left after a step of "
-            f"{readable(size, 'm')}, {1e9 * right:.3g} nm in the simulation; it rings or drifts. Outputs are safe. "
+            f"the closed loop does not settle: the error after a step of {readable(size, 'm')} is "
+            f"{1e9 * left:.3g} nm RMS, {1e9 * right:.3g} nm in the simulation; it rings or drifts. Outputs are safe. "
             "Resume with another --controller, or measure the resonance again (--stage resonance)"
         )
     time = recording.time - recording.time[0]
@@ -199,7 +199,7 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
         line("reference", time, MICRO * recording["reference"]),
         line("measured", time, MICRO * (recording["reference"] - error)),
     ]
-    lines = [f"comes to rest: {1e9 * left:.3g} nm RMS are left, {1e9 * right:.3g} nm predicted"]
+    lines = [f"settles: error {1e9 * left:.3g} nm RMS, predicted {1e9 * right:.3g} nm"]
     picture = Picture("Small steps in closed loop", "time [s]", "displacement [µm]", traces)
     return Outcome(lines, {"rest_rms_m": left, "predicted_rest_rms_m": right}, [picture])
 
@@ -211,7 +211,7 @@ def scan_axis(situation: Situation) -> AxisParameters:
 
 
 def judge_scan(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the scan beside its prediction."""
+    """Compare the scan with its prediction."""
     configuration, namespace = designed(situation), situation.axis.namespace
     simulated = predicted_scan(situation, configuration)
     found, expected = (scan_error(situation, configuration, run) for run in (recording, simulated))
@@ -233,7 +233,7 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
     ]
     pictures = [
         Picture(f"Scan: {what}", "time [s]", "displacement [µm]", way_),
-        Picture("Its error, in the periods that are judged", "time [s]", "reference − measured [nm]", errors),
+        Picture("Error of the scan, evaluated periods", "time [s]", "reference − measured [nm]", errors),
     ]
     undelayed = recording["reference"] - (recording["measured"] - preload_offset(configuration, namespace))
     figures = {
@@ -247,20 +247,20 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
 
 
 def preload_offset(configuration: Configuration, namespace: str) -> float:
-    """Return what the preload adds to the measurement [m]."""
+    """Return the offset of the measurement by the preload [m]."""
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
-#: What is played: lines of 4 Hz, five realisations of three periods, the first of which settles.
+#: Excitation: lines at multiples of 4 Hz, five realisations of three periods, the first to settle.
 EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
-#: M_s may be so many times the predicted one.
+#: Largest M_s over the predicted one.
 MARGIN_AS_PREDICTED = 1.25
-#: Part of the plane that is drawn.
+#: Drawn part of the plane.
 PLANE = 3.0
 
 
 def _played_reference(situation: Situation, configuration: Configuration) -> tuple[np.ndarray, Plan, float]:
-    """Return the reference [m], where the excitation stands in it, and its peak [m]."""
+    """Return the reference [m], the samples of the excitation in it, and its peak [m]."""
     values = configuration.node("reference_generator", situation.axis.namespace)
     low, high = values["minimum"], values["maximum"]
     samples, plan = excitation(EXPERIMENT, situation.rate)
@@ -270,7 +270,7 @@ def _played_reference(situation: Situation, configuration: Configuration) -> tup
 
 
 def response_peak(situation: Situation) -> float:
-    """Return how far the reference moves to both sides [m]."""
+    """Return the peak of the excitation of the reference [m]."""
     return _played_reference(situation, designed(situation))[2]
 
 
@@ -287,23 +287,23 @@ def _measured_response(situation: Situation, recording: Recording) -> AxisRespon
 
 
 def measured_plant(situation: Situation) -> MeasuredPlant | None:
-    """Return what the plant was measured to be in closed loop, over its model; None where nothing was seen."""
+    """Return the plant as measured in closed loop over its model; None without a usable response."""
     try:
         found = _measured_response(situation, situation.folder.recording("response"))
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # what stands between plant and loop is the same in both
+    # the parts between plant and loop are the same in both
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
 def judge_response(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the closed loop by its margins, measured and predicted."""
+    """Compare the measured margins of the closed loop with the predicted ones."""
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
-        # what follows does not rest on it
-        return Outcome([f"margins not measured: {error}; here: `small` in /commissioning"])
+        # later stages do not depend on it
+        return Outcome([f"margins not measured: {error}; the amplitude here is `small` in /commissioning"])
     # the plan closes the loop, and the axis is known
     known = found.loop, found.margins, found.model_loop
     loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
@@ -340,18 +340,18 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Tell which samples are events, or follow one by at most so many samples."""
+    """Return which samples are events, or follow one within ``lasts`` samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples
 
 
 def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[str, np.ndarray]:
-    """Return the samples from which nothing is learned, by reason; the first reason of a sample counts.
+    """Return the samples that learning omits, by reason; the first reason of a sample counts.
 
     Units: ``rate`` [Hz].
     """
-    # what was carried out is known a sample later
+    # the achieved command is known one sample later
     shortfall = np.abs(signals["applied"] - signals["command"]) > parameters.shortfall
     shortfall = np.concatenate([[False], shortfall[:-1]])
     skipped = np.asarray(signals.get("skipped", np.zeros(len(shortfall)))) > 0.5
@@ -360,10 +360,10 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
     found, known = {}, np.zeros(len(shortfall), dtype=bool)
     for reason, samples in (
         ("late samples", skipped),
-        ("what the axis still answered to them", at_or_after(skipped, answers)),
-        ("commands that limits cut", shortfall),
-        ("recovery from those", at_or_after(shortfall, lasts)),
-        ("measurements that were missing", unseen),
+        ("the response of the axis to them", at_or_after(skipped, answers)),
+        ("commands cut by the limits", shortfall),
+        ("the recovery from those", at_or_after(shortfall, lasts)),
+        ("missing measurements", unseen),
     ):
         found[reason] = samples & ~known
         known |= samples
@@ -371,7 +371,7 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
 
 
 def learned_line(parameters: LearningParameters, rate: float, signals, begin: int, count: int) -> str:
-    """Say from how many periods was learned, and why from the others was not, or only in part.
+    """Return a sentence about the periods used for learning, and why others were omitted or used only in part.
 
     Units: ``rate`` [Hz].
     """
@@ -382,31 +382,31 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     }
     out = np.sum(list(reasons.values()), axis=(0, 2))
     whole, none = int(np.count_nonzero(out == 0)), int(np.count_nonzero(out == period))
-    text = f"learned from {whole} of {len(out)} periods whole"
+    text = f"learned from {whole} of {len(out)} periods completely"
     if whole == len(out):
         return text
-    text += f", from {len(out) - whole - none} in part, from {none} not at all; left out: "
+    text += f", from {len(out) - whole - none} in part, from {none} not at all; omitted: "
     shares = {reason: float(np.mean(samples)) for reason, samples in reasons.items() if samples.any()}
     return text + ", ".join(f"{100.0 * share:.3g} % of the samples for {reason}" for reason, share in shares.items())
 
 
-#: Periods of learning, fewer where they take longer than these seconds, and least.
+#: Most periods of learning, their longest total time [s], and the fewest periods.
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
-#: How far the stage may be from the model that was identified from itself a minute ago (assumed).
+#: Uncertainty of a model that was identified from the stage a minute ago (assumed).
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
 #: The design of the filters.
 FILTER_DESIGN = "inversion"
 
 
 def learning_periods(situation: Situation) -> int:
-    """Return the periods of learning before those that are judged."""
+    """Return the number of learned periods before the evaluated ones."""
     return int(min(MOST_PERIODS, max(LONGEST_LEARNING * situation.plan.scan_frequency, FEWEST_PERIODS)))
 
 
 def learn_axis(situation: Situation) -> AxisParameters | Outcome:
-    """Return the axis that learns the scan, and write its file; or why nothing can be learned."""
+    """Return the axis that learns the scan, and write its file; or the reason why learning is not possible."""
     configuration, namespace = designed(situation), situation.axis.namespace
-    # what another attempt has learned belongs to another loop
+    # the correction of an earlier attempt belongs to another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
         request = LearningRequest(
@@ -416,7 +416,7 @@ def learn_axis(situation: Situation) -> AxisParameters | Outcome:
         result = design_learning(single_axis(configuration, namespace), request, known)
         text = learning_file(configuration, result, namespace)
     except HysteresisError as error:
-        return Outcome([f"nothing is learned: {' '.join(str(error).split())}"])
+        return Outcome([f"no learning: {' '.join(str(error).split())}"])
     write_file(situation.folder.path / LEARNING, text)
     return _learning_axis(situation, _learning_configuration(situation))
 
@@ -431,13 +431,13 @@ def _learning_axis(situation: Situation, configuration: Configuration) -> AxisPa
 
 
 def judge_learned(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the scan after so many periods of learning, beside its prediction and the scan without."""
+    """Compare the scan after learning with its prediction and with the scan without learning."""
     configuration, count = _learning_configuration(situation), learning_periods(situation)
     learning = single_axis(configuration, situation.axis.namespace).motion_controller.learning
     simulated = simulate(_learning_axis(situation, configuration))
     runs = {"measured": _period_errors(situation, recording), "predicted": _period_errors(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
-    # a folder of an earlier version has the scan's error against the delayed reference only
+    # a folder of an earlier version contains the scan's error against the delayed reference only
     before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
@@ -463,28 +463,28 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     last = [line(name, time, 1e9 * each[-1]) for name, each in runs.items()]
     pictures = [
         Picture("Error of each period", "period", "RMS error [nm]", falling, "y"),
-        Picture("What learning leaves in a period", "time [s]", "reference − measured [nm]", last),
+        Picture("Error of a period after learning", "time [s]", "reference − measured [nm]", last),
     ]
     return Outcome(lines, figures, pictures)
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Return which periods have no missed deadline and do not follow one that has, which still disturbs the axis."""
+    """Return which periods are undisturbed: no missed deadline in them or in the period before."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 
 
 def missed_line(error: float, kept: np.ndarray) -> str:
-    """Say what the error is in the periods that no missed deadline has disturbed.
+    """Return a sentence about the error in the periods that no missed deadline has disturbed.
 
     Units: ``error`` [m].
     """
     count = np.count_nonzero(kept)
     if not count:
-        return f"deadlines were missed in or before each of the {len(kept)} periods: the machine limits the error"
+        return f"deadlines were missed in or just before each of the {len(kept)} periods: the machine limits the error"
     if count == len(kept):
         return "no deadline was missed"
-    return f"deadlines were missed: in the {count} of {len(kept)} periods without, {1e9 * error:.4g} nm RMS"
+    return f"deadlines were missed; error of the {count} of {len(kept)} periods without: {1e9 * error:.4g} nm RMS"
 
 
 def _signals(recording: Recording) -> dict[str, np.ndarray]:
@@ -493,7 +493,7 @@ def _signals(recording: Recording) -> dict[str, np.ndarray]:
 
 
 def _period_errors(situation: Situation, recording: Recording) -> np.ndarray:
-    """Return the errors of all periods, shape (periods, samples) [m]: against the undelayed reference, as it learns."""
+    """Return the errors of all periods against the undelayed reference, shape (periods, samples) [m]."""
     offset = single_axis(
         _learning_configuration(situation), situation.axis.namespace
     ).motion_controller.model.preload.offset

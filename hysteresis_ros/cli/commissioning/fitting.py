@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages that compute: the model, and the controller for it."""
+"""The stages that only compute: identification of the model, and design of the controller."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import readable
 
-#: Samples of a cycle that a hysteresis is found from; more say nothing new about it.
+#: Samples per cycle for the identification of the hysteresis; more add no information.
 SAMPLES_A_CYCLE = 100
-#: Of the models that were tried besides the best, so many stand for the stage when controllers are judged, if their
-#: errors on blocks held out are below the best one's by this factor.
+#: Most other models with which controllers are checked, and their largest error on held-out blocks over that of the
+#: best model.
 OTHERS, AS_LIKELY = 2, 3.0
-#: Models that count as such without a trial.
+#: Models that are included without a trial.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
-#: Stages that move in open loop before anything is designed.
+#: Stages that move in open loop, before the design.
 MOVED = ("gain", "resonance", "hysteresis", "creep")
-#: What of a node's parameters the model, the design and the limits of the range replace.
+#: Parameters that the model, the design and the limits of the range replace, by node.
 MODELLED = ("hysteresis.", "creep.", "dynamics.", "preload.", "inverse.", "model.", "sensor.", "limits.", "waveform.")
 OWN = {
     "plant_simulator": MODELLED,
@@ -54,9 +54,9 @@ OWN = {
 
 
 def slow_data(situation: Situation) -> IdentificationData:
-    """Return what the decaying cycles and the creep say, one behind the other, neighbours averaged.
+    """Return the data of the decaying cycles, then of the creep, with neighbouring samples averaged.
 
-    Where a resonance shows that nothing slow lags, the measurement is taken earlier by the delay that was found.
+    If a resonance shows that there is no slow lag, the measurement is shifted earlier by the identified delay.
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
@@ -70,7 +70,7 @@ def slow_data(situation: Situation) -> IdentificationData:
 
 
 def _is_quick(situation: Situation) -> bool:
-    """Whether a resonance is the slowest of the stage: otherwise it lags."""
+    """Return whether a resonance is the slowest dynamics of the stage; otherwise it has a lag."""
     return "resonance_hz" in situation.found["resonance"].figures
 
 
@@ -80,7 +80,7 @@ def _averaged(values: np.ndarray, factor: int) -> np.ndarray:
 
 
 def fast_data(situation: Situation, recording: Recording) -> Fast:
-    """Return the multisine with the way to it."""
+    """Return the data of the multisine, including the ramp to it."""
     steady, _ = steady_periods(situation, recording)
     time = np.arange(steady.stop) / situation.rate
     data = IdentificationData(time, recording["voltage"][: steady.stop], recording["measured"][: steady.stop])
@@ -88,7 +88,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage, choosing the model by held-out blocks unless one was asked for, and write it."""
+    """Identify the stage and write the model, chosen by held-out blocks unless the user has named one."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"
@@ -102,7 +102,7 @@ def identify_stage(situation: Situation) -> Outcome:
     write_file(situation.folder.path / IDENTIFIED, commissioned_text(situation, found))
     if found.response is not None and not found.response.fit_for_feedback:
         raise CommissioningError(
-            f"the model is {found.response.reason}. It stands in {situation.folder.path / IDENTIFIED}; for another: "
+            f"the model is {found.response.reason}. It is in {situation.folder.path / IDENTIFIED}; for another: "
             "--resume --model NAME (hysteresis models), or a larger multisine (`small` in /commissioning)"
         )
     figures = {name: value for name, value in found.figures.items() if value is not None}
@@ -123,15 +123,15 @@ def identify_stage(situation: Situation) -> Outcome:
     ]
     if errors:
         best = ", ".join(f"{name} {1e9 * errors[name]:.3g}" for name in sorted(errors, key=lambda name: errors[name]))
-        lines.append(f"on blocks held out [nm]: {best}")
+        lines.append(f"error on held-out blocks [nm]: {best}")
     if said:
-        lines.append(f"the stage might as well be, by RMS error: {', '.join(said)}; a controller has to bear that")
+        lines.append(f"other possible models, with RMS error: {', '.join(said)}; the controller must tolerate them")
     lines += [f"note: {text}" for text in found.warnings]
     return Outcome(lines, figures | {"others": others}, _loops(found))
 
 
 def _held_out(figures: dict) -> dict[str, float]:
-    """Return the errors [m] on blocks held out by the names of the models that were tried."""
+    """Return the errors [m] on held-out blocks by the names of the tried models."""
     return {
         name.removeprefix("held_out_").removesuffix("_rmse_m"): value
         for name, value in figures.items()
@@ -140,7 +140,7 @@ def _held_out(figures: dict) -> dict[str, float]:
 
 
 def _others(situation: Situation, found: Identified, errors: dict[str, float]) -> tuple[str, ...]:
-    """Return the names of other models that the stage might as well be."""
+    """Return the names of other models that fit almost as well."""
     chosen = found.figures["model"]
     if situation.against is not None:
         return tuple(name for name in situation.against if name != chosen)
@@ -161,16 +161,16 @@ def _loops(found: Identified) -> list[Picture]:
     left = [line("measured − model", found.data.time[known], 1e9 * (measured - modelled))]
     return [
         Picture("Loops, measured and modelled", "voltage [V]", "displacement [µm]", both),
-        Picture("What the model leaves of the slow movements", "time [s]", "residual [nm]", left),
+        Picture("Residual of the slow movements", "time [s]", "residual [nm]", left),
     ]
 
 
 def commissioned_text(situation: Situation, found: Identified) -> str:
-    """Return the parameter file of the axis with what was identified, its noise and the range of the plan."""
+    """Return the parameter file of the axis with the identified model, its noise and the range of the plan."""
     plan, namespace = situation.plan, situation.axis.namespace
     identified = parse_configuration(found.text, "the identified model")
     limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
-    # what is given for all nodes holds for the recorder, too
+    # values for all nodes also apply to the recorder
     nodes = {f"{namespace}/recorder": situation.configuration.node("recorder", namespace)}
     for node, replaced in OWN.items():
         given = situation.configuration.node(node, namespace)
@@ -178,7 +178,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
             own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
-        # limits of motion follow from all recordings, those of the identified file from some
+        # limits of motion follow from all recordings, those in the identified file only from some
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")
@@ -195,13 +195,13 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
 
 
 def excited(situation: Situation) -> float:
-    """Return the largest change of the voltage [V/s] that the stage was moved with in open loop."""
+    """Return the largest slew rate of the voltage [V/s] in the open-loop stages."""
     recordings = (situation.folder.recording(stage) for stage in MOVED)
     return max(largest_change(one["voltage"], 1.0 / situation.rate) for one in recordings)
 
 
 def design_stage(situation: Situation) -> Outcome:
-    """Design controllers, let each make the scan on the identified stage, and write the best."""
+    """Design controllers, simulate the scan with each on the identified stage, and write the best."""
     configuration = load_configuration(situation.folder.path / IDENTIFIED)
     plants = {name: _plant(situation, name) for name in situation.found["identify"].figures["others"]}
     names = list(DESIGNS) if situation.controller == "auto" else [situation.controller]
@@ -225,7 +225,7 @@ def design_stage(situation: Situation) -> Outcome:
     lines = [
         f"{best.words}: bandwidth {margins.bandwidth:.4g} Hz, M_s {margins.sensitivity_peak:.3g}, delay margin "
         f"{margins.delay_margin_samples:.3g} samples",
-        "scan in the simulation, at worst [nm RMS]: "
+        "error of the simulated scan, worst case [nm RMS]: "
         + ", ".join(f"{one.words} {1e9 * one.error:.3g} ({one.plant})" for one in tried),
         *(f"left out: {reason}" for reason in left_out),
     ]
@@ -241,7 +241,7 @@ def design_stage(situation: Situation) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A design, the file of its axis, and its scan on the plant that suits it least."""
+    """A design, the file of its axis, and its scan on the worst plant."""
 
     words: str
     design: AxisDesign
@@ -251,7 +251,7 @@ class _Tried:
 
 
 def _plant(situation: Situation, name: str) -> dict:
-    """Return the plant's parameters as another model has them."""
+    """Return the plant's parameters of another model."""
     configuration = load_configuration(_other_file(situation, name))
     return configuration.node("plant_simulator", situation.axis.namespace)
 
@@ -259,7 +259,7 @@ def _plant(situation: Situation, name: str) -> dict:
 def _tried(
     situation: Situation, configuration: Configuration, plants: dict[str, dict], request: DesignRequest, words: str
 ) -> _Tried:
-    """Return a design that keeps its margins, with the file of an axis whose plant suits it least."""
+    """Return a design that keeps its margins, with the file of an axis with the worst plant."""
     namespace = situation.axis.namespace
     axis = single_axis(configuration, namespace)
     request = replace(request, noise=situation.figure("noise", "noise_rms_m") or None)
@@ -279,11 +279,11 @@ def _tried(
 
 
 def _with_plant(configuration: Configuration, values: dict) -> Configuration:
-    """Return a configuration, with its text, whose plant is another one."""
+    """Return a configuration, and its text, with another plant."""
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
-    # the amplifier is the same one
+    # the amplifier is the same
     limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
     plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})
@@ -292,5 +292,5 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
 
 
 def _plain(values: dict) -> dict:
-    """Return parameters whose lists are written in a line."""
+    """Return parameters whose lists are written in one line."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}

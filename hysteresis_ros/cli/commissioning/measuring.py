@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages in open loop: sensor, gain and sign, resonance, hysteresis, creep; their voltages, and how each is judged.
+"""The stages in open loop (sensor, gain and sign, resonance, hysteresis, creep): their voltages and their checks.
 
-Each voltage begins and ends at the safe voltage, and goes there smoothly.
+Each voltage begins and ends at the safe voltage, with smooth ramps.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, r
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Seconds of a small step, and of the holds around it; of the step whose creep is measured, and part of its hold that
-#: the way back is watched.
+#: Duration of a small step and of the holds around it [s]; duration of the creep step [s], and the part of its hold for
+#: which the return is measured.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Periods of the multisine, and their length [s]; the first one settles.
 PERIODS, PERIOD = 5, 2.0
-#: Decaying cycles: those over the whole range, all others, and how many of these lower the amplitude to 1/e.
+#: Decaying cycles: number over the whole range, number of the others, and how many of these reduce the amplitude to
+#: 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
-#: Where the step whose creep is measured ends, as a part of the range.
+#: Level of the creep step, as a part of the range.
 CREEP_PART = 0.8
 
 
@@ -49,14 +50,14 @@ def step_size(plan: Plan, safe: float) -> float:
 
 
 def small_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a small step and the way back [V]."""
+    """Return a small step and the return [V]."""
     level, wait = safe + step_size(plan, safe), hold(safe, STEP_HOLD, rate)
     up, back = way(safe, level, STEP_WAY, rate), way(level, safe, STEP_WAY, rate)
     return np.concatenate([wait, up, hold(level, STEP_HOLD, rate), back, wait])
 
 
 def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a small multisine around the middle of the range, with the ways there and back [V]."""
+    """Return a small multisine around the middle of the range, with the ramps there and back [V]."""
     part = plan.small / SMALL
     asked = recipe("multisine", plan.minimum, plan.maximum, rate, 1.0 / PERIOD, part, PERIODS * PERIOD)
     sines = Waveform(WaveformParameters.from_mapping(asked.waveform), 1.0 / rate)
@@ -65,7 +66,7 @@ def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def decaying_cycles(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return cycles over the whole range whose amplitude then decays, with the ways there and back [V]."""
+    """Return cycles over the whole range, then with decaying amplitude, with the ramps there and back [V]."""
     cycle = max(round(rate / plan.cycle_frequency), 8)
     index = np.arange((WHOLE + DECAYING) * cycle + 1)
     fall = np.exp(-np.maximum(index - WHOLE * cycle, 0) / (DECAY * cycle))
@@ -74,46 +75,46 @@ def decaying_cycles(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def creeping_level(plan: Plan, safe: float) -> float:
-    """Return where the step whose creep is measured ends [V]."""
+    """Return the level of the creep step [V]."""
     far = plan.maximum if plan.maximum - safe >= safe - plan.minimum else plan.minimum
     return safe + CREEP_PART * (far - safe)
 
 
 def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a large step that is held, and the way back, which is watched for a while [V]."""
+    """Return a large step with a long hold, the return, and a hold after it [V]."""
     level = creeping_level(plan, safe)
     up, back = way(safe, level, CREEP_WAY, rate), way(level, safe, CREEP_WAY, rate)
     held, rest = hold(level, plan.creep_duration, rate), hold(safe, BACK_PART * plan.creep_duration, rate)
     return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
 
 
-#: The sensor's noise may be this part of the stroke, and its zero so many strokes away.
+#: Largest noise of the sensor as a part of the stroke, and largest zero offset in strokes.
 NOISY, FAR_AWAY = 0.02, 20.0
-#: A movement counts when it is so many times the noise, and this part of the one expected.
+#: Smallest movement that counts, over the noise and over the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: A gain may differ from the expected one by this factor, and the movement left after a small step be this part of it.
+#: Largest factor between measured and expected gain, and largest remaining movement as a part of a small step.
 EXPECTED, RINGING = 3.0, 0.25
-#: A resonance stands out of the response at rest by this factor.
+#: Smallest peak of a resonance over the static response.
 STANDS_OUT = 2.0
-#: The lowest frequencies of a response, by which delay and gain are read [1 / period].
+#: Lowest frequencies of a response, from which delay and gain are determined [1 / period].
 LOW_LINES = 20
-#: Part of the samples that may lie within the noise of the sensor's end: more of them are clipped.
+#: Largest part of the samples within the noise around the sensor's end; more mean that it clips.
 CLIPPED = 0.03
 MICRO = 1e6
 
 
 def _name_unit(value: float, expected: float) -> str:
-    """Return a remark about a factor that looks like a wrong unit."""
+    """Return a remark if a factor suggests a wrong unit."""
     factor = abs(value / expected)
     for power in (1e3, 1e6, 1e9):
         for ratio in (power, 1.0 / power):
             if 1.0 / EXPECTED < factor / ratio < EXPECTED:
-                return f"; it is off by about {ratio:g}: has the driver other units than m and V?"
+                return f"; the factor is about {ratio:g}: does the driver use other units than m and V?"
     return ""
 
 
 def judge_noise(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the sensor at rest: noise, drift, zero."""
+    """Check the sensor at rest: noise, drift, zero."""
     time, measured = recording.time - recording.time[0], recording["measured"]
     drift, zero = np.polyfit(time, measured, 1)
     rest = measured - (zero + drift * time)
@@ -121,12 +122,12 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
     if abs(zero) > FAR_AWAY * stroke:
         raise CommissioningError(
             f"the sensor reads {readable(zero, 'm')} at rest, and a stroke of {readable(stroke, 'm')} is expected"
-            f"{_name_unit(zero, stroke)}; mend its scaling or zero, or the stroke in /commissioning"
+            f"{_name_unit(zero, stroke)}; correct its scaling or zero, or the stroke in /commissioning"
         )
     if noise > NOISY * stroke:
         raise CommissioningError(
             f"the sensor's noise at rest is {readable(noise, 'm')} RMS, {100.0 * noise / stroke:.2g} % of the stroke: "
-            "look at its cable, shield, range and units, and whether something else moves the stage"
+            "check its cable, shield, range and units, and whether something else moves the stage"
         )
     lines = [
         f"noise {1e9 * noise:.3g} nm RMS, drift {1e9 * drift:+.3g} nm/s, reads {readable(zero, 'm')} "
@@ -142,7 +143,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_gain(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a small step: whether the sensor sees it, in which direction, by how much, and whether it comes to rest."""
+    """Check the response to a small step: whether there is one, its sign, its size, and whether it settles."""
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
     step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)
@@ -153,30 +154,30 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
     moved, expected = float(np.mean(after) - np.mean(before)), plan.gain * step
     if abs(applied) < 0.5 * abs(step):
         raise CommissioningError(
-            f"a step of {step:g} V was asked for and {applied:.3g} V were put out: limits were reached; look at limits "
-            "and slew_rate"
+            f"a step of {step:g} V was commanded and {applied:.3g} V were applied: limits were reached; check "
+            "limits and slew_rate"
         )
     if abs(moved) < max(SEEN * noise, LEAST_MOVEMENT * abs(expected)):
         raise CommissioningError(
             f"the sensor does not move with the actuator: {step:+.3g} V moved it by {readable(moved, 'm')}, "
-            f"{readable(expected, 'm')} were expected{_name_unit(moved, expected)}; look at amplifier, cables, servo "
-            "switch, and whether this sensor sees this actuator"
+            f"{readable(expected, 'm')} were expected{_name_unit(moved, expected)}; check amplifier, cables, "
+            "servo switch, and whether this sensor measures this actuator"
         )
     if moved * expected < 0.0:
         raise CommissioningError(
             f"the sign is reversed: {step:+.3g} V moved the sensor by {readable(moved, 'm')}; a loop would run away. "
-            "Turn the sign of sensor or amplifier (calibration of plant_simulator, docs/sensors.md) or swap its wires"
+            "Change the sign of sensor or amplifier (calibration of plant_simulator, docs/sensors.md) or swap its wires"
         )
     if not 1.0 / EXPECTED < moved / expected < EXPECTED:
         raise CommissioningError(
             f"the gain is {1e6 * moved / applied:.4g} µm/V and {1e6 * plan.gain:.4g} µm/V were expected"
-            f"{_name_unit(moved, expected)}; mend the scaling, or stroke and range in /commissioning"
+            f"{_name_unit(moved, expected)}; correct the scaling, or stroke and range in /commissioning"
         )
     left = float(np.std(after - np.polyval(np.polyfit(np.arange(part), after, 1), np.arange(part))))
     if left > max(SEEN * noise, RINGING * abs(moved)):
         raise CommissioningError(
-            f"the stage does not come to rest after a step of {step:+.3g} V: {readable(left, 'm')} RMS are left; look "
-            "for another controller that is switched on, and at its mounting"
+            f"the stage does not settle after a step of {step:+.3g} V: it still moves by {readable(left, 'm')} "
+            "RMS; check for another controller that is switched on, and its mounting"
         )
     gain = moved / applied
     lines = [f"{applied:+.3g} V moved it by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]
@@ -192,39 +193,41 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
 
 
 def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, int]:
-    """Return the samples of the multisine without its first period, and how many there are in a period."""
+    """Return the samples of the multisine without its first period, and the samples per period."""
     period = round(PERIOD * situation.rate)
     first = round(REST * situation.rate) + round(WAY * situation.rate) + period
     last = first + (PERIODS - 1) * period
     if last > len(recording):
-        raise CommissioningError("the recording of the multisine is cut off; do the stage again: --stage resonance")
+        raise CommissioningError("the recording of the multisine is cut off; repeat the stage: --stage resonance")
     return slice(first, last), period
 
 
 def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a small multisine: resonance, damping, delay."""
+    """Evaluate a small multisine: resonance, damping, delay."""
     steady, period = steady_periods(situation, recording)
     voltage, measured = recording["voltage"][steady], recording["measured"][steady]
     whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
-    # above there is nothing but what limits and noise make of the voltage
+    # above, the voltage contains only effects of limits and noise
     found = whole.band(whole.frequency[0], EXCITED * situation.rate)
     size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
     if np.median(noise / size) > 0.5:
         raise CommissioningError(
-            "the answer to the small multisine drowns in noise: raise `small` in /commissioning, or look at the sensor"
+            "the response to the small multisine is below the noise: raise `small` in /commissioning, or check "
+            "the sensor"
         )
     gain = float(np.median(size[:LOW_LINES]))
     peak = int(np.argmax(size))
     figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
     lines = [
-        f"gain of small movements {1e6 * gain:.4g} µm/V, delay {1e3 * figures['delay_s']:.3g} ms with the sample's"
+        f"gain of small movements {1e6 * gain:.4g} µm/V, delay {1e3 * figures['delay_s']:.3g} ms including "
+        "the hold of a sample"
     ]
     if size[peak] > STANDS_OUT * gain:
         frequency, damping = _resonance(found, peak)
         figures |= {"resonance_hz": frequency, "damping": damping}
         lines.insert(0, f"resonance at {frequency:.4g} Hz, damping {100.0 * damping:.2g} %")
     else:
-        lines.insert(0, f"no resonance stands out up to {found.frequency[-1]:.4g} Hz")
+        lines.insert(0, f"no resonance up to {found.frequency[-1]:.4g} Hz")
     traces = [line("measured", found.frequency, MICRO * size), line("noise", found.frequency, MICRO * noise)]
     phase = np.degrees(np.unwrap(np.angle(found.single)))
     pictures = [
@@ -248,7 +251,7 @@ def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
 
 
 def _delay(found: FrequencyResponse, peak: int) -> float:
-    """Return the delay by which the phase falls far below the highest peak [s]."""
+    """Return the delay from the slope of the phase far below the highest peak [s]."""
     low = found.frequency < 0.4 * found.frequency[peak]
     if np.count_nonzero(low) < LOW_LINES:
         low = found.frequency <= found.frequency[LOW_LINES]
@@ -257,26 +260,26 @@ def _delay(found: FrequencyResponse, peak: int) -> float:
 
 
 def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the decaying cycles: stroke, and width of the hysteresis loop."""
+    """Evaluate the decaying cycles: stroke, and width of the hysteresis loop."""
     voltage, measured = recording["voltage"], recording["measured"]
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     stroke = float(np.ptp(measured))
     if not 1.0 / EXPECTED < stroke / plan.stroke < EXPECTED:
         raise CommissioningError(
             f"the whole range moved it by {readable(stroke, 'm')}, {readable(plan.stroke, 'm')} were expected: limits "
-            "of the amplifier or of the sensor were reached; mend them, or stroke and range in /commissioning"
+            "of the amplifier or of the sensor were reached; correct them, or stroke and range in /commissioning"
         )
     for end, words in ((measured.max(), "highest"), (measured.min(), "lowest")):
         at_end = np.abs(measured - end) <= max(noise, 1e-6 * stroke)
         inside = (voltage > plan.minimum + 0.02 * plan.span) & (voltage < plan.maximum - 0.02 * plan.span)
         if np.mean(at_end & inside) > CLIPPED:
             raise CommissioningError(
-                f"the sensor stays at its {words} reading of {readable(float(end), 'm')} while the voltage goes on: "
-                "its range ends there; shift the sensor, or narrow minimum and maximum in /commissioning"
+                f"the sensor stays at its {words} reading of {readable(float(end), 'm')} while the voltage changes: "
+                "its range ends there; move the sensor, or narrow minimum and maximum in /commissioning"
             )
     opening = loop_opening(voltage, measured) or 0.0
     lines = [
-        f"stroke {readable(stroke, 'm')} over {voltage.min():.4g} … {voltage.max():.4g} V, loop open by "
+        f"stroke {readable(stroke, 'm')} over {voltage.min():.4g} … {voltage.max():.4g} V, loop width "
         f"{100.0 * opening / stroke:.2g} % of it"
     ]
     loop = Picture("Loops", "voltage [V]", "displacement [µm]", [line("measured", voltage, MICRO * measured)])
@@ -285,7 +288,7 @@ def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_creep(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a step that is held: how much of it comes late."""
+    """Evaluate the creep after a step."""
     rate, plan = situation.rate, situation.plan
     begin = round(REST * rate) + round(CREEP_WAY * rate)
     end = begin + round(plan.creep_duration * rate)
@@ -297,7 +300,8 @@ def judge_creep(situation: Situation, recording: Recording) -> Outcome:
     step = float(np.mean(held[: max(round(CREEP_WAY * rate), 1)]) - np.mean(measured[: begin // 2]))
     share = float(slope) / step
     lines = [
-        f"creep {100.0 * share:.2g} % of the step a decade of time, {readable(float(held[-1] - held[0]), 'm')} in all"
+        f"creep {100.0 * share:.2g} % of the step per decade of time, "
+        f"{readable(float(held[-1] - held[0]), 'm')} in total"
     ]
     picture = Picture(
         f"After a step to {creeping_level(plan, situation.safe):.4g} V",

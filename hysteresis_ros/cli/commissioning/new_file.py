@@ -24,34 +24,34 @@ from hysteresis_ros.loop.parameters import require_message_rate
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.units import quantity_in, readable
 
-#: What actuators do: strokes [m], gains [m/V] and sample rates [Hz] beyond these are mistakes of a unit.
+#: Plausible strokes [m], gains [m/V] and sample rates [Hz]; values beyond come from a wrong unit.
 STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (0.1, 1e6)
-#: Part of the range of voltage that may be used before anything is known, and of the slew rate that a setpoint takes.
+#: Part of the voltage range that an unknown axis may use, and part of the slew rate that a setpoint may use.
 FIRST_PART = 0.1
 
 _TEMPLATE = string.Template("""\
-# An axis of which nothing is known yet, written by `hysteresis new`: open loop, no inverse, $percent % of the range,
-# slowly. `hysteresis commission` measures the rest and writes a file with model and controller. SI units.
+# A new, unknown axis, written by `hysteresis new`: open loop, no inverse, $percent % of the range, slow.
+# `hysteresis commission` measures the rest and writes a file with model and controller. SI units.
 /**:
   ros__parameters:
     sample_rate: $rate                # Hz
     time_mode: realtime
     joint: $joint                     # name in joint_states
 $external
-/**/plant_simulator:                  # the device, or what stands for it offline
+/**/plant_simulator:                  # the device, or its simulation offline
   ros__parameters:
 $driver
     limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s: $reason
-    safe_voltage: $safe               # V: where it goes when commands stop, and at the end
+    safe_voltage: $safe               # V: output when commands stop, and at the end
     safe_slew_rate: $slew             # V/s
     hysteresis: {type: proportional, proportional: {gain: $gain}}   # m/V: ASSUMED, stroke over range
 
 /**/reference_generator:
   ros__parameters:
-    minimum: $nearest                 # m, what the limits allow
+    minimum: $nearest                 # m, within the limits
     maximum: $farthest
     initial_setpoint: $start
-    # m/s, m/s², m/s³; nothing is known of resonances: $percent % of the slew rate, reached within $ramp s
+    # m/s, m/s², m/s³; resonances are unknown: $percent % of the slew rate, reached within $ramp s
     approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration, maximum_jerk: $jerk}
 
 /**/motion_controller:
@@ -61,17 +61,17 @@ $driver
 /**/hysteresis_compensator:
   ros__parameters:
     inverse: {type: none}
-    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V: what may be put out by hand
+    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V: range of manual commands
     safe_voltage: $safe
     safe_slew_rate: $slew
     hysteresis: {type: proportional, proportional: {gain: $gain}}
 
-# No node: what `hysteresis commission` may move.
+# No node: movements that `hysteresis commission` may make.
 /commissioning:
   ros__parameters:
     minimum: $minimum                 # V
     maximum: $maximum
-    stroke: $stroke                   # m that are expected over this range
+    stroke: $stroke                   # m, expected over this range
 """)
 
 
@@ -148,7 +148,7 @@ def new_text(axis: NewAxis) -> str:
 
 
 def _require_plausible(axis: NewAxis) -> None:
-    """Refuse what no actuator has; what is not above 0 is refused too."""
+    """Refuse implausible values, and values that are not above 0."""
     span = axis.maximum - axis.minimum
     gain = axis.stroke / span
     over = f"{readable(axis.stroke, 'm')} over {span:g} V"
@@ -159,8 +159,8 @@ def _require_plausible(axis: NewAxis) -> None:
     ):
         if not low <= value <= high:
             raise ConfigurationError(
-                f"{option}: {words}{value:.4g} {unit}: actuators have {low:g} to {high:g} {unit}; look at the units, "
-                "as in --stroke 100um --voltage 0:100V --rate 2kHz"
+                f"{option}: {words}{value:.4g} {unit}: actuators have {low:g} to {high:g} {unit}; check the units, as "
+                "in --stroke 100um --voltage 0:100V --rate 2kHz"
             )
     if axis.external:
         require_message_rate(axis.sample_rate, "--plant external")
@@ -175,7 +175,7 @@ def _driver_lines(axis: NewAxis) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number that YAML and ROS both read as a double."""
+    """Return a number in a form that YAML and ROS both read as a double."""
     text = f"{value:.6g}"
     if "e" in text and "." not in text:
         return text.replace("e", ".0e")
@@ -183,12 +183,12 @@ def _number(value: float) -> str:
 
 
 def _scalar(text: str) -> str:
-    """Return a text as YAML writes it within a line."""
+    """Return a text as a YAML scalar in one line."""
     return yaml.safe_dump(text, default_flow_style=True, width=10**6).splitlines()[0]
 
 
 def write_new(path, axis: NewAxis) -> None:
-    """Write the parameter file of a new axis, from which an axis can be built; an existing file is not touched."""
+    """Write the parameter file of a new axis, after a check that the axis can be built; never overwrite a file."""
     path = pathlib.Path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"{path}: give a name that ends in .yaml")
@@ -201,7 +201,7 @@ def write_new(path, axis: NewAxis) -> None:
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
     try:
-        # a driver's relative path leads from the file
+        # a driver's relative path is relative to the file
         single_axis(load_configuration(path))
     except HysteresisError:
         path.unlink()

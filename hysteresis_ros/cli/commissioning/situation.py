@@ -9,8 +9,8 @@
 
 """Common data of the stages of a commissioning: the axis, the plan of allowed movements, earlier outcomes.
 
-The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences
-and pictures for a page) is kept as JSON in the folder of the commissioning, beside the recordings.
+The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences and
+pictures for a page) is stored as JSON in the folder of the commissioning, with the recordings.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Outcome:
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> Outcome:
-        """Return the outcome that :func:`dataclasses.asdict` gave."""
+        """Return the outcome of a mapping from :func:`dataclasses.asdict`."""
         lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
         if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
             raise TypeError("an outcome with values of other types")
@@ -68,7 +68,7 @@ def verdict(ratio: float, most: float) -> str:
     return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"
 
 
-#: The entry of the file.
+#: Section of the parameter file.
 SECTION = "/commissioning"
 
 
@@ -76,10 +76,10 @@ SECTION = "/commissioning"
 class Plan(Parameters):
     """Allowed movements of a commissioning."""
 
-    minimum: float = parameter(description="lowest voltage that it may put out", unit="V", low=-1e4, high=1e4)
-    maximum: float = parameter(description="highest voltage that it may put out", unit="V", low=-1e4, high=1e4)
+    minimum: float = parameter(description="lowest permitted voltage", unit="V", low=-1e4, high=1e4)
+    maximum: float = parameter(description="highest permitted voltage", unit="V", low=-1e4, high=1e4)
     stroke: float = parameter(
-        description="displacement that is expected over that range; another one by a factor of 3 stops it",
+        description="expected displacement over that range; it stops when the measured one differs by a factor of 3",
         unit="m",
         low=1e-12,
         high=1.0,
@@ -93,16 +93,18 @@ class Plan(Parameters):
     capacitance: float = parameter(
         0.0, description="capacitance of the actuator; 0: not known; needs current", unit="F", low=0.0
     )
-    noise_duration: float = parameter(
-        4.0, description="how long the sensor is listened to", unit="s", low=0.5, high=600
-    )
+    noise_duration: float = parameter(4.0, description="duration of the noise measurement", unit="s", low=0.5, high=600)
     step: float = parameter(0.05, description="small step, as a part of the range", low=1e-4, high=0.5)
     small: float = parameter(0.02, description="peak of the multisine, as a part of the range", low=1e-5, high=0.2)
-    cycle_frequency: float = parameter(1.0, description="of the decaying cycles", unit="Hz", low=1e-3, high=100.0)
-    creep_duration: float = parameter(15.0, description="how long a step is held", unit="s", low=1.0, high=3600.0)
-    scan_frequency: float = parameter(5.0, description="of the triangle that is judged", unit="Hz", low=1e-3, high=1e4)
+    cycle_frequency: float = parameter(
+        1.0, description="frequency of the decaying cycles", unit="Hz", low=1e-3, high=100.0
+    )
+    creep_duration: float = parameter(15.0, description="hold time of the creep step", unit="s", low=1.0, high=3600.0)
+    scan_frequency: float = parameter(
+        5.0, description="frequency of the triangle of the scan", unit="Hz", low=1e-3, high=1e4
+    )
     scan_stroke: float = parameter(
-        0.0, description="its displacement from peak to peak; 0: seven tenths of what was reached", unit="m", low=0.0
+        0.0, description="displacement of the scan from peak to peak; 0: 70 % of the measured stroke", unit="m", low=0.0
     )
 
     def check(self):
@@ -120,18 +122,18 @@ class Plan(Parameters):
 
     @property
     def amplifier(self) -> float:
-        """What the amplifier can follow [V/s]: its slew rate, or its current into the capacitance; 0: not known."""
+        """Slew rate of the amplifier [V/s]: as given, or from its current and the capacitance; 0: not known."""
         charging = self.current / self.capacitance if self.capacitance > 0.0 else 0.0
         return min((rate for rate in (self.slew_rate, charging) if rate > 0.0), default=0.0)
 
     @property
     def gain(self) -> float:
-        """Gain that is expected [m/V]."""
+        """Expected gain [m/V]."""
         return self.stroke / self.span
 
 
 def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
-    """Return the plan of a parameter file; where it has none, of the limits and the model of the compensator."""
+    """Return the plan of a parameter file, or one from the limits and the model of the compensator."""
     if axis.inchworm_sequencer is not None:
         raise ConfigurationError(
             f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
@@ -154,7 +156,7 @@ def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
     return plan
 
 
-#: Files in the folder: what it belongs to, the identified axis, the one with a controller, and that which also learns.
+#: Files in the folder: its origin, the identified axis, the axis with a controller, and the axis that also learns.
 STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
 
 
@@ -167,7 +169,7 @@ class Folder:
         state = self.path / STATE
         if self.path.exists() and not resumed:
             raise ConfigurationError(
-                f"{self.path}: exists already; go on with --resume, choose another --directory or remove it"
+                f"{self.path}: exists already; continue with --resume, choose another --directory or remove it"
             )
         if resumed and not state.is_file():
             raise ConfigurationError(f"{self.path}: no commissioning to resume there; begin without --resume")
@@ -176,7 +178,7 @@ class Folder:
                 self.path.mkdir(parents=True)
                 self._write(STATE, self._own)
             except OSError as error:
-                raise ConfigurationError(f"{self.path}: cannot be made: {error.strerror}; choose another") from None
+                raise ConfigurationError(f"{self.path}: cannot be created: {error.strerror}; choose another") from None
         self._require_same(state)
 
     def _require_same(self, state: pathlib.Path) -> None:
@@ -207,7 +209,7 @@ class Folder:
         try:
             return Outcome.from_mapping(self._read(path)) if path.exists() else None
         except (TypeError, KeyError):
-            raise ConfigurationError(f"{path}: is no outcome; do the stage again: --stage {stage}") from None
+            raise ConfigurationError(f"{path}: is not an outcome; repeat the stage: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
         """Store the outcome of a stage, which is then done."""
@@ -226,13 +228,13 @@ class Folder:
         """Return the recording of a stage that is done."""
         path = self.path / f"{stage}.npz"
         if not path.exists():
-            raise CommissioningError(f"{path}: is gone; do the stage again: --stage {stage}")
+            raise CommissioningError(f"{path}: is missing; repeat the stage: --stage {stage}")
         return load_run(path)
 
 
-#: Part of the stroke by which the sensor may read beyond what the voltages of a stage should give.
+#: Part of the stroke by which the sensor may read beyond the expected displacements of a stage.
 OVERTRAVEL = 0.5
-#: Part of the range that a stage without movement may use: limits are never empty.
+#: Part of the range allowed in a stage without movement, because limits must not be empty.
 NOTHING = 1e-4
 
 
@@ -240,17 +242,17 @@ NOTHING = 1e-4
 class Situation:
     """Common data of all stages."""
 
-    configuration: Configuration  #: The parameter file, with what the command line says of the plant.
+    configuration: Configuration  #: The parameter file, with the plant of the command line.
     axis: AxisParameters
     plan: Plan
     folder: Folder
-    model: str = "auto"  #: model, controller: What to identify and to design, or ``auto``.
+    model: str = "auto"  #: model, controller: Model to identify and controller to design, or ``auto``.
     controller: str = "auto"
     #: Other models that a controller must also tolerate; by default those with almost the same error.
     against: tuple[str, ...] | None = None
-    #: Called as ``progress(number, text)`` by what takes long.
+    #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
-    found: dict[str, Outcome] = field(default_factory=dict)  #: What earlier stages found.
+    found: dict[str, Outcome] = field(default_factory=dict)  #: Outcomes of earlier stages.
 
     @property
     def rate(self) -> float:
@@ -265,11 +267,11 @@ class Situation:
     def figure(self, stage: str, name: str) -> float:
         """Return a figure of an earlier stage."""
         if stage not in self.found:
-            raise CommissioningError(f"the stage {stage} is not done yet: do it first (--stage {stage})")
+            raise CommissioningError(f"the stage {stage} is not done yet: run it first (--stage {stage})")
         return self.found[stage].figures[name]
 
     def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
-        """Return the axis that puts out voltages in open loop, within limits that hold nothing else.
+        """Return the axis that outputs voltages in open loop, with limits just around them.
 
         Units: ``voltages`` [V].
         """
@@ -278,7 +280,7 @@ class Situation:
         high = min(float(voltages.max()) + room, self.plan.maximum)
         configuration = self.within(self.configuration, low, high)
         if "noise" not in self.found:
-            # nothing moves yet: a device whose own range is narrower is refused now
+            # before any movement: refuse a device whose own range is narrower
             whole = {"limits.minimum": self.plan.minimum, "limits.maximum": self.plan.maximum}
             configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
@@ -291,8 +293,8 @@ class Situation:
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
-        """Return parameters by which the watch over a device's movement is right, whatever model stands in the file."""
-        # the gain that is expected: what the axis may measure follows from it
+        """Return parameters with which the travel monitor of a device is right, whatever the model in the file."""
+        # the expected gain gives the plausible measurements
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
         if "noise" in self.found:  # before that stage the sensor's zero is unknown
@@ -301,12 +303,12 @@ class Situation:
 
     @property
     def has_device(self) -> bool:
-        """Whether a real device moves, not the simulated plant of the file."""
+        """Whether a real device moves instead of the simulated plant of the file."""
         plant = self.axis.plant_simulator
         return bool(plant.driver) or plant.external_plant
 
     def within(self, configuration: Configuration, low: float, high: float) -> Configuration:
-        """Return a configuration whose plant and compensator put out nothing else than ``low`` … ``high`` [V]."""
+        """Return a configuration whose plant and compensator are limited to ``low`` … ``high`` [V]."""
         limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.amplifier}
         for node in ("plant_simulator", "hysteresis_compensator"):
             configuration = configuration.override(node, **limits)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of a commissioning in their order, and their sequence: finished stages are skipped."""
+"""The stages of a commissioning, and their execution in order; finished stages are skipped."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Stage:
     """A stage that moves the axis."""
 
     title: str  #: A few words.
-    words: Callable[[Situation], str]  #: ``words(situation)``: what is about to move, and how far.
-    #: ``axis(situation)``: the axis to run, or what is found without moving it.
+    words: Callable[[Situation], str]  #: ``words(situation)``: the next movement, and how far it goes.
+    #: ``axis(situation)``: the axis to run, or an outcome without movement.
     axis: Callable[[Situation], AxisParameters | Outcome]
-    #: ``judge(situation, recording)``: what was found; raises an error when something looks wrong.
+    #: ``judge(situation, recording)``: the outcome; raises an error when a result is implausible.
     judge: Callable[[Situation, Recording], Outcome]
 
 
@@ -45,11 +45,11 @@ class Computation:
     """A stage without movement."""
 
     title: str  #: A few words.
-    compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: what was found.
+    compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: the outcome.
 
 
 def _driven(stage: str, voltages: Callable[[Plan, float, float], np.ndarray]):
-    """Return what makes the axis of a stage in open loop."""
+    """Return the function that builds the axis of a stage in open loop."""
 
     def axis(situation: Situation) -> AxisParameters:
         return situation.driven_axis(stage, voltages(situation.plan, situation.safe, situation.rate))
@@ -100,7 +100,7 @@ def _loop_words(situation: Situation) -> str:
 
 def _response_words(situation: Situation) -> str:
     peak = readable(closed_loop.response_peak(situation), "m")
-    return f"closed loop: a multisine of ±{peak} at the reference around the middle of what is reached"
+    return f"closed loop: a multisine of ±{peak} at the reference, around the middle of the stroke"
 
 
 def _scan_words(situation: Situation) -> str:
@@ -118,7 +118,7 @@ def _learn_words(situation: Situation) -> str:
     return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
 
 
-#: The stages by name, in their order; each needs those before it.
+#: The stages by name, in order; each needs those before it.
 STAGES: dict[str, Stage | Computation] = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
     "gain": Stage("gain and sign", _gain_words, _driven("gain", volts.small_step), measuring.judge_gain),
@@ -139,7 +139,7 @@ STAGES: dict[str, Stage | Computation] = {
 
 
 class Attendant(Protocol):
-    """Gives permission before a movement, and receives the outcomes."""
+    """Permits each movement, and receives the outcomes."""
 
     def may_move(self, stage: str, words: str) -> bool:
         """Announce a movement and return whether it is allowed."""
@@ -153,7 +153,7 @@ class NotAllowedError(CommissioningError):
 
 
 def require_stages(stages: Iterable[str]) -> None:
-    """Refuse names that no stage has."""
+    """Refuse unknown names of stages."""
     for stage in stages:
         if stage not in STAGES:
             there = f"there are {', '.join(STAGES)}{did_you_mean(stage, STAGES)}"
@@ -174,7 +174,7 @@ def commission(situation: Situation, bench: Bench, attendant: Attendant, stages:
             continue
         missing = [other for other in names[:place] if other not in situation.found]
         if missing:
-            raise CommissioningError(f"{name} needs what {', '.join(missing)} find; do them first, or all in a row")
+            raise CommissioningError(f"{name} needs the results of {', '.join(missing)}; run them first, or all stages")
         # later outcomes depend on the repeated stage
         situation.folder.forget(names[place:])
         outcome = _done(situation, bench, attendant, name)
@@ -195,7 +195,7 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
     samples = axis.plant_simulator.samples
     seconds = samples / situation.rate
     if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):
-        raise NotAllowedError(f"stopped before {name}: nothing was moved; go on with --resume")
+        raise NotAllowedError(f"stopped before {name}: nothing was moved; continue with --resume")
     try:
         recording = require_sound(bench.run(axis), samples)
     except HysteresisError as error:
@@ -209,7 +209,7 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
 
 
 def _named(error: HysteresisError, text: str) -> CommissioningError:
-    """Return an error that says in which stage another happened, with the exit code of that one."""
+    """Return an error that adds the stage to another error, with the same exit code."""
     named = CommissioningError(text)
     named.exit_code = getattr(error, "exit_code", 2)
     return named
