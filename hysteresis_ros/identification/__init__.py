@@ -11,7 +11,6 @@
 
 Read ``workflow`` (identify, validate) first, then what it calls: ``reading`` → ``data`` → ``preprocessing``;
 ``registry`` → ``procedures`` (one per model) → the model's own module; ``hammerstein``, ``dynamics`` and
-``linear_part`` for what follows a hysteresis; ``chains`` → ``plant_model`` → ``prediction`` →
-``parameter_file``.
-Linear models: ``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``.
+``linear_part`` for the dynamics behind a hysteresis; ``chains`` → ``plant_model`` → ``prediction`` →
+``parameter_file``. Linear models: ``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``.
 """

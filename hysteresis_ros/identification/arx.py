@@ -31,7 +31,7 @@ from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
 from hysteresis_ros.identification.validation import parameter_covariance
 
-#: Regressors whose condition number is beyond this do not determine the parameters.
+#: Largest condition number of regressors that determine the parameters.
 RANK = 1e10
 
 
@@ -43,10 +43,10 @@ class ArxFit:
     numerator: np.ndarray  #: shape (n_b,); b_0 …: coefficients of z⁻ᵈ, z⁻ᵈ⁻¹ … [output unit/input unit].
     delay: int  #: d [samples].
     offset: float  #: Constant in the regression, in the output's unit; 0 when it was not fitted.
-    #: shape (n_a + n_b, n_a + n_b); Of a_1 …, b_0 … for white residuals; of the unconstrained estimate where the
-    #: constraint is active.
+    #: shape (n_a + n_b, n_a + n_b); Covariance of a_1 …, b_0 … for white residuals; that of the unconstrained estimate
+    #: if the constraint is active.
     covariance: np.ndarray
-    residual_variance: float  #: Of the one-step prediction, in the output's unit squared.
+    residual_variance: float  #: Variance of the one-step prediction error, in the output's unit squared.
     samples: int  #: Rows of the regression.
     fpe: float  #: Akaike's final prediction error, in the output's unit squared.
     sample_time: float  #: [s]
@@ -89,7 +89,7 @@ class ArxOrders(NamedTuple):
 
     na: int = 2  #: na, nb: Numbers of coefficients a and b; nb ≥ 1.
     nb: int = 2
-    delay: int = 1  #: Of the input [samples], ≥ 1: a sample is taken before the input of its instant acts.
+    delay: int = 1  #: Delay of the input [samples], ≥ 1: a sample is measured before the input of the same sample acts.
 
 
 def fit_arx(
@@ -122,7 +122,7 @@ def fit_arx(
         solution, constrained = _with_zeros_inside(table, right, orders, zero_radius), True
         largest = np.max(np.abs(zeros))
         warnings.append(
-            f"without the constraint a zero would lie at radius {largest:.4g}; it was held within {zero_radius:g}"
+            f"without the constraint a zero would lie at radius {largest:.4g}; it was kept within {zero_radius:g}"
         )
     residual = right - table @ solution
     variance = float(residual @ residual / (len(right) - unknowns))
@@ -150,13 +150,13 @@ def fit_arx(
 
 
 def _require_excitation(table) -> None:
-    """Refuse a regression that is too short or does not tell its parameters."""
+    """Refuse a regression that is too short or does not determine its parameters."""
     unknowns = table.shape[1]
     refuse_short(len(table), 3 * unknowns, f"an ARX model with {unknowns} parameters")
     condition = np.linalg.cond(table / np.linalg.norm(table, axis=0))
     if not condition < RANK:
         raise FitError(
-            f"the data does not tell {unknowns} parameters (condition {condition:.2g}): "
+            f"the data does not determine {unknowns} parameters (condition {condition:.2g}): "
             "use lower orders or an input with more frequencies"
         )
 

@@ -11,11 +11,11 @@
 
 The static element follows paper B, section 3.2 (B3).
 
-The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the
-nodes, on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower
-the output error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value.
-Output error has local minima when the initial resonance is far off, so the initial values are improved first:
-trial points around them are judged on a short part of the data, and the best few are followed.
+The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the nodes,
+on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the output
+error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output error has
+local minima when the initial resonance is far off, so the initial values are improved first: trial points around them
+are evaluated on a short part of the data, and the best few are refined.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import (
 STATIC_FREE = ("d_e", "alpha", "beta", "gamma")
 #: The paper's initial guess (table II), SI units.
 PUBLISHED_GUESS = BoucWenParameters(d_e=0.127e-6, alpha=7.20e-2 * 1e-6, beta=1.76e-2, gamma=1.66e-2)
-#: Step of the differences behind the covariance, in parts of a parameter.
+#: Relative step of the finite differences for the covariance.
 DIFFERENCE = 1e-5
 
 
@@ -77,7 +77,7 @@ class BoucWenIdentification:
 
 
 def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
-    """Return a guess from the ranges alone: α a quarter of d_e, memory fading over half the voltage range."""
+    """Return an initial guess from the ranges: α a quarter of d_e, memory decaying over half the voltage range."""
     slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
     d_e, alpha = 1.25 * slope, 0.3 * slope
     rate = 2.0 / float(np.ptp(voltage))
@@ -133,7 +133,7 @@ def identify_bouc_wen_static(
 
 
 class _Normalised:
-    """A recording in parts of its ranges, h in that of the displacement, and the element's error on it."""
+    """A recording scaled by its ranges (h by that of the displacement), and the error of the element on it."""
 
     def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
         n, self.free_offset, self.first = exponent, free_offset, len(history)
@@ -155,7 +155,7 @@ class _Normalised:
 
     @property
     def offset(self) -> float:
-        """The constant of the measurement that the last simulation left, 0 when it is not free."""
+        """The constant offset of the last residual; 0 when it is not free."""
         return -(float(np.mean(self.y[self.first :] - self.x)) if self.free_offset else 0.0)
 
     def cost(self, theta) -> float:
@@ -166,7 +166,7 @@ class _Normalised:
 
 
 def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
-    """Return warnings: outside the valid class, a search that was cut off, numbers without support."""
+    """Return warnings: outside the valid class, search not converged, parameters poorly determined."""
     warnings = [problem.remedy for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:
@@ -174,7 +174,7 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
     for name, deviation in zip(STATIC_FREE, deviations.tolist(), strict=True):
         value = getattr(parameters, name)
         if not deviation < 0.5 * abs(value):
-            warnings.append(f"{name} = {value:.4g} ± {deviation:.2g} is hardly determined by this recording")
+            warnings.append(f"{name} = {value:.4g} ± {deviation:.2g} is poorly determined by this recording")
     return tuple(warnings)
 
 
@@ -196,23 +196,23 @@ def _in_units(search: SimplexSearch, units) -> SimplexSearch:
     return replace(search, x=search.x * units, runs=runs)
 
 
-#: Names of what is fitted, in the order of the vectors.
+#: Names of the fitted parameters, in the order of the vectors.
 OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
 KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # of all but the mass in the kernel's parameters
-#: Grid points a sample, for the search and for the result; straight lines between them, one Runge-Kutta step each.
+#: Grid points per sample, for the search and for the result; linear between them, one Runge-Kutta step each.
 SEARCH_GRID = 4
 FINE_GRID = 16
-#: Trial points around the initial values, their spread (factors of 2^±SPREAD), and how many are followed at most.
+#: Trial points around the initial values, their spread (factors of 2^±SPREAD), and the most that are refined.
 TRIALS = 64
 SPREAD = 1.0
 FOLLOWED = 12
-#: Samples on which trial points are judged and followed; the best one is then refined on all samples.
+#: Samples for the evaluation and refinement of trial points; the best one is then refined on all samples.
 SHORT_PART = 6000
-#: Output errors above this many strokes count as this many: an oscillation that runs away has no gradient.
+#: Output errors are limited to this many strokes: a diverging oscillation has no gradient.
 LARGEST_ERROR = 10.0
-#: Periods over which a periodic start settles.
+#: Periods for a periodic start to settle.
 SETTLING = 1
-#: Starts agree when their residuals are within this part of the best; when two of them do, no more are followed.
+#: Starts agree when their residuals are within this part of the best; after two that agree the search ends.
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
 #: … provided that the residual is below this part of the stroke.
@@ -227,10 +227,10 @@ class BoucWenMechanicalFit:
     rmse: float  #: RMS output error [m].
     #: Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
     deviations: dict[str, float]
-    covariance: np.ndarray  #: shape (6, 6); Of :data:`FREE`, in their units.
-    agreeing: int  #: agreeing, starts: How many of the starts that were followed came to the same residual.
+    covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`FREE`, in their units.
+    agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all.
     starts: int
-    intersample: str  #: intersample, initial: How the input ran between samples and where the state started.
+    intersample: str  #: intersample, initial: Assumed input between samples, and assumed initial state.
     initial: str
     warnings: tuple[str, ...] = field(default=())
     converged: bool = True
@@ -322,8 +322,8 @@ def _check_oscillator(u, y, start, intersample, initial):
         raise IdentificationError("input or output is constant; excite the oscillator")
     if initial == "estimate":
         raise IdentificationError(
-            "initial = 'estimate': the state of an oscillator is not fitted, it is forgotten after a few of its turns: "
-            "leave them out (--skip), or use zero or periodic"
+            "initial = 'estimate': the state of an oscillator is not fitted, it decays within a few cycles: skip "
+            "these (--skip), or use zero or periodic"
         )
     if intersample not in METHODS or initial not in ("zero", "periodic"):
         raise IdentificationError(
@@ -393,7 +393,7 @@ class _OscillatorProblem:
         rmse = self.rms(found)
         if not rmse < self.stroke:
             raise IdentificationError(
-                f"no start comes near the data: RMS error {rmse:.3g} m of a stroke of {self.stroke:.3g} m; "
+                f"no start fits the data: RMS error {rmse:.3g} m of a stroke of {self.stroke:.3g} m; "
                 "give better initial values"
             )
         beta = self.start.beta
@@ -408,9 +408,9 @@ class _OscillatorProblem:
         deviations = dict(zip(OSCILLATOR_FREE, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         warnings = list(parameters.warnings())
         if agreeing < 2 <= starts:
-            warnings.append(f"only {agreeing} of {starts} starts came to this residual: there may be a better one")
+            warnings.append(f"only {agreeing} of {starts} starts reached this residual: there may be a better one")
         warnings += [
-            f"{name} = {values[name]:.4g} ± {deviations[name]:.2g}: the data does not settle it"
+            f"{name} = {values[name]:.4g} ± {deviations[name]:.2g}: the data does not determine it"
             for name in OSCILLATOR_FREE
             if not deviations[name] < 0.5 * abs(values[name])
         ]

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From a fitted hysteresis and the dynamics behind it to the chain of blocks that the nodes run.
+"""Conversion of a fitted hysteresis and the dynamics behind it to the chain of blocks that the nodes run.
 
-Lag, delay, modes and creep are found with the hysteresis; other dynamics of second and higher order
-(:data:`STAGES`) are fitted here, behind a hysteresis that was identified before them.
+Lag, delay, modes and creep are fitted together with the hysteresis; other dynamics of second and higher order
+(:data:`STAGES`) are fitted here, behind a hysteresis that is already identified.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hysteresis_ros.models.linear import LinearParameters
 
 #: Poles and zeros of the named continuous models.
 CONTINUOUS = {"first_order": (1, 0), "second_order": (2, 0), "second_order_zero": (2, 1), "third_order": (3, 0)}
-#: All stages, and what each is.
+#: All stages, with descriptions.
 STAGES = {
     "first_order": "continuous, 1 pole, by output error",
     "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
@@ -50,14 +50,14 @@ STAGES = {
 
 @dataclass(frozen=True, eq=False)
 class LinearStage:
-    """Dynamics of unit DC gain, and the gain taken out of them."""
+    """Dynamics of unit DC gain, and their separated gain."""
 
     dynamics: LinearParameters
     gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units.
     offset: float
     fitted: int  #: Fitted numbers.
-    numbers: dict[str, float]  #: What is worth printing.
-    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: Of unit DC gain.
+    numbers: dict[str, float]  #: Figures for the user, by names with units.
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: With unit DC gain.
     warnings: tuple[str, ...] = ()
     converged: bool = True
 
@@ -65,7 +65,7 @@ class LinearStage:
 def fit_stage(
     w, y, sample_time: float, kind: str, skip: int = 0, intersample: str = "zoh", initial: str = "zero"
 ) -> LinearStage:
-    """Fit the dynamics between what the hysteresis puts out and what is measured.
+    """Fit the dynamics between the output of the hysteresis and the measurement.
 
     Units: ``w`` [m], ``y`` [m], ``sample_time`` [s].
     """
@@ -121,7 +121,7 @@ AT_ZERO = 0.002
 
 
 def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0) -> PlantModel:
-    """Return the chain of a hysteresis that is zero at rest, with the sensor's zero where the recording shows it."""
+    """Return the chain of a hysteresis that is zero at rest, with the sensor's zero if the recording shows it."""
     hysteresis, rest = grounded(hysteresis, data.sample_time)
     settled = part is not None and part.settled
     gain = 1.0 if part is None else part.settled_gain
@@ -129,7 +129,7 @@ def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0)
     offset = float(offset + rest * gain)
     zero = reading_at_zero(data)
     if zero is not None:
-        # the sensor's zero is what it read at 0 V; what the past left there belongs to the hysteresis
+        # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
         moved = hysteresis.shifted((offset - zero) / gain)
         if moved is not hysteresis:
             hysteresis, offset = moved, zero
@@ -138,7 +138,7 @@ def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0)
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
         sample_time=data.sample_time,
-        # creep never settles within a recording, where the plant starts it settled
+        # the plant starts with settled creep, but creep never settles within a recording
         offset=offset,
         linear_part=part,
         synchronous=bool(synchronous),
@@ -151,14 +151,14 @@ def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0)
 
 
 def reading_at_zero(data: IdentificationData) -> float | None:
-    """Return what the sensor read at 0 V at the beginning of the recording [m]; None if the voltage was not there."""
+    """Return the reading at 0 V at the beginning of the recording [m]; None if the voltage was not 0 V there."""
     away = np.flatnonzero(np.abs(data.input) > AT_ZERO * np.ptp(data.input))
     standing = int(away[0]) if away.size else len(data)
     return float(np.median(data.output[:standing])) if standing else None
 
 
 def identified(chain: PlantModel, request: Request, found: FittedHysteresis, part: LinearPart) -> Identification:
-    """Return the result of an identification, its linear part in figures and words."""
+    """Return the result of an identification, with its linear part as figures and text."""
     numbers, words = described(part)
     return Identification(
         model=request.model,
@@ -173,7 +173,7 @@ def identified(chain: PlantModel, request: Request, found: FittedHysteresis, par
 
 
 def described(part: LinearPart) -> tuple[dict[str, float], list[str]]:
-    """Return the numbers of a linear part, by names with units, and what there is of it, in words."""
+    """Return the figures of a linear part, by names with units, and its description."""
     numbers = {}
     words = []
     if part.lag > 0.0:
@@ -196,7 +196,7 @@ def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis
     """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
     stage = request.stage
     if stage is None:
-        raise IdentificationError("no stage was asked for: give one of the linear stages")
+        raise IdentificationError("no stage is named: give one of the linear stages")
     hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
     request.progress(0, stage)
@@ -218,6 +218,6 @@ def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return how many samples pass before the voltage has been near both ends of its range: that wipes out the past."""
+    """Return the number of samples until the voltage has been near both ends of its range, which erases the past."""
     found = condense(data.input, data.output, data.sample_time)
     return found.first * found.factor

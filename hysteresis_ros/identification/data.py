@@ -9,8 +9,8 @@
 
 """Data of an identification: time, one input and one output in SI units, and the checks made before any fit.
 
-The checks say what makes data unusable (missing samples, time that is not uniform, constants), what a reader must
-know of it (clipping, delay, drift), and which numbers suggest a mistaken unit.
+The checks report what makes data unusable (missing samples, non-uniform time, constants), what degrades the result
+(clipping, delay, drift), and which numbers suggest a wrong unit.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from hysteresis_ros.recordings.foreign_tables import (
 )
 from hysteresis_ros.units import readable
 
-#: Range of the voltage [V], of the displacement [m] and of both together [m/V] that are not asked about.
+#: Plausible ranges of the voltage [V], of the displacement [m] and of their ratio [m/V].
 VOLTAGES = (0.02, 2000.0)
 STROKES = (5e-9, 2e-3)
 GAINS = (1e-9, 2e-4)
-#: Distance of two samples and duration of all [s] that are not asked about.
+#: Plausible sample time and duration [s].
 LONGEST_SAMPLE_TIME = 0.5
 SHORTEST_DURATION = 0.1
 LONGEST_CYCLE = 500.0
-#: Samples a cycle below which the turning points of its loops are not seen.
+#: Fewest samples per cycle that show the turning points of its loops.
 FEWEST_A_CYCLE = 20.0
 
 
 def implausible_units(
     sample_time: float, duration: float, u, y, units: tuple[str, str], reversals: int
 ) -> Iterator[str]:
-    """Yield a question for each number that suggests a mistaken unit, with the number.
+    """Yield a question for each number that suggests a wrong unit.
 
     Units: ``sample_time`` [s], ``duration`` [s].
     """
@@ -90,20 +90,21 @@ def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
     if each < FEWEST_A_CYCLE:
         beyond = 50.0 * (1.0 - math.cos(math.pi / each))
         yield (
-            f"{each:.3g} samples a cycle: a sine turns up to {beyond:.2g} % of its range beyond the nearest sample, so "
-            f"loops are not seen to their ends; record at least {FEWEST_A_CYCLE:.0f} a cycle, or give --intersample"
+            f"{each:.3g} samples per cycle: a sine turns up to {beyond:.2g} % of its range beyond the nearest "
+            f"sample, so the ends of loops are missing; record {FEWEST_A_CYCLE:.0f} or more per cycle, or give "
+            "--intersample"
         )
 
 
-#: A sample may lie this much beside its place on the uniform grid, in sample times.
+#: Largest deviation of a sample from the uniform grid, in sample times.
 GRID_TOLERANCE = 0.1
 #: A range below this share of the mean level counts as constant.
 CONSTANT = 1e-12
 #: This many equal samples in a row at the extreme may be clipping.
 CLIPPED_RUN = 3
-#: A clipped run is so many times longer than those beside it; the round top of a coarsely read sine is 5.5 times.
+#: Shortest clipped run over its neighbours' length; at the top of a coarsely quantised sine the ratio is 5.5.
 CLIPPED_POPULATION = 8.0
-#: Drift over the whole data above this share of the stroke is warned of.
+#: Drift over the whole data, as a part of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
 
 
@@ -117,18 +118,18 @@ class DataError(IdentificationError):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found by a check."""
+    """One finding of a check."""
 
     #: ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
     #: ``jitter``, ``reading`` …
     check: str
     severity: str  #: ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
-    message: str  #: In words, with numbers and units.
+    message: str  #: Sentence with numbers and units.
 
 
 @dataclass(frozen=True)
 class DataReport:
-    """What the checks found."""
+    """Result of the checks."""
 
     samples: int
     sample_time: float  #: [s]
@@ -142,7 +143,7 @@ class DataReport:
     #: Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
     delay: float
     drift: float  #: Change of the output over the whole data that the input does not explain, in its SI unit.
-    reversals: int  #: How often the input turns round.
+    reversals: int  #: Number of reversals of the input.
     findings: tuple[Finding, ...]  #: In the order of the checks.
 
     @property
@@ -161,17 +162,17 @@ class DataReport:
         return tuple(item.message for item in self.findings if item.severity == "note")
 
     def warned(self, texts) -> DataReport:
-        """Return the report with warnings in front that came before these checks."""
+        """Return the report with earlier warnings in front."""
         return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
 
     def raise_errors(self) -> None:
-        """Raise what makes the data unusable."""
+        """Raise DataError if the data is unusable."""
         if self.errors:
             raise DataError(self.errors[0].check, "; ".join(item.message for item in self.errors))
 
 
 def check_data(time, input, output, input_unit="V", output_unit="m", minimum_samples: int = 50) -> DataReport:
-    """Check one input and one output before any fit; nothing is changed and nothing raised.
+    """Check one input and one output before any fit, without changing them or raising an error.
 
     Units: ``time`` [s].
     """
@@ -180,7 +181,7 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
 
 
 def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 50) -> DataReport:
-    """Check what must be seen at every sample: missing ones, time, constants, clipping.
+    """Check the samples themselves: missing values, time, constants, clipping.
 
     Units: ``time`` [s].
     """
@@ -234,7 +235,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
 
 
 def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -> DataReport:
-    """Add what the signals say of each other: reversals, units that make no sense, delay, drift."""
+    """Add findings about the relation of the signals: reversals, implausible units, delay, drift."""
     if any(item.check in ("constant", "short") for item in report.findings):
         return report
     found = list(report.findings)
@@ -260,7 +261,7 @@ def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -
 def check_uniform(time) -> tuple[float, float, list[Finding]]:
     """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
 
-    Times that were rounded when they were written are uniform when they all lie within the rounding of a grid.
+    Rounded times are uniform when they all lie within the rounding of a grid.
     """
     if len(time) < 2:
         return float("nan"), 0.0, []
@@ -299,18 +300,17 @@ def _rounding(time):
     for digits in range(1, 7):
         scaled = time * 10.0**digits
         if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
-            # one rounded step must be shorter than the distance of two samples, or the times say nothing
+            # the rounding must be finer than the sample time, otherwise the times carry no information
             return 10.0**-digits if 10.0**-digits < np.median(np.diff(time)) else 0.0
     return 0.0
 
 
 def clipped_share(values, driver=None) -> float:
-    """Return the share of samples that rest at a clipped extreme, 0 when nothing looks clipped.
+    """Return the share of samples at a clipped extreme, 0 without clipping.
 
-    Clipped means: runs of at least three equal samples at the very extreme, many times longer than the runs (of mostly
-    one sample) just before and after. Where a ``driver`` is given (the input of an output), only runs during which it
-    moves count: an output may rest while its input rests. Without one, a signal that rests at many levels (steps) is
-    not clipped.
+    Clipped are runs of at least three equal samples at the extreme that are many times longer than the runs just before
+    and after. With a ``driver`` (the input of an output), only runs during which it moves count, because an output may
+    rest while its input rests. Without one, a signal that rests at many levels (steps) is not clipped.
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -339,15 +339,15 @@ def clipped_share(values, driver=None) -> float:
 
 
 def count_reversals(values) -> int:
-    """Return how often ``values`` of shape (N,) turn round; ripple below 1 % of the range does not count."""
+    """Return the number of reversals of ``values``, shape (N,); ripple below 1 % of the range does not count."""
     peaks = [scipy.signal.find_peaks(sign * values, prominence=0.01 * np.ptp(values))[0].size for sign in (1.0, -1.0)]
     return int(sum(peaks))
 
 
 def estimate_delay(u, y, sample_time: float) -> float:
-    """Return the lag [s] of y behind u with the highest correlation, between the samples by a parabola.
+    """Return the lag [s] of y behind u with the highest correlation, interpolated by a parabola.
 
-    The search goes over half of the input's period, so that a periodic input cannot be mistaken by a whole one.
+    The search covers half of the input's period, so that it cannot be wrong by a whole period.
     """
     u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
     n = u.size
@@ -356,7 +356,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
     reach = max(2, min(n // 4, int(0.5 * n / main)))
     products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
     lags = np.arange(-reach, reach + 1)
-    # the correlation coefficient of the overlapping parts: plain products lean towards no lag
+    # the correlation coefficient of the overlapping parts: plain products are biased towards no lag
     first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
     overlap = n - np.abs(lags)
     sums = []
@@ -365,7 +365,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
         sums.append(total[first + overlap] - total[first])
     spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
     window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
-    # half a period away a sine fits as well upside down: an inverted output must be the clearly better match
+    # half a period away an inverted sine fits as well: an inverted output must be a clearly better match
     sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
     best = int(np.argmax(sign * window))
     shift = 0.0
@@ -382,13 +382,13 @@ def _check_delay(u, y, sample_time):
     text = f"the output lags the input by {lag} at the best correlation (dead time, dynamics and hysteresis)"
     if delay < -1.5 * sample_time:
         lead = readable(-delay, "s")
-        text = f"the output comes {lead} before the input; are the columns of one clock and not exchanged?"
+        text = f"the output leads the input by {lead}; do both columns use one clock, and are they not exchanged?"
         return delay, [Finding("delay", "warning", text)]
     return delay, [Finding("delay", "note", text)]
 
 
 def _check_drift(time, u, y, unit):
-    """Fit y with the input, its direction and a straight line in time: the line is the drift."""
+    """Return the drift: the line in time of a fit of y by the input, its direction and a line."""
     scaled = (u - u.mean()) / np.ptp(u)
     smooth = np.gradient(scaled)
     direction = smooth / (np.max(np.abs(smooth)) or 1.0)
@@ -408,7 +408,7 @@ __all__ = ["DataError", "DataReport", "IdentificationData", "check_data", "from_
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """One input and one output sampled at common instants."""
+    """One input and one output sampled at common times."""
 
     time: np.ndarray  #: shape (N,) [s], strictly increasing.
     input: np.ndarray  #: shape (N,); SI.
@@ -419,9 +419,9 @@ class IdentificationData:
     output_name: str = "output"  #: Column the output comes from.
     source: str = ""  #: Name of the file.
     first: int = 0  #: Index of the first sample in the source.
-    notes: tuple[str, ...] = ()  #: What was done to the data (samples left out, resampled …).
-    warnings: tuple[str, ...] = ()  #: What makes them doubtful (gaps bridged, rows damaged …).
-    factor: int = 1  #: How many samples of the source were averaged in each.
+    notes: tuple[str, ...] = ()  #: Changes to the data (samples omitted, resampled …).
+    warnings: tuple[str, ...] = ()  #: Reasons for caution (gaps bridged, rows damaged …).
+    factor: int = 1  #: Number of samples of the source averaged into each sample.
 
     def __post_init__(self):
         """Check shapes and units."""
@@ -465,7 +465,7 @@ class IdentificationData:
         return replace(self, **columns, first=self.first + start)
 
     def checked(self, minimum_samples: int = 50) -> tuple[IdentificationData, DataReport]:
-        """Leave out missing samples at both ends, check, and return the data with its report."""
+        """Return the data without missing samples at both ends, with the report of its checks."""
         data = self.trimmed()
         report = check_data(
             data.time, data.input, data.output, data.input_unit, data.output_unit, minimum_samples=minimum_samples
@@ -504,11 +504,11 @@ def from_recording(
 
 
 def _refuse_inchworm(path, columns, input, output) -> None:
-    """Raise DataError for an inchworm's run without named columns: a walking slider is not an actuator."""
+    """Raise DataError for an inchworm motor's run without named columns: its slider does not follow one voltage."""
     if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
         raise DataError(
             "inchworm",
-            f"{path}: a run of an inchworm: its displacement is that of the slider, which walks, and no answer to the "
+            f"{path}: a run of an inchworm motor: its displacement is that of the slider and does not follow the "
             "voltage; excite the extender alone, or choose the columns with --input and --output",
         )
 
@@ -554,7 +554,7 @@ def from_table(
 
 
 def _same_unit(recording, choice):
-    """Return the name of a bag's signal; its unit is SI already and may only be confirmed."""
+    """Return the name of a bag's signal; a given unit must be its SI unit."""
     name, unit = (choice, None) if choice in recording else split_choice(choice)
     there = recording.units.get(name)
     if unit is not None and there is not None and unit != there:
@@ -579,13 +579,13 @@ def _si(name, unit):
 
 
 def refuse_short(samples: int, needed: int, what: str) -> None:
-    """Raise the error of data that is too short for a fit."""
+    """Raise DataError when the data is too short for a fit."""
     if samples < needed:
         raise DataError("short", f"{samples} samples are too few for {what}; at least {needed} are needed")
 
 
 def finite_array(name: str, values) -> np.ndarray:
-    """Return ``values`` as float64 array, or refuse what is not finite."""
+    """Return ``values`` as float64 array; raise DataError for values that are not finite."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     bad = ~np.isfinite(array)
     if bad.any():

@@ -10,20 +10,18 @@
 """Duhem models from data: the model, its inverse, and the model before linear dynamics (Wang, Alici & Tan 2014; W1-W5).
 
 The loops are prepared (W2): the lag is removed, frequencies are made comparable, the branches of the major loop
-extracted. They give f and g for a given α. W3 gives them from the branches *and their slopes*, and slopes of
-measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known path of
-the input, the equation is used in its integrated form instead: f and g, as networks or splines, are sought with
-which the equation runs along the measured branches. For exact branches both are the same; with noise the integral
-needs no differentiation. There input and output of the major loop run from -1 to +1.
+extracted. They give f and g for a given α. W3 gives them from the branches *and their slopes*, but the slopes of
+measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known path of the
+input, the equation is used in its integrated form instead: the fit finds f and g, as networks or splines, with which
+the equation follows the measured branches. For exact branches both are the same; with noise the integral needs no
+differentiation. Input and output of the major loop are normalised to -1 … +1.
 
-The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces the major loop and nothing else:
-after a reversal inside it the output first moves the wrong way. α is what minor loops are made of, so it is
-identified from them (W7) wherever the recordings hold any. The inverse (W4) is the same with input and output
-exchanged.
+The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces the major loop and nothing else: after
+a reversal inside it the output first moves the wrong way. α determines the minor loops, so it is identified from them
+(W7) if the recordings contain any. The inverse (W4) is the same with input and output exchanged.
 
-A linear part of second order behind the hysteresis is found by least squares from
-``y(t) = -a1 y(t-1) - a2 y(t-2) + b0 w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or what the
-identified hysteresis makes of it (G2, W5).
+A linear part of second order behind the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
+w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or the output of the identified hysteresis (G2, W5).
 """
 
 from __future__ import annotations
@@ -45,12 +43,12 @@ from hysteresis_ros.identification.thresholds import NETWORK_SIZE
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Part of a branch on both sides of a reversal that is looked at for the lag.
+#: Part of a branch on both sides of a reversal that determines the lag.
 WINDOW = 0.25
 LAG_CANDIDATES = 41
 #: A branch is one of the major loop when it comes this near to both ends, in parts of the range.
 NEAR_END = 0.02
-#: Branches of a loop that does not close within this part of the range are not one steady loop.
+#: Largest gap of a steady loop, as a part of the range.
 OPEN_END = 0.02
 #: Points of a branch.
 LOOP_GRID = 301
@@ -59,20 +57,20 @@ COARSEST_GRID = 41
 
 @dataclass(frozen=True)
 class PreparedLoops:
-    """Recordings as W2 wants them."""
+    """Recordings prepared as in W2."""
 
     voltage: tuple[np.ndarray, ...]  #: Input of each recording, delayed by its lag [V].
     displacement: tuple[np.ndarray, ...]  #: Output [m], scaled to the amplitude of the first recording.
     delays: tuple[float, ...]  #: Lag of each recording [s].
-    gains: tuple[float, ...]  #: max |y| of each recording [m]: what the linear part makes of the amplitude.
+    gains: tuple[float, ...]  #: max |y| of each recording [m]: the effect of the linear part on the amplitude.
 
 
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
-    """Return by how much the reversals of the displacement come after those of the voltage [s] (Δt of W2).
+    """Return the delay of the reversals of the displacement after those of the voltage [s] (Δt of W2).
 
-    Rate-independent hysteresis turns where its input turns, a lag turns later. Around each reversal the displacement is
-    described by one parabola of the voltage before and one after it, which meet in the corner; the delay of the voltage
-    with which this leaves the least is the lag. The lag of the first harmonic alone would count the hysteresis too.
+    Rate-independent hysteresis turns where its input turns, a lag turns later. Around each reversal, one parabola of
+    the voltage before it and one after it, which meet in the corner, describe the displacement; the lag is the delay of
+    the voltage with the smallest residual. The phase of the first harmonic would also include the hysteresis.
 
     Units: ``voltage`` [V], ``displacement`` [V].
     """
@@ -118,7 +116,7 @@ def reversal_delay(voltage, displacement, sample_time: float, longest: float | N
 
 
 def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
-    """Shift each input by the lag of its recording and give all outputs the amplitude of the first (W2).
+    """Shift each input by the lag of its recording, and scale all outputs to the amplitude of the first (W2).
 
     Loops of one amplitude at different frequencies then coincide, if hysteresis is rate independent. Recordings of
     different amplitude must not be mixed here: the scaling would hide how hysteresis depends on the amplitude.
@@ -127,7 +125,7 @@ def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
     """
     pairs = [checked_signals(*pair) for pair in recordings]
     if not pairs:
-        raise IdentificationError("no recording was given")
+        raise IdentificationError("no recording is given")
     swings = np.array([np.ptp(voltage) for voltage, _ in pairs])
     if swings.max() > 1.05 * swings.min():
         raise IdentificationError(
@@ -158,13 +156,13 @@ class MajorLoop:
     input_high: float
     output_low: float
     output_high: float
-    gap: float  #: By how much the branches miss each other at the worse end, in parts of the output range.
+    gap: float  #: Larger gap between the branches at an end, as a part of the output range.
     #: Standard error of the grid values (normalised), from the scatter of the samples around the branches.
     noise: float
 
     @property
     def opening(self) -> float:
-        """Largest opening, in parts of the output range."""
+        """Loop width, as a part of the output range."""
         return 0.5 * float(np.max(np.abs(self.falling - self.rising)))
 
     def input(self, u) -> np.ndarray:
@@ -179,7 +177,7 @@ class MajorLoop:
 def major_loop(inputs, outputs) -> MajorLoop:
     """Return the branches between the ends of the input range, averaged over all cycles and recordings.
 
-    The very first branch of a recording comes from rest, not from the loop; it counts only where nothing else is there.
+    The first branch of a recording begins at rest, not on the loop; it counts only if there is no other.
     """
     low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
     near = NEAR_END * (high - low)
@@ -229,7 +227,7 @@ def major_loop(inputs, outputs) -> MajorLoop:
 
 
 def _on_grid(grid, v, y):
-    """Return the polygon over ``grid`` nearest to the samples, and its sum of squares; empty places are bridged."""
+    """Return the polygon over ``grid`` nearest to the samples, and its sum of squares; gaps are bridged."""
     from scipy.linalg import solveh_banded  # imported here because only fits need it
 
     n = grid.size
@@ -242,7 +240,7 @@ def _on_grid(grid, v, y):
     bands[2] = np.bincount(i, (1.0 - t) ** 2, n) + np.bincount(i + 1, t * t, n)
     bands[1, 1:] = np.bincount(i, t * (1.0 - t), n)[: n - 1]
     right = np.bincount(i, (1.0 - t) * z, n) + np.bincount(i + 1, t * z, n)
-    # a whiff of straightness makes the system regular where there are no samples
+    # a small penalty on curvature makes the system regular where there are no samples
     stiffness = 1e-6 * v.size / n
     for offsets, value in (((0, 0), 1.0), ((1, 1), 4.0), ((2, 2), 1.0)):
         bands[2, offsets[0] : n - 2 + offsets[0]] += stiffness * value
@@ -254,21 +252,21 @@ def _on_grid(grid, v, y):
     return values + middle, float(error @ error)
 
 
-#: Substeps of the integration are at most this long, in 1/α.
+#: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Beyond this α (normalised) exponentials would overflow; branches switch within 1 % of the range long before.
+#: Largest α (normalised), below the overflow of exponentials; branches switch within 1 % of the range long before.
 LARGEST_ALPHA = 300.0
-#: Weight of roughness (splines) and of size (networks) against the residual: only ties are broken by it.
+#: Weight of roughness (splines) and of size (networks) against the residual; it only breaks ties.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
-#: Numbers of units and of knots that are tried, until the residual is small or stops falling.
+#: Tried numbers of units and of knots, until the residual is small or stops falling.
 UNITS = (4, 8, 12, 18, 24)
 KNOTS = (8, 12, 18, 26, 38, 56)
 #: Residual (rms, of half the range) that is small enough.
 SMALL_RESIDUAL = 4e-5
 TRAINING_STARTS = 2
 TRAINING_STEPS = 150
-#: Networks with this residual are trained, whether or not a further step would still lower it a little.
+#: Residual at which the training of networks ends.
 TRAINED = 2e-4
 
 # Gauss-Legendre rule of three points on 0 … 1, which the model's own kernel uses too.
@@ -283,9 +281,9 @@ class Shapes:
     kind: str  #: ``network`` or ``spline``.
     f: np.ndarray  #: f, g: Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
     g: np.ndarray
-    rms: float  #: rms, maximum: Residual of the loop that runs with them, in parts of half the range.
+    rms: float  #: rms, maximum: Residual of the loop with these functions, in parts of half the range.
     maximum: float
-    converged: bool  #: The training ended by itself or came below :data:`TRAINED` (splines need none).
+    converged: bool  #: The training converged or reached :data:`TRAINED` (splines need none).
 
 
 class LoopOperator:
@@ -306,7 +304,7 @@ class LoopOperator:
         self._down = (weights * np.exp(alpha * (grid[-1] - self.nodes)))[:, None]
         self._decay_up = np.exp(-alpha * (grid - grid[0]))
         self._decay_down = np.exp(-alpha * (grid[-1] - grid[::-1]))
-        # the way down starts where the way up has ended
+        # the falling branch starts where the rising one ends
         self.constant = start * np.concatenate([self._decay_up, self._decay_down * self._decay_up[-1]])
 
     def _apply(self, values, sign) -> np.ndarray:
@@ -323,11 +321,11 @@ class LoopOperator:
         return decay[:, None] * sums
 
     def on_f(self, values) -> np.ndarray:
-        """Return what values of f at the nodes, shape (m,) or (m, k), do to the output, shape (2 n,) or (2 n, k)."""
+        """Return the contribution of f at the nodes, shape (m,) or (m, k), to the output, shape (2 n,) or (2 n, k)."""
         return self.alpha * self._apply(values, 1.0)
 
     def on_g(self, values) -> np.ndarray:
-        """Return what values of g at the nodes do, like :meth:`on_f`."""
+        """Return the contribution of g at the nodes, like :meth:`on_f`."""
         return self._apply(values, -1.0)
 
     def output(self, f, g) -> np.ndarray:
@@ -336,13 +334,13 @@ class LoopOperator:
 
 
 def _solve_normal(rows, wanted) -> np.ndarray:
-    """Solve a well-conditioned problem by its normal equations: no multithreaded routine for such small matrices."""
+    """Solve a well-conditioned problem by its normal equations, which avoids multithreaded routines."""
     normal = np.einsum("ij,ik->jk", rows, rows)
     return np.linalg.solve(normal, np.einsum("ij,i->j", rows, wanted))
 
 
 def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
-    """Return the splines of ``knots`` values with which the loop runs nearest to ``target``, shape (2 n,)."""
+    """Return the splines of ``knots`` values whose loop is nearest to ``target``, shape (2 n,)."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     basis = CubicSpline(np.linspace(-1.0, 1.0, knots), np.eye(knots))(operator.nodes)
@@ -392,12 +390,12 @@ def fit_networks(operator: LoopOperator, target, units: int, random, noise: floa
         if best.rms <= max(SMALL_RESIDUAL, noise):
             break
     if best is None:
-        raise IdentificationError("no training was begun")
+        raise IdentificationError("no training has run")
     return best
 
 
 def _first_networks(operator, target, units, random) -> np.ndarray:
-    """Return starting numbers: units spread over the range, output weights by least squares."""
+    """Return initial parameters: units spread over the range, output weights by least squares."""
     parts = []
     for _ in range(2):
         centres = np.linspace(-1.0, 1.0, units) + 0.5 / units * random.standard_normal(units)
@@ -446,13 +444,13 @@ def _shapes(kind, f, g, residual, converged) -> Shapes:
 
 #: The paper's α, for a normalised input of -1 … 1.
 PUBLISHED_ALPHA = 80.0
-#: α among which the search starts, and the knots of the splines it uses.
+#: Initial values of α, and the knots of the splines in the search.
 ALPHAS = np.geomspace(0.05, 100.0, 23)
 SEARCH_KNOTS = 26
-#: Samples of the minor loops the search looks at.
+#: Most samples of the minor loops in the search.
 SEARCH_SAMPLES = 800
 ALPHA_TOLERANCE = 1e-3
-#: Smallest part of the range that a minor loop must differ from the major one to say anything about α.
+#: Smallest difference of a minor loop from the major one that determines α, as a part of the range.
 SMALLEST_MINOR = 0.1
 
 
@@ -461,13 +459,13 @@ class DuhemIdentification:
     """Result of :func:`identify_duhem` and :func:`identify_inverse_duhem`."""
 
     parameters: DuhemParameters  #: The model, in the units of the recording.
-    alpha: float  #: α for the normalised input, as the paper counts it.
+    alpha: float  #: α for the normalised input, as in the paper.
     alpha_source: str  #: ``given``, ``minor loops`` or ``paper``.
-    loop: MajorLoop  #: The branches it was made of.
+    loop: MajorLoop  #: The branches used for the fit.
     rms: float  #: rms, maximum: Residual of the major loop, in parts of its full range.
     maximum: float
-    minor_rms: float  #: Residual of the recording α comes from, in parts of the full range; NaN without minor loops.
-    converged: bool  #: The training of f and g and the search for α ended by themselves; α does not lie at a bound.
+    minor_rms: float  #: Residual of the recording that gives α, in parts of the full range; NaN without minor loops.
+    converged: bool  #: The training of f and g and the search for α converged; α does not lie at a bound.
     warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
 
@@ -501,7 +499,7 @@ def identify_inverse_duhem(
 ) -> DuhemIdentification:
     """Identify F, G and α of the inverse Duhem model, displacement to voltage (W4).
 
-    The arguments are those of :func:`identify_duhem`; the parameters that come back take metres and give volt.
+    The arguments are those of :func:`identify_duhem`; the returned model takes metres and gives volts.
     """
     if minor is not None:
         minor = (minor[1], minor[0])
@@ -510,7 +508,7 @@ def identify_inverse_duhem(
 
 
 def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdentification:
-    """Identify from ``signals``, input and output called ``names``."""
+    """Identify from ``signals``; ``names`` are those of input and output."""
     inputs, outputs = signals
     if shape not in ("network", "spline"):
         raise IdentificationError(f"shape = {shape!r}: must be network or spline")
@@ -523,11 +521,11 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     warnings = []
     if loop.gap > OPEN_END:
         warnings.append(
-            f"the branches miss each other by {100.0 * loop.gap:.2g} % of the range at an end of the loop: drift, "
+            f"the loop has a gap of {100.0 * loop.gap:.2g} % of the range at one end: drift, "
             "creep, or a first cycle from rest; record further cycles"
         )
     if loop.opening < 1e-3:
-        warnings.append(f"the loop opens by {100.0 * loop.opening:.2g} % of its range only; there is hardly hysteresis")
+        warnings.append(f"the loop is only {100.0 * loop.opening:.2g} % of its range wide: hardly any hysteresis")
     if minor is not None:
         input_, output = minor
         minor = checked_signals(input_, output, names)
@@ -569,7 +567,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
 
 
 def _operator(loop: MajorLoop, alpha):
-    """Return the operator and the outputs it should give: up the rising and down the falling branch."""
+    """Return the operator and its target outputs: the rising, then the falling branch."""
     return LoopOperator(loop.grid, alpha, loop.rising[0]), np.concatenate([loop.rising, loop.falling[::-1]])
 
 
@@ -589,10 +587,10 @@ def _parameters(loop: MajorLoop, alpha, shapes: Shapes, input_start, output_star
 
 
 def _has_minor_loops(u) -> bool:
-    """Tell whether some reversal lies well inside the range of ``u``."""
+    """Return whether a reversal lies well inside the range of ``u``."""
     low, high = u.min(), u.max()
     inside = SMALLEST_MINOR * (high - low)
-    # where the recording begins and ends is no reversal
+    # the beginning and the end of the recording are not reversals
     turns = [u[branch.start] for branch in split_branches(u)[1:]]
     return any(low + inside < turn < high - inside for turn in turns)
 
@@ -602,7 +600,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
     u, y = minor
     block = DuhemHysteresis(replace(parameters, input_start=float(u[0]), output_start=float(y[0])), 1.0)
     first = split_branches(u)[0]
-    # a first branch from the middle of the range comes from rest, which the model does not know
+    # a first branch from the middle of the range starts in a state that the model does not know
     inside = min(abs(u[0] - loop.input_low), abs(u[0] - loop.input_high)) > NEAR_END * (
         loop.input_high - loop.input_low
     )
@@ -611,7 +609,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
 
 
 def _thinned(u, y):
-    """Return fewer samples of a recording, its reversals among them: rate independence allows it."""
+    """Return fewer samples of a recording, including its reversals, as rate independence allows."""
     step = max(1, u.size // SEARCH_SAMPLES)
     turns = [branch.stop for branch in split_branches(u)]
     kept = np.union1d(np.arange(0, u.size, step), np.array(turns, dtype=int))
@@ -619,7 +617,7 @@ def _thinned(u, y):
 
 
 def _search_alpha(loop: MajorLoop, minor):
-    """Return the α whose major loop also gives the minor loops, and whether it lies inside the searched range."""
+    """Return the α that also reproduces the minor loops, and whether it lies inside the searched range."""
     from scipy.optimize import minimize_scalar  # imported here because only fits need it
 
     random = np.random.default_rng(0)
@@ -655,12 +653,12 @@ class DuhemHammerstein:
     prepared: PreparedLoops  #: Lags and gains of the recordings.
     rms: tuple[float, ...]  #: Simulation error of the whole model for each recording [m].
     linear_only_rms: tuple[float, ...]  #: The same for G1.
-    converged: bool  #: Of the hysteresis.
-    warnings: tuple[str, ...]  #: Of both parts.
+    converged: bool  #: Convergence of the hysteresis.
+    warnings: tuple[str, ...]  #: Warnings of both parts.
 
     @property
     def parameters(self) -> tuple[DuhemParameters, LinearParameters]:
-        """Both parts as an actuator wants them: the hysteresis carries the gain, the linear part has unit DC gain."""
+        """Both parts in the form of an actuator: the hysteresis has the gain, the linear part has unit DC gain."""
         gain = self.linear.model.dc_gain
         hysteresis = self.hysteresis.parameters
         scaled = {name: gain * getattr(hysteresis, name) for name in ("output_low", "output_high", "output_start")}
@@ -684,7 +682,7 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # the first reversals of both are the same large ones: their amplitudes give the gain of the linear part
+        # the first reversals of both are the same large ones; their amplitudes give the gain of the linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)
@@ -692,7 +690,7 @@ def identify_duhem_hammerstein(
     for voltage, displacement in recordings:
         block.reset()
         passed = block.simulate(voltage)
-        # the first branch comes from rest, where the state of the hysteresis is not known
+        # the first branch begins at rest, where the state of the hysteresis is unknown
         settled = split_branches(voltage)[0].stop
         inputs.append(passed[settled:])
         outputs.append(displacement[settled:])

@@ -7,21 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The dynamics behind a hysteresis: lag, delay, up to two resonances and creep, found in turns with the hysteresis.
+"""The dynamics behind a hysteresis (lag, delay, up to two resonances, creep), identified alternately with it.
 
-The displacement w that the hysteresis puts out and the measured one are compared by the spectra of segments: a
-recording of any length becomes sums of a few thousand frequencies, so that a trial of a model costs a millisecond.
-Differences of both signals are taken before, and Hann's window: a strong slow movement then leaks little into the
-weak fast one, by which a resonance shows. For given poles and delay the response is linear in the numerators,
-which are solved for exactly (variable projection), so a structure needs few numbers to be searched: τ, delay, and
-frequency and damping of each mode. A structure with more numbers is taken when segments that it was not fitted to
-are predicted better, by more than its numbers explain (Bayesian information criterion), in most of the folds.
+The output w of the hysteresis and the measured displacement are compared by the spectra of segments: a recording of any
+length becomes sums at a few thousand frequencies, so that a trial of a model takes a millisecond. Both signals are
+differenced and windowed (Hann) first, so that strong slow movement leaks little into the weak fast movement of a
+resonance. For given poles and delay the response is linear in the numerators, which are solved for exactly (variable
+projection), so the search of a structure has few parameters: τ, delay, and frequency and damping of each mode. A
+structure with more parameters is chosen when, in most of the folds, it predicts held-out segments better by more than
+its number of parameters explains (Bayesian information criterion).
 
-Slow recordings: the hysteresis is found together with lag, delay and creep first, on coarse data; then the
-dynamics are chosen anew at the full rate behind it. Fast ones: the dynamics between voltage and displacement come
-first, because a hysteresis cannot represent a resonance. Either way hysteresis and dynamics are
-then settled in turns. A second recording, small and fast, may give the dynamics behind a hysteresis that a slow
-one gave.
+For slow recordings the hysteresis is first fitted together with lag, delay and creep on coarse data; then the dynamics
+behind it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement come
+first, because a hysteresis cannot represent a resonance. In both cases hysteresis and dynamics are then refined
+alternately. A second recording of small, fast movements may give the dynamics behind a hysteresis from a slow one.
 
 References
 ----------
@@ -51,13 +50,13 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: The recording is cut into this many lengths of a segment; segments overlap by half.
+#: Length of the recording over that of a segment; segments overlap by half.
 LENGTHS = 8
-#: Segments side by side that are left out together, so many times.
+#: Neighbouring segments are held out together; this is the number of such folds.
 FOLDS = 4
-#: Neighbouring frequencies are put together up to this part of the frequency.
+#: Neighbouring frequencies are combined up to this part of the frequency.
 RESOLUTION = 2e-3
-#: The noise is taken as smooth over this part of an octave to both sides, and over so many frequencies.
+#: The noise is assumed smooth over this part of an octave to both sides, and over at least this many frequencies.
 NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
 
@@ -69,8 +68,8 @@ class SegmentSpectra:
     input: np.ndarray  #: input, output: shape (F, n); Σ |W|² and Σ |Y|².
     output: np.ndarray
     cross: np.ndarray  #: shape (F, n); Σ Y W*.
-    samples: float  #: Independent samples in all.
-    segments: int  #: How many were added up.
+    samples: float  #: Number of independent samples.
+    segments: int  #: Number of summed segments.
     sample_time: float  #: [s]
 
     @property
@@ -88,7 +87,7 @@ class SegmentSpectra:
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
-        """Return the mean |Y|² of a segment that no linear response to w explains, smooth over the frequency, (n,)."""
+        """Return the mean |Y|² of a segment without linear response to w, smooth over the frequency, shape (n,)."""
         tiny = np.finfo(float).tiny
         explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
         left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
@@ -132,44 +131,44 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
     return SegmentSpectra(lines, input_, output, cross, float(w.size), len(starts), sample_time)
 
 
-#: Most modes that are looked for.
+#: Most modes of a structure.
 MOST_MODES = 2
 #: Ranges: damping; frequency [of the sample rate]; lag and delay in samples and as parts of a segment.
 DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
-#: A mode makes at least so many turns in a segment.
+#: Fewest cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
-#: No model is truer than to this part of the movement at neighbouring frequencies; the window leaks as much.
+#: Smallest model error, as a part of the movement at neighbouring frequencies; the window leaks as much.
 SMALLEST_ERROR = 3e-3
 
 
 @dataclass(frozen=True)
 class ModalStructure:
-    """Which parts there are."""
+    """The parts of a dynamic model."""
 
     lag: bool
     delay: bool
     modes: int = 0
-    #: Lag and modes one behind the other, without zeros; otherwise beside each other, with free numerators.
+    #: Lag and modes in series, without zeros; otherwise in parallel, with free numerators.
     series: bool = False
 
     @property
     def numbers(self) -> int:
-        """How many numbers are fitted."""
+        """Number of fitted parameters."""
         return self.lag + self.delay + (2 if self.series else 4) * self.modes + 1
 
 
 @dataclass(frozen=True, eq=False)
 class ModalTrial:
-    """A structure with its best numbers."""
+    """A structure with its best parameters."""
 
     structure: ModalStructure
-    part: LinearPart  #: Of unit gain, without creep, for a held input.
+    part: LinearPart  #: Linear part of unit gain, without creep, for a held input.
     gain: float
     response: np.ndarray  #: shape (n,); At the frequencies of the spectra, gain included.
-    values: np.ndarray  #: Of the search.
+    values: np.ndarray  #: Parameters of the search.
 
 
 def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray:
@@ -224,19 +223,19 @@ class ModalSearch:
         self.weigh(np.abs(self.estimate))
 
     def weigh(self, response) -> None:
-        """Take the noise that a response leaves as the weight of the frequencies from now on."""
+        """Weight the frequencies by the residual noise of a response from now on."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
         self.variance = np.maximum(noise, SMALLEST_ERROR**2 * around)
         self.weight = np.sqrt(self.power / self.variance)
 
     def cost(self, response) -> float:
-        """Return twice the negative logarithm of the likelihood, but for a constant."""
+        """Return twice the negative log-likelihood, up to a constant."""
         return self.scale * float(np.sum(self.spectra.errors(response) / self.variance))
 
     @property
     def scale(self) -> float:
-        """By which sums over folds and frequencies count as independent samples."""
+        """Factor by which sums over folds and frequencies count as independent samples."""
         return self.spectra.samples / self.spectra.input.size
 
     def without(self, fold: int) -> ModalSearch:
@@ -275,7 +274,7 @@ class ModalSearch:
         return LinearPart(lag=lag, delay=delay, modes=modes, hold=self.T), gain
 
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
-        """Return what the response is linear in, shape (n, k)."""
+        """Return the columns that the response is linear in, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
         if structure.series:
             return part_response(LinearPart(lag=lag, delay=delay, modes=in_series(lag, pairs), hold=self.T), self.f)[
@@ -341,7 +340,7 @@ def part_response(part: LinearPart, frequencies) -> np.ndarray:
 
 
 def in_series(lag: float, pairs) -> tuple[Mode, ...]:
-    """Return lag and modes one behind the other as modes beside the lag: partial fractions.
+    """Return lag and modes in series as parallel ones, by partial fractions.
 
     Units: ``lag`` [s].
     """
@@ -360,26 +359,26 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
     return tuple(modes)
 
 
-#: Places and dampings at which a mode is tried before it is searched, and how many of the best are followed.
+#: Initial frequencies and dampings of a mode, and how many of the best are refined.
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
-#: Of the structures with equally many modes, so many are judged by segments that were left out.
+#: Most structures with an equal number of modes that are compared on held-out segments.
 JUDGED = 3
-#: A structure must predict better in so many folds, and where its modes are, within this factor of the frequency.
+#: Fewest folds in which a structure must predict better, also within this factor of its modes' frequencies.
 MAJORITY, NEARBY_FREQUENCY = 3, 1.4
-#: Evaluations when segments are left out: the search starts at its end.
+#: Most evaluations with held-out segments, where the search starts near its end.
 FEW_EVALUATIONS = 6
 
 
 def choose_dynamics(
     spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES, zeros: bool = True
 ) -> ModalTrial:
-    """Return the dynamics with which left-out segments are predicted best for the numbers they need."""
+    """Return the dynamics that predict held-out segments best for their number of parameters."""
     search = ModalSearch(spectra)
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
     search.weigh(largest[0].response)
     low, high = search.mode_range
-    # few samples a cycle leave no room for a mode between the drive and half of the sample rate
+    # with few samples per cycle there is no room for a mode between the drive and half of the sample rate
     for _ in range(most_modes if 1.2 * low < high else 0):
         largest.append(_with_mode(search, largest[-1]))
     search.weigh(largest[-1].response)
@@ -399,12 +398,12 @@ def _choices(part: str, parts) -> tuple[bool, ...]:
 
 
 def _price(spectra: SegmentSpectra) -> float:
-    """What a number has to gain in twice the logarithm of the likelihood."""
+    """Improvement in twice the log-likelihood that an additional parameter must achieve."""
     return float(np.log(spectra.samples))
 
 
 def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
-    """Go from few numbers to many, as long as each step pays."""
+    """Add parameters as long as each step is an improvement."""
     price = _price(spectra)
     order = sorted(judged, key=lambda pair: (pair[0].structure.numbers, pair[1].sum()))
     best, least = order[0]
@@ -420,7 +419,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
         ):
             best, least = trial, errors
     if best.structure.delay and not best.structure.lag:
-        # a lag is what stages have: nearly as good, it is taken
+        # stages have lags: a lag is chosen if it is nearly as good
         for trial, errors in order:
             same = trial.structure == replace(best.structure, lag=True, delay=False)
             if same and errors.sum() - least.sum() < price:
@@ -429,7 +428,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
 
 
 def _added_modes(modes, present) -> list[Mode]:
-    """Return those of the modes that were not present before; one that was is the next in frequency of each present."""
+    """Return the modes that are new; for each earlier mode the nearest in frequency is not."""
     left = list(modes)
     for mode in present if len(modes) > len(present) else ():
         left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
@@ -448,7 +447,7 @@ def _without_modes(search: ModalSearch, lag: bool, delay: bool) -> ModalTrial:
 
 
 def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
-    """Add a mode where it lowers the cost most."""
+    """Add a mode at the frequency that lowers the cost most."""
     structure = replace(trial.structure, modes=trial.structure.modes + 1)
     _, delay, _ = search.unpack(trial.structure, trial.values)
     columns = search.columns(trial.structure, trial.values)
@@ -468,7 +467,7 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
 
 
 def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):
-    """Yield structures with the same modes, and where their search starts."""
+    """Yield structures with the same modes, and initial values of their search."""
     lag, delay, pairs = search.unpack(trial.structure, trial.values)
     tail = np.log(pairs).ravel()
     places = (False, True) if zeros else (True,)
@@ -487,13 +486,13 @@ def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.nd
     return trial, np.array(found)
 
 
-#: A recording that cannot be made coarser than to so many samples is a fast one.
+#: A recording that cannot be reduced to this many samples is a fast one.
 FAST_SAMPLES = 12000
-#: Samples on which creep is searched, and on which weights are settled, in fast recordings.
+#: Samples for the search of creep, and for the final weights, in fast recordings.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
-#: Up to this harmonic of the drive loops have a shape of their own; a resonance there needs this part of the voltage's
-#: power within this part of its frequency.
+#: Up to this harmonic of the drive, the shape of the loops has power; a resonance there needs this part of the
+#: voltage's power within this part of its frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
 #: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
@@ -510,7 +509,7 @@ def found_with(fit_function, voltage, displacement, sample_time: float, parts, s
 
 
 def gain_and_dynamics(u, y, sample_time: float, parts, skip: int = 0) -> tuple[float, LinearPart, float]:
-    """Return gain, linear part and constant between two signals without hysteresis between them.
+    """Return gain, linear part and constant between two signals without hysteresis.
 
     Units: ``sample_time`` [s].
     """
@@ -535,12 +534,12 @@ class TurnSearch:
         self.first, self.samples = coarse.first * coarse.factor, len(coarse.voltage)
 
     def run(self) -> HammersteinFit:
-        """Return what leaves the smallest residual."""
+        """Return the fit with the smallest residual."""
         found = []
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # where no step is resolved, nothing faster is
+            # if no step is resolved, nothing faster is
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
         start = self.choose(self.voltage)
@@ -549,16 +548,14 @@ class TurnSearch:
             with contextlib.suppress(ParameterError):
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
         if not found:
-            raise IdentificationError(
-                "no hysteresis goes with the dynamics that were found; try --linear lag,delay,creep"
-            )
+            raise IdentificationError("no hysteresis fits with the identified dynamics; try --linear lag,delay,creep")
         best, *others = found
         for fit in others:  # the simplest comes first
             best = fit if FAST_DYNAMICS.improves(fit.rmse, best.rmse) else best
         return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:
-        """Fit the hysteresis, to no more than the first ``longest`` samples in which the range is gone through."""
+        """Fit the hysteresis to at most the first ``longest`` samples that cover the range."""
         v, count = self.voltage, None
         if longest is not None:
             near = 0.02 * np.ptp(v)
@@ -567,7 +564,7 @@ class TurnSearch:
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
     def choose(self, moved, late: int = 0) -> LinearPart:
-        """Choose the dynamics between a movement before them, shape (N,), and the measured one."""
+        """Choose the dynamics between their input, shape (N,), and the measured displacement."""
         spectra = segment_spectra(moved, self.displacement, self.sample_time, self.first, late)
         parts = tuple(part for part in PAIR if part in self.parts)
         found = choose_dynamics(spectra, parts).part
@@ -578,7 +575,8 @@ class TurnSearch:
     def excited(self, frequency: float) -> bool:
         """Return whether a resonance there can be distinguished from the shape of the loops.
 
-        Among the first harmonics of the drive the hysteresis moves by itself: the voltage has to have power there.
+        At the first harmonics of the drive the hysteresis itself produces movement, so the voltage must have power
+        there.
         """
         v = self.voltage[self.first :]
         cycles = 0.5 * max(len(turning_points(v)) - 1, 1)
@@ -589,10 +587,10 @@ class TurnSearch:
         return float(power[near].sum()) > LEAST_POWER * float(power.sum())
 
     def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
-        """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns.
+        """Alternately choose the dynamics behind the hysteresis and refit the hysteresis.
 
-        With ``sharp`` only where there is a resonance that the fit so far had no place for. The first turn chooses the
-        structure of the hysteresis.
+        With ``sharp`` only if there is a resonance that the present fit cannot represent. The first iteration chooses
+        the structure of the hysteresis.
         """
         found: list[HammersteinFit] = []
         for _ in range(TURNS):
@@ -607,7 +605,7 @@ class TurnSearch:
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
-            except ParameterError:  # dynamics with which no weights go
+            except ParameterError:  # no weights fit with these dynamics
                 break
             found = [fit]
         return found
@@ -628,11 +626,11 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     """Return the chain at the rate of the fast recording with its dynamics, and the gain of small movements.
 
     Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would fit
-    that instead of the dynamics.
+    this difference instead of the dynamics.
     """
     if not chain.invertible:
         raise IdentificationError(
-            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis, no others can stand behind it; choose "
+            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis and takes no others behind it; choose "
             "another model"
         )
     slow = chain.continuous
@@ -640,7 +638,7 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     kept: dict[str, Any] = dict(transfer_function=None, sample_time=fast.sample_time)
     bare = replace(chain, dynamics=LinearParameters(), linear_part=creeping, synchronous=True, initial="zero", **kept)
     moved = predict(bare, fast.input, fast.sample_time, "zoh")
-    # what is measured at a sample answers voltages before it
+    # a measurement responds to earlier voltages only
     spectra = segment_spectra(moved, fast.output, fast.sample_time, skip, 1)
     found = choose_dynamics(spectra, zeros=False)
     part = replace(found.part, creep_rate=slow.creep_rate, longest_time=slow.longest_time)

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations of a frequency-response analyser, and where their periods are in a recording.
+"""Excitations of a frequency-response analyser, and their periods in a recording.
 
-A multisine of random phases on odd harmonics, of which one in each group is left out at random, shows what an axis does
-beyond a linear response: even distortion falls on the even lines, odd distortion on the odd ones that were left out
-[1]_. A stepped sine shows it as harmonics; noise does not tell it from noise.
+A multisine of random phases on odd harmonics, of which one in each group is omitted at random, shows the nonlinear
+response of an axis: even distortion falls on the even lines, odd distortion on the omitted odd ones [1]_. A stepped
+sine shows it as harmonics; with a noise excitation it cannot be separated from noise.
 
 References
 ----------
@@ -31,25 +31,25 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.files import read_json
 
-#: One odd harmonic in so many is left out.
+#: One odd harmonic of each group of this size is omitted.
 GROUP = 4
-#: Samples of a period by default, and of a sine of a stepped one at least.
+#: Default samples per period, and fewest samples of a block of a stepped sine.
 PERIOD, STEP = 2000, 200
 #: Highest frequency by default, as a part of the sample rate.
 HIGHEST = 0.48
-#: Lines that a multisine has at least, samples a cycle of a stepped sine, segments of noise by default.
+#: Fewest lines of a multisine, samples per cycle of a stepped sine, default number of noise segments.
 LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
-#: Samples that no recording has.
+#: Most samples of a plausible recording.
 MOST_SAMPLES = 10**12
-#: Where each loop can be excited; the first by default.
+#: Points at which each loop can be excited; the first is the default.
 PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
-#: Noise is cut off at so many standard deviations.
+#: Noise is limited to this many standard deviations.
 CUT_OFF = 3.0
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is asked of a frequency-response analyser; None: of its own choice.
+    """Settings of a frequency-response analyser; None: chosen automatically.
 
     Parameters
     ----------
@@ -58,19 +58,19 @@ class Experiment:
     low, high : float, optional
         Band [Hz].
     period : float, optional
-        Of the multisine, of a block of the stepped sine at least, of a segment of the noise [s].
+        Period of the multisine, shortest block of the stepped sine, or segment of the noise [s].
     duration : float, optional
-        Of the whole excitation, in place of the period [s].
+        Length of the whole excitation, instead of the period [s].
     periods : int
         Periods of each realisation, or blocks of each frequency, that are averaged.
     settle : int
-        Periods before them, which are not.
+        Discarded periods before them.
     realisations : int
-        Of the phases of a multisine.
+        Realisations of the random phases of a multisine.
     points : int
         Frequencies of a stepped sine.
     seed : int
-        Of phases, lines left out, noise.
+        Seed of phases, omitted lines and noise.
     """
 
     kind: str = "multisine"
@@ -87,19 +87,19 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """Where the excited periods are in a recording."""
+    """Position of the excited periods in a recording."""
 
     kind: str
     first: int  #: First sample of the excitation.
     settle: int
     periods: int
     realisations: int
-    #: Of a period; of a stepped sine those of each block, of noise those of a segment and of all.
+    #: Samples of a period; for a stepped sine those of each block, for noise those of a segment and of all.
     samples: tuple[int, ...]
-    #: Excited harmonics of a multisine; cycles a block of each frequency of a stepped sine; first and last line of the
-    #: segments of noise.
+    #: Excited harmonics of a multisine; cycles per block of each frequency of a stepped sine; first and last line of
+    #: the segments of noise.
     lines: tuple[int, ...] = field(default=())
-    #: loop, at: ``open`` or ``closed``, and where it was excited: ``voltage``, ``command`` or ``reference``.
+    #: loop, at: ``open`` or ``closed``, and the point of excitation: ``voltage``, ``command`` or ``reference``.
     loop: str = "open"
     at: str = "voltage"
 
@@ -112,12 +112,12 @@ class Plan:
 
     @property
     def text(self) -> str:
-        """It as JSON."""
+        """The plan as JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_text(cls, text: str) -> Plan:
-        """Return the plan that :attr:`text` gave."""
+        """Return the plan of a text from :attr:`text`."""
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
             raise ValueError("no plan of an excitation")
@@ -128,7 +128,7 @@ class Plan:
         return plan
 
     def _sound(self) -> bool:
-        """Tell whether it has types and sizes that fit together."""
+        """Return whether types and sizes are consistent."""
         samples, lines = self.samples, self.lines
         if not (isinstance(samples, tuple) and isinstance(lines, tuple)):
             return False
@@ -141,12 +141,12 @@ class Plan:
         return least > 0 and forms.get(str(self.kind), False) and self.at in PLACES.get(str(self.loop), ())
 
 
-#: ``shape(frequencies)``: factor of the amplitude at each [Hz].
+#: ``shape(frequencies)``: factor of the amplitude at each frequency [Hz].
 Shape = Callable[[np.ndarray], np.ndarray]
 
 
 def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tuple[np.ndarray, Plan]:
-    """Return an excitation whose peak is one where no shape is given, and its plan, which begins at sample 0.
+    """Return an excitation, with peak 1 if no shape is given, and its plan, which begins at sample 0.
 
     Units: ``rate`` [Hz], ``shape`` [Hz].
     """
@@ -156,7 +156,7 @@ def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tu
 
 
 def uniform(seed: int, count: int) -> np.ndarray:
-    """Return numbers of 0 … 1, the same on every version of NumPy."""
+    """Return random numbers of 0 … 1 that are the same in every version of NumPy."""
     return (np.random.PCG64(seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 
@@ -183,13 +183,14 @@ def _check(asked: Experiment, rate: float) -> None:
 
 def _too_slow(low: float, seconds: float, what: str) -> ConfigurationError:
     return ConfigurationError(
-        f"--low {low:g} Hz: {what} of {seconds:.4g} s shows nothing below {1.0 / seconds:.4g} Hz; raise --low, or give "
+        f"--low {low:g} Hz: {what} of {seconds:.4g} s resolves nothing below {1.0 / seconds:.4g} Hz; raise "
+        "--low, or give "
         "a longer --period or --duration"
     )
 
 
 def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
-    """Return realisations one after the other, each of as many whole periods."""
+    """Return consecutive realisations, each of the same number of whole periods."""
     whole = asked.realisations * (asked.settle + asked.periods)
     N = round(rate * (asked.period or (asked.duration / whole if asked.duration else PERIOD / rate)))
     low, high = asked.low or rate / N, asked.high or HIGHEST * rate
@@ -197,7 +198,7 @@ def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray
         raise _too_slow(low, N / rate, "a period")
     first = int(np.ceil(low * N / rate - 1e-9))
     odd = np.arange(first + (first + 1) % 2, int(high * N / rate + 1e-9) + 1, 2)
-    # one in each whole group is left out; the ends stay
+    # one of each whole group is omitted; the ends stay
     groups = odd[1 : 1 + GROUP * ((odd.size - 2) // GROUP)].reshape(-1, GROUP)
     chosen = (uniform(asked.seed, len(groups)) * GROUP).astype(int)
     harmonics = np.setdiff1d(odd, groups[np.arange(len(groups)), chosen])
@@ -218,7 +219,7 @@ def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray
 
 
 def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
-    """Return sines one after the other, each of whole cycles in each of its blocks."""
+    """Return consecutive sines with a whole number of cycles in each block."""
     per_point = asked.points * (asked.settle + asked.periods)
     block = round(rate * (asked.period or (asked.duration / per_point if asked.duration else STEP / rate)))
     low, high = asked.low or rate / block, asked.high or HIGHEST * rate
@@ -226,7 +227,7 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
         raise _too_slow(low, block / rate, "a block")
     cycles, samples = [], []
     for frequency in np.geomspace(low, high, asked.points):
-        # whole cycles in a block: the length that comes nearest to the frequency, no shorter than asked
+        # whole cycles per block: the length with the nearest frequency, no shorter than requested
         least = max(block, round(rate / frequency))
         lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
         turns = np.maximum(np.round(frequency * lengths / rate), 1)
@@ -243,17 +244,17 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
 
 
 def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
-    """Return Gaussian noise of a band, cut off at some standard deviations."""
+    """Return Gaussian noise of a band, limited to :data:`CUT_OFF` standard deviations."""
     N = round(rate * (asked.duration or SEGMENTS * (asked.period or PERIOD / rate) / 2.0))
     segment = min(round(rate * (asked.period or 2.0 * N / rate / SEGMENTS)), N)
     low, high = asked.low or 2.0 * rate / segment, asked.high or HIGHEST * rate
     if low < (1.0 - 1e-9) * rate / segment:
         raise _too_slow(low, segment / rate, "a segment")
-    # Box and Muller's: of numbers that are the same everywhere
+    # Box-Muller transform of numbers that are the same everywhere
     draws = uniform(asked.seed, 2 * N)
     values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
     frequencies = np.fft.rfftfreq(N, 1.0 / rate)
-    # a line of the segments more to both sides: their windows look there
+    # one more line of the segments on both sides, because of the window
     inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
     inside[0] = False
     values = np.fft.irfft(np.fft.rfft(values) * inside, N)

@@ -7,20 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Measured frequency responses: estimated with their uncertainty, with levels of nonlinear distortion, kept in files.
+"""Measured frequency responses: estimates with uncertainty and levels of nonlinear distortion, and their files.
 
 Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's
 method takes any input, periodic multisines are averaged over periods and realisations.
 
-In a closed loop the noise of the output is in the input too, and S_yu S_uu⁻¹ is drawn towards the inverse of the
-controller. With the excitation e from outside, with which the noise is not correlated, S_ye S_ue⁻¹ is not (the
-indirect method): all functions take it as ``excitation``, and what is left is judged by y - G u all the same.
+In a closed loop the noise of the output is also in the input, which biases S_yu S_uu⁻¹ towards the inverse of the
+controller. S_ye S_ue⁻¹ with the external excitation e, which is uncorrelated with the noise, has no such bias (indirect
+method): all functions take e as ``excitation``. The residual is y - G u in both cases.
 
-Distortion is apart from noise: odd and even, from lines that were not excited. All levels are in the unit of the
-response, as large as an error of it would be that did the same to the output. What a linear response to the
-input's own content at those lines explains, as in a closed loop, is subtracted before.
+Odd and even distortion are separated from noise by lines that are not excited. All levels are in the unit of the
+response: the error of the response with the same effect on the output. The linear response to the input's own content
+at those lines, as in a closed loop, is subtracted first.
 
-Files: NPZ, which is read back whole, and CSV and YAML for other programs.
+Files: NPZ, which can be read back completely, and CSV and YAML for other programs.
 
 References
 ----------
@@ -46,7 +46,7 @@ from hysteresis_ros.units import UNITS
 
 #: Lines of an input with less than this share of its strongest line count as not excited.
 EXCITED = 1e-3
-#: Below this coherence a response is hardly better than noise.
+#: Coherence below which a response is hardly better than noise.
 POOR_COHERENCE = 0.5
 
 
@@ -56,7 +56,7 @@ class FrequencyResponse:
 
     frequency: np.ndarray  #: shape (F,) [Hz]
     response: np.ndarray  #: shape (F, n_y, n_u); Complex, output unit per input unit.
-    sample_time: float  #: Of the data [s].
+    sample_time: float  #: Sample time of the data [s].
     #: shape (F, n_y, n_u); Noise and nonlinear distortion together, [(output unit/input unit)²]; None where it cannot
     #: be told.
     total_variance: np.ndarray | None = None
@@ -66,7 +66,7 @@ class FrequencyResponse:
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
     warnings: tuple[str, ...] = ()  #: Poor coherence, few averages …
-    #: How many independent complex values the variance is a mean of: of the total one, otherwise of the noise's.
+    #: Number of independent complex values in the mean that gives the total variance, or else the noise variance.
     degrees: float | None = None
 
     def band(self, low: float, high: float) -> FrequencyResponse:
@@ -83,7 +83,7 @@ class FrequencyResponse:
         return replace(self, **kept, warnings=(*others, *_poor_coherence(kept["coherence"])))
 
     def radius(self, probability: float = 0.95) -> np.ndarray:
-        """Return the radius of the circle around each entry that holds the true one, shape (F, n_y, n_u).
+        """Return the radius of the circle around each entry that contains the true one, shape (F, n_y, n_u).
 
         |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance of ν complex degrees of freedom [1]_.
         """
@@ -134,7 +134,7 @@ def welch_response(
     frequency, S = frequency[excited], S[excited]
     inverse = np.linalg.inv(S[:, :inputs, exciting])
     response = S[:, outputs, exciting] @ inverse
-    # what is left: y - G u
+    # residual: y - G u
     seen = response @ S[:, :inputs, outputs]
     left = S[:, outputs, outputs] - seen - seen.conj().transpose(0, 2, 1)
     left = left + response @ S[:, :inputs, :inputs] @ response.conj().transpose(0, 2, 1)
@@ -159,7 +159,7 @@ def welch_response(
 
 
 def _spectra(both, sample_time, segment, step, window):
-    """Return frequencies and the spectra of all channels against each other, shape (F, channels, channels)."""
+    """Return frequencies and the cross-spectra of all channels, shape (F, channels, channels)."""
     options = dict(
         fs=1.0 / sample_time, window=window, nperseg=segment, noverlap=segment - step, detrend="constant", axis=0
     )
@@ -169,7 +169,7 @@ def _spectra(both, sample_time, segment, step, window):
     ]
     # SciPy's csd(a, b) is conj(a) b: transposed, so that S[i, j] is the spectrum of i against j
     S = np.array([[spectrum for _, spectrum in row] for row in pairs]).transpose(2, 1, 0)
-    # the line at half the sample rate is real for a real signal: no phase can be read there
+    # the line at half the sample rate is real for a real signal: it has no phase
     kept = slice(1, -1 if segment % 2 == 0 else None)
     return pairs[0][0][0][kept], S[kept]
 
@@ -190,8 +190,8 @@ def multisine_response(
     """Average a periodic multisine over its periods and realisations (steady state, whole periods).
 
     Within each realisation the periods are averaged, and their differences give the noise; over the realisations the
-    response is the least-squares solution of Y = G U at each line, and what it leaves is noise and nonlinear distortion
-    together. With one realisation an input there is nothing left: the total variance is None then.
+    response is the least-squares solution of Y = G U at each line, whose residual is noise and nonlinear distortion
+    together. With one realisation per input there is no residual, and the total variance is None.
 
     Units: ``sample_time`` [s].
     """
@@ -212,9 +212,11 @@ def multisine_response(
     response, total, noise = averaged(frequency, U, Y, E)
     warnings = []
     if periods == 1:
-        warnings.append("one period: noise cannot be told from nonlinear distortion, and a transient not be seen")
+        warnings.append(
+            "one period: noise cannot be separated from nonlinear distortion, and a transient remains undetected"
+        )
     if realisations == inputs:
-        warnings.append("one realisation an input: nonlinear distortion cannot be told; repeat with other phases")
+        warnings.append("one realisation per input: nonlinear distortion cannot be estimated; repeat with other phases")
     degrees = _degrees(realisations, periods, inputs)
     units = input_unit, output_unit
     return FrequencyResponse(frequency, response, sample_time, total, noise, None, *units, tuple(warnings), degrees)
@@ -238,7 +240,7 @@ def averaged(frequency, U, Y, E):
     spread = np.einsum("fji,fjk,fki->fi", inverse.conj(), Em @ Eh, inverse).real
     noise = total = None
     if periods > 1:
-        # the part of the output's scatter that the input's own scatter explains is no noise of the output
+        # scatter of the output that the input's scatter explains is not noise of the output
         dU, dY = (part - part.mean(axis=1, keepdims=True) for part in (U, Y))
         rest = dY - np.einsum("fij,rpjf->rpif", response, dU)
         per_line = np.sum(np.abs(rest) ** 2, axis=(0, 1)).T / (realisations * (periods - 1) * periods)
@@ -251,7 +253,7 @@ def averaged(frequency, U, Y, E):
 
 
 def _degrees(realisations: int, periods: int, inputs: int) -> float | None:
-    """Return the degrees of freedom of the variance that a band rests on."""
+    """Return the degrees of freedom of the variance that determines a band."""
     if realisations > inputs:
         return float(realisations - inputs)
     return float(realisations * (periods - 1)) if periods > 1 else None
@@ -264,7 +266,7 @@ def _poor_coherence(coherence):
 
 
 def _effective_averages(count, segment, step, window):
-    """Return the number of independent segments that ``count`` overlapping ones are worth (Welch, eq. 16)."""
+    """Return the number of independent segments equivalent to ``count`` overlapping ones (Welch, eq. 16)."""
     shape = scipy.signal.get_window(window, segment)
     correlation = (shape[step:] @ shape[: segment - step] / (shape @ shape)) ** 2
     return count / (1.0 + 2.0 * correlation * (count - 1) / count)
@@ -284,7 +286,7 @@ def experiments(name: str, values, period: int | None = None) -> np.ndarray:
     if period is not None:
         if array.ndim != 1 or array.size % period:
             text = f"{name} of shape {array.shape} is no whole number of periods of {period} samples"
-            raise DataError("shape", f"{text}; leave the start out, not the end of a period")
+            raise DataError("shape", f"{text}; remove samples at the start, not the end of a period")
         array = array.reshape(-1, period)
     if array.ndim not in (1, 2, 4):
         raise DataError("shape", f"{name} has shape {array.shape}; it must be (N,), (P, N) or (R, P, channels, N)")
@@ -305,17 +307,17 @@ HARMONICS = 9
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """Levels at the excited lines, of one realisation averaged over its periods; RMS, each shape (F,)."""
+    """RMS levels at the excited lines for one realisation averaged over its periods, each shape (F,)."""
 
     noise: np.ndarray
-    odd: np.ndarray  #: odd, even: With the noise taken off; 0 where nothing is left.
+    odd: np.ndarray  #: odd, even: Levels less the noise, at least 0.
     even: np.ndarray
 
 
 def detected(U, Y, harmonics, response) -> Distortion:
-    """Return the levels of a multisine with odd lines, some of which were left out; NaN where there are none.
+    """Return the levels of a multisine with odd lines, some of which are omitted; NaN without such lines.
 
-    With even lines among the excited ones neither odd nor even distortion has lines of its own.
+    If even lines are excited too, neither odd nor even distortion has lines of its own.
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -336,7 +338,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
     """Return the levels (noise, odd, even) of a sine, from its harmonics."""
     size = abs(U[:, cycles].mean()) ** 2
     places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
-    # in a closed loop the input has harmonics too; nothing but the response at the sine itself is known
+    # in a closed loop the input has harmonics too; only the response at the sine itself is known
     power, noise = _scatter((Y - response * U)[None, :, places])
     clear = power - noise
     odd, even = max(clear[2::2].sum(), 0.0), max(clear[1::2].sum(), 0.0)
@@ -344,7 +346,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
 
 
 def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
-    """Return |mean over the periods|² of each line, averaged over the realisations, and how much of it is noise."""
+    """Return |mean over the periods|² of each line, averaged over the realisations, and its noise part."""
     periods = rest.shape[1]
     power = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
     noise = np.mean(np.var(rest, axis=1, ddof=1), axis=0) / periods
@@ -352,7 +354,7 @@ def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _near(harmonics, seen, clear) -> np.ndarray:
-    """Return the RMS of what is clear over the nearest lines of detection of each excited one."""
+    """Return the RMS of the significant levels at the detection lines nearest to each excited line."""
     if not seen.size:
         return np.full(harmonics.size, np.nan)
     count = min(NEAREST, seen.size)
@@ -361,21 +363,21 @@ def _near(harmonics, seen, clear) -> np.ndarray:
     return np.sqrt(np.maximum((total[first + count] - total[first]) / count, 0.0))
 
 
-#: Least ratio of response and deviation, at half of the lines [dB].
+#: Smallest signal-to-noise ratio of the response at half of the lines [dB].
 LEAST_RATIO = 6.0
 #: Two pieces of a signal are the same period when they differ by less than this part of its RMS.
 SAME = 0.03
-#: Lines of a recorded excitation with less than this share of its strongest line are what came late or was rounded.
+#: Weaker lines of a recorded excitation, over its strongest line, come from late samples or rounding.
 LINE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """A frequency response, and what else its lines tell."""
+    """A frequency response with distortion and signal-to-noise ratio."""
 
-    response: FrequencyResponse  #: Of one input and one output.
-    distortion: Distortion | None  #: Noise does not tell it.
-    kind: str  #: Of the excitation.
+    response: FrequencyResponse  #: Response with one input and one output.
+    distortion: Distortion | None  #: None for a noise excitation.
+    kind: str  #: Kind of the excitation.
 
     @property
     def ratio(self) -> float:
@@ -388,7 +390,7 @@ class Analysis:
             return float(np.median(10.0 * np.log10(np.abs(found.single) ** 2 / np.maximum(variance[:, 0, 0], 1e-300))))
 
     def require_excited(self) -> None:
-        """Refuse a response that drowns in noise."""
+        """Refuse a response whose signal-to-noise ratio is too low."""
         if self.ratio < LEAST_RATIO:
             raise IdentificationError(
                 f"the excitation is too weak: signal-to-noise ratio of the response {self.ratio:.1f} dB at half of the "
@@ -420,7 +422,7 @@ def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     found = multisine_response(tables[0], tables[1], sample_time, input_unit=unit, excitation=excitation)
     harmonics = np.rint(found.frequency * N * sample_time).astype(int)
     if plan.lines:
-        # the loop's own quantisation may reach lines that were not excited
+        # quantisation in the loop may excite further lines
         planned = np.isin(harmonics, plan.lines)
         found = _at(found, planned)
         harmonics = harmonics[planned]
@@ -465,7 +467,7 @@ def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
-    # Hann's window sees a third of a line's square to both sides: the error that the curvature of the response makes
+    # variance of the Hann window, a third of a line squared, times the curvature: error of the response
     bent = np.abs(np.diff(found.single, 2)) / 6.0
     blurred = bent > found.radius()[1:-1, 0, 0]
     if blurred.any():
@@ -496,12 +498,12 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
     e = np.asarray(excitation, dtype=float)
     if kind not in (None, "multisine", "noise"):
         raise IdentificationError(
-            f"--excitation {kind}: where its frequencies stand is known only of a recording that hysteresis frf made"
+            f"--excitation {kind}: its frequencies are known only for a recording made by hysteresis frf"
         )
     N = None if kind == "noise" else _repeats(e)
     if kind == "multisine" and (period or N is None):
         if period is None:
-            raise IdentificationError("--excitation multisine: nothing repeats in what excites; give --period")
+            raise IdentificationError("--excitation multisine: the excitation does not repeat; give --period")
         N = round(period / sample_time)
     if N is None:
         length = round(period / sample_time) if period else max(2 * (e.size // 34), 32)
@@ -512,7 +514,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
             f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must hold two periods of "
             "16 samples at least"
         )
-    # the first one settles, where there are enough
+    # with enough periods the first one settles
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
     lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
@@ -520,7 +522,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
 
 
 def _repeats(e) -> int | None:
-    """Return after how many samples a signal repeats from its middle on; None when it does not."""
+    """Return the period of a signal from its middle on [samples]; None when it does not repeat."""
     tail = e[e.size // 4 :] - np.mean(e[e.size // 4 :])
     correlation = np.fft.irfft(np.abs(np.fft.rfft(tail, 2 * tail.size)) ** 2)[: tail.size // 2 + 1]
     correlation = correlation / (tail.size - np.arange(correlation.size))
@@ -528,7 +530,7 @@ def _repeats(e) -> int | None:
     fallen = int(np.argmin(above))
     peaks = fallen + np.flatnonzero(above[fallen:])
     for lag in peaks if fallen else ():
-        # the median: single samples that came late do not count
+        # the median ignores single late samples
         if np.median(np.abs(tail[lag:] - tail[:-lag])) < SAME * np.std(tail):
             return int(lag)
     return None
@@ -536,23 +538,23 @@ def _repeats(e) -> int | None:
 
 #: Probability of the circles in tables.
 PROBABILITY = 0.95
-#: What an NPZ holds, besides the arrays that are not known.
+#: Required entries of an NPZ file.
 NEEDED = ("frequency", "response", "sample_time", "input_unit", "output_unit", "kind")
 SPREADS = ("total_variance", "noise_variance", "coherence", "degrees")
 LEVELS = ("noise", "odd", "even")
 
 
 def require_response_file(path) -> None:
-    """Refuse a file that no response can be written to, before anything moves."""
+    """Refuse a file that cannot be written, before any movement."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
     if not path.absolute().parent.is_dir():
-        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+        raise RecordingError(f"{path}: cannot be written: the folder does not exist; choose another one")
 
 
 def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
-    """Write a response; the suffix decides how."""
+    """Write a response in the format of the suffix."""
     require_response_file(path)
     write = WRITERS[pathlib.Path(path).suffix.lower()]
     with replacing(path, RecordingError) as beside, beside.open("wb") as stream:
@@ -560,7 +562,7 @@ def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures
 
 
 def load_response(path) -> Analysis:
-    """Return the response of an NPZ file that :func:`save_response` wrote."""
+    """Return the response of an NPZ file written by :func:`save_response`."""
     path = pathlib.Path(path)
     try:
         return _response_of(read_arrays(path))
@@ -573,7 +575,7 @@ def load_response(path) -> Analysis:
 
 
 def _response_of(held: dict[str, np.ndarray]) -> Analysis:
-    """Return the response that arrays hold; ValueError or KeyError when they hold none."""
+    """Return the response in arrays; ValueError or KeyError if they contain none."""
     frequency, sample_time = _real(held, "frequency"), _real(held, "sample_time")
     input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
     if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
@@ -590,7 +592,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     }
     degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
     if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
-        raise ValueError("degrees of freedom of no variance")
+        raise ValueError("degrees of freedom without a variance")
     levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
     return Analysis(replace(response, **spreads, degrees=degrees), Distortion(*levels) if levels else None, kind)
 
@@ -603,12 +605,12 @@ def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np
         or size not in (None, array.size)
         or (size is None and np.any(~np.isfinite(array)))
     ):
-        raise ValueError(f"{name} is not what it should be")
+        raise ValueError(f"{name} has a wrong type or size")
     return np.asarray(array, dtype=float).ravel()
 
 
 def holds_response(path) -> bool:
-    """Tell whether a file is one that :func:`load_response` reads."""
+    """Return whether :func:`load_response` reads this kind of file."""
     if pathlib.Path(path).suffix.lower() != ".npz":
         return False
     try:
@@ -618,7 +620,7 @@ def holds_response(path) -> bool:
 
 
 def response_columns(found: Analysis) -> dict[str, np.ndarray]:
-    """Return what a table has of a response, by names with units."""
+    """Return the columns of a table of a response, by names with units."""
     response = found.response
     unit = f"{response.output_unit}/{response.input_unit}"
     columns = {
@@ -663,5 +665,5 @@ def _yaml(stream, found: Analysis, columns, figures) -> None:
     stream.write(text.encode())
 
 
-#: How each kind of file is written.
+#: Writer of each kind of file.
 WRITERS = {".npz": _npz, ".csv": _csv, ".yaml": _yaml}

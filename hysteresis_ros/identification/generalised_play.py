@@ -10,9 +10,9 @@
 """Generalised, rate-dependent plays from data, together with lag, delay and creep.
 
 Four structures compete: plain plays, plays whose thresholds grow with the speed, plays between two envelopes, and both.
-The linear part is searched with plain plays and settled again with each; the weights follow by constrained least
-squares. A structure with more freedom is taken only where it predicts blocks of the recording better that it was not
-fitted to (:mod:`.held_out`).
+The linear part is searched with plain plays and refined with each structure; the weights follow by constrained least
+squares. A structure with more freedom is chosen only if it predicts held-out blocks of the recording better
+(:func:`.hammerstein.survivor`).
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from hysteresis_ros.models.hysteresis.generalised_play import (
 from hysteresis_ros.recordings.loops import turning_points
 
 PLAYS = 12
-#: What may be searched besides the weights, for each freedom; the rate up to this part of the time between reversals.
+#: Searched parameters besides the weights, for each freedom; upper limit of the rate over the time between reversals.
 FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
 LONGEST_RATE = 0.1
-#: Start and range of the common bend of both envelopes and of what they differ by.
+#: Start and range of the common bend of both envelopes and of their difference.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
 #: Speeds differ by this factor, of swings over this part of the range.
 DIFFERENT, LEAST_SWING = 2.0, 0.1
-#: The slope without hysteresis is at least this part of the whole.
+#: Smallest slope without hysteresis, as a part of the whole slope.
 LEAST_SLOPE = 1e-6
 
 
@@ -85,7 +85,7 @@ def fit_generalised_play(
 
 
 def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) -> GeneralisedPlays:
-    """Return the fit of the structure asked for, else of that which predicts best what it has not seen."""
+    """Return the fit of the named structure, or of the one that predicts held-out blocks best."""
     plain = without_drift(lambda data: GeneralisedPlays(data, play_count).fit(linear, progress), data)
     if freedom == "none":
         return plain
@@ -103,7 +103,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 def rivals(before, progress) -> list[GeneralisedPlays]:
     """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
 
-    Those whose inverse may magnify errors are left out.
+    Fits whose inverse may magnify errors are omitted.
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
     fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
@@ -111,7 +111,7 @@ def rivals(before, progress) -> list[GeneralisedPlays]:
 
 
 def speeds_differ(data: Condensed) -> bool:
-    """Return whether swings of equal size are of different speeds: else growing thresholds are a lag."""
+    """Return whether swings of equal size have different speeds; otherwise growing thresholds look like a lag."""
     turns = turning_points(data.voltage)
     swings = np.abs(np.diff(data.voltage[turns]))
     speeds = (swings / np.diff(turns))[swings > LEAST_SWING * data.voltage_range]
@@ -119,7 +119,7 @@ def speeds_differ(data: Condensed) -> bool:
 
 
 class GeneralisedPlays(PlayFit):
-    """Plays with some freedom on one set of data."""
+    """Plays with additional freedom, on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, names: tuple[str, ...] = ()):
         super().__init__(data)

@@ -9,15 +9,15 @@
 
 """Hammerstein models: hysteresis, creep, lag and delay fitted together, structures compared on held-out data.
 
-Lag and creep widen every loop. Taken for hysteresis they spoil the prediction at other speeds and amplitudes, so
-they are separated: for each trial of the few parameters of the linear part the many weights of the hysteresis
-follow from constrained linear least squares (variable projection), and what is left decides between the trials. A
-lag, a delay and creep are accepted one after the other when they make the residual smaller by
-:data:`.thresholds.LINEAR_PART`. Then outliers are left out, and the residual is measured with the kernels of the nodes.
+Lag and creep widen every loop. If they were attributed to the hysteresis, predictions at other speeds and amplitudes
+would be wrong. They are therefore separated: for each trial of the few parameters of the linear part, the many weights
+of the hysteresis follow from constrained linear least squares (variable projection), and the residual decides between
+the trials. Lag, delay and creep are accepted one after the other if they reduce the residual by
+:data:`.thresholds.LINEAR_PART`. Then outliers are removed, and the residual is computed with the kernels of the nodes.
 
-Structures with more freedom are compared on what they were not fitted to: each part of a recording is predicted
-from the rest of it. A part is several stretches spread over the recording: one stretch alone could be the only one
-with large loops, and what is asked is not how a structure extrapolates.
+Structures with more freedom are compared on held-out data: each part of a recording is predicted from the rest of it. A
+part consists of several intervals spread over the recording, because a single interval could be the only one with large
+loops, and the comparison should not test extrapolation.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
+#: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate per decade.
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
-#: Points of a stretch of voltage before the recording.
+#: Points of each voltage ramp before the recording.
 FINE = 65
 
 
@@ -72,8 +72,8 @@ class HammersteinFit:
     dynamics: LinearParameters  #: For ``sample_time``.
     #: The same linear part in continuous time; ``linear_part.dynamics(Ts)`` gives it at another rate.
     linear_part: LinearPart
-    sample_time: float  #: Of the recording [s].
-    rmse: float  #: RMS residual of the fit [m], outliers and all.
+    sample_time: float  #: Sample time of the recording [s].
+    rmse: float  #: RMS residual of the fit [m], including outliers.
     stroke: float  #: Peak-to-peak displacement of the fitted samples [m].
     voltage_low: float  #: voltage_low, voltage_high: Range of the recording [V].
     voltage_high: float
@@ -81,20 +81,20 @@ class HammersteinFit:
     #: the correlation of the residual is taken into account.
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    converged: bool = True  #: False: the best point found is returned, the optimiser ran out of evaluations.
-    #: The lag is below half a sample: each displacement belongs to the voltage of its own sample (quasi-static
-    #: sweeps), where an axis reads it one sample later.
+    converged: bool = True  #: False: the optimiser ran out of evaluations, and this is the best point found.
+    #: The lag is below half a sample: each displacement belongs to the voltage of the same sample (quasi-static
+    #: sweeps); an axis reads it one sample later.
     synchronous: bool = False
-    #: Voltages [V] that the hysteresis was found to have gone through before the recording, from rest at 0 V.
+    #: Identified voltages [V] before the recording, from rest at 0 V.
     history: tuple[float, ...] = ()
-    skipped: int = 0  #: First samples of the recording left out of the fit.
-    drift: float = 0.0  #: What grew beside all that the voltage moves [m/s]; no part of the model.
+    skipped: int = 0  #: First samples of the recording that the fit omits.
+    drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
-    structure: Any = None  #: What was chosen of structures that competed, to be fitted again.
+    structure: Any = None  #: Chosen structure, for a repeated fit.
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What was kept out of the model, in sentences."""
+        """Sentences about drift and outliers, which are not part of the model."""
         return cleaning_notes(self.drift, int(self.numbers.get("outliers", 0)))
 
     @property
@@ -133,7 +133,7 @@ def simulate_chain(
     synchronous: bool = False,
     history: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """Return what a plant measures under ``voltage``, by the very kernels of the nodes, without limits and sensor.
+    """Return the displacement of a plant under ``voltage`` by the kernels of the nodes, without limits and sensor.
 
     It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
 
@@ -150,7 +150,7 @@ def simulate_chain(
 
 
 def pass_through(block, history) -> None:
-    """Let a hysteresis go through voltages [V], in steps: some models are integrated along the way."""
+    """Step a hysteresis through voltages [V] in small steps, because some models are integrated along the path."""
     block.simulate(stretches(history))
 
 
@@ -167,7 +167,7 @@ def search_linear_part(search: PartSearch, linear):
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
-    # a remanent actuator was at rest before; one at rest at 0 V is at zero, from which its creep is identified
+    # a remanent actuator was at rest before; an actuator at rest at 0 V starts at zero, and so does its creep
     settled = known.settled or bool(data.history)
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)
@@ -176,8 +176,8 @@ def search_linear_part(search: PartSearch, linear):
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
-        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage; and with
-        # straight lines between the samples unless it wants a held voltage
+        # start at rest at 0 V, as nodes do, unless rest under the first voltage fits clearly better; input linear
+        # between the samples unless a held voltage fits clearly better
         bases, threshold = [base], LINEAR_PART
         if part == "lag" and not base.hold:
             bases.append(held)
@@ -194,12 +194,12 @@ def search_linear_part(search: PartSearch, linear):
 
 
 def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
-    """Take the delay for the lag, or one of them alone, where both together are hardly better."""
+    """Replace lag and delay by one of them if both together are hardly better."""
     others = [part for part in kept if part not in ("lag", "delay")]
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
-    # lags are what stages have: a delay has to be seen, and both to be better than either
+    # stages have lags: a delay must be visible, and both together must be better than either
     as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
     if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
         return [*others, "delay"], delayed
@@ -209,7 +209,7 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
 
 
 class PartTrial(NamedTuple):
-    """What is best with some of the parts: values by name, residual [m], deviations, whether the search converged."""
+    """Best fit with some of the parts: values by name, residual [m], deviations, convergence of the search."""
 
     values: dict
     residual: np.ndarray
@@ -223,13 +223,13 @@ class PartTrial(NamedTuple):
 
 
 class PartSearch:
-    """Search of the numbers of the linear part and of the shape, each within its range."""
+    """Search for the parameters of the linear part and of the shape, each within its range."""
 
     def __init__(self, solve, data: Condensed, extra: tuple, progress):
         self.solve, self.data, self.extra, self.progress = solve, data, extra, progress
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
         longest = LONGEST_LAG * half_cycle
-        #: For each part the name of its number, its start, and the ends of its range.
+        #: For each part the name of its parameter, initial value, and ends of the range.
         self.ranges = {
             "lag": ("lag", 0.2 * longest, 0.0, longest),
             "delay": ("delay", 0.05 * longest, 0.0, longest),
@@ -238,7 +238,7 @@ class PartSearch:
         self.calls = 0
 
     def run(self, parts, start: dict, base: LinearPart) -> PartTrial:
-        """Return the best values of the shape and of these parts, from ``start`` where it names them."""
+        """Return the best values of the shape and of these parts, from the initial values in ``start``."""
         from scipy.optimize import least_squares  # imported here because only fits need it
 
         table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
@@ -269,19 +269,19 @@ class PartSearch:
         for name, _, low, high in [*self.extra, *(self.ranges[part] for part in parts)]:
             if min(values[name] - low, high - values[name]) < 1e-4 * (high - low) and name != "delay":
                 yield (
-                    f"{name} = {values[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}; the data does "
-                    "not settle it"
+                    f"{name} = {values[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}: the data does "
+                    "not determine it"
                 )
 
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
-    """Return the linear part with its own among the values, and the values of the shape."""
+    """Return the linear part of these values, and the values of the shape."""
     own: dict[str, Any] = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
 
 def _deviations(jacobian, residual) -> np.ndarray:
-    """Standard deviations from the Jacobian; correlated residuals count as fewer samples."""
+    """Return standard deviations from the Jacobian; correlated residuals count as fewer samples."""
     n, m = jacobian.shape
     centred = residual - residual.mean()
     power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
@@ -293,12 +293,12 @@ def _deviations(jacobian, residual) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * variance, 0.0))
 
 
-#: Samples on which the lag is settled with the blocks.
+#: Samples for the final search of the lag with the blocks of the nodes.
 RETIMED_ON = 20000
 
 
 def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
-    """Return the result of a fit, its residual measured on the recording itself with the kernels of the nodes.
+    """Return the result of a fit, with the residual on the recording itself by the kernels of the nodes.
 
     Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
@@ -331,8 +331,8 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     error = error_of(part)
     constant = float(error[used].mean())
     error = error[first:] - constant
-    # what the half sample and the table leave of a constant belongs to the offset
-    chosen: Any = hysteresis.chosen  # of the class of its model
+    # the constant error of the half sample and of the table belongs to the offset
+    chosen: Any = hysteresis.chosen  # its class depends on the model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
     own: dict[str, Any] = {hysteresis.type: chosen}
     hysteresis = replace(hysteresis, **own)
@@ -358,7 +358,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
 
 
 def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
-    """Return the linear part with the lag at which the blocks fit best, which hold their input for a sample."""
+    """Return the linear part with the lag that fits best with blocks that hold their input for a sample."""
     import scipy.optimize  # imported here because only fits need it
 
     low, high = max(part.lag - sample_time, 0.5 * part.lag), part.lag + sample_time
@@ -371,7 +371,7 @@ def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
 def robust_fit(
     voltage, displacement, sample_time: float, choose, again=None, *, skip=None, history=(), before=None
 ) -> tuple[HammersteinFit, Any]:
-    """Return the fit after outliers were left out, with their number, and the structure that was fitted.
+    """Return the fit without outliers, their number, and the fitted structure.
 
     ``choose(data)`` finds a structure on blocks of the recording; ``again(before, data)`` fits the same structure
     without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen anew.
@@ -391,7 +391,7 @@ def robust_fit(
 
 
 def _without_outliers(once, voltage, displacement) -> HammersteinFit:
-    """Repeat ``once(kept)`` without the samples that are far off, until they no longer matter."""
+    """Repeat ``once(kept)`` without outliers until they no longer matter."""
     kept, fit = None, once(None)
     for _ in range(ROUNDS):
         drift = fit.drift * fit.sample_time * np.arange(len(voltage))
@@ -410,12 +410,12 @@ def _without_outliers(once, voltage, displacement) -> HammersteinFit:
     return replace(fit, numbers={**fit.numbers, "outliers": float(outliers)}) if outliers else fit
 
 
-#: Parts that are left out one after the other, and stretches of each.
+#: Number of held-out parts, and of intervals in each.
 PARTS, STRETCHES_OF_A_PART = 5, 4
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
-    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,)."""
+    """Return the errors [m] on held-out samples, shape (number of samples,)."""
     data = fit.data
     places = np.arange(len(data.kept))
     errors = np.zeros(len(places))
@@ -428,13 +428,13 @@ def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
 
 
 def _parts(places, stretches: int) -> list[np.ndarray]:
-    """Return the places of each part."""
+    """Return the samples of each part."""
     found = np.array_split(places, PARTS * stretches)
     return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
 
 def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Threshold] = (STRUCTURE,)):
-    """Return the fit to keep, and the RMS errors on parts held out [m] of all."""
+    """Return the fit to keep, and the RMS errors of all fits on held-out parts [m]."""
     chosen, least, sizes = fits[0], None, []
     rows = list(thresholds) * (len(fits) if len(thresholds) == 1 else 1)
     for fit, threshold in zip(fits, rows, strict=True):
@@ -452,5 +452,5 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Th
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, or the same with a drift beside it if whole blocks held out show that drift too."""
+    """Return ``fit(data)``, with a drift if held-out blocks show the same drift."""
     return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, thresholds=(DRIFT,))[0]

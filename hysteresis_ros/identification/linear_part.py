@@ -9,9 +9,9 @@
 
 """The linear dynamics behind the hysteresis in a Hammerstein model: creep, a first-order lag, modes, and a delay.
 
-Between samples the displacement is taken as straight, so that lags shorter than a sample are distinguished; dynamics
-that were found for the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors
-at once (their response is convolved by FFT), which makes fits of hysteresis and dynamics together cheap.
+The displacement is assumed linear between samples, which distinguishes lags shorter than a sample; dynamics identified
+for the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors at once
+(convolution by FFT), which makes joint fits of hysteresis and dynamics fast.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ import scipy
 from hysteresis_ros.models.creep import CreepParameters, LogarithmicCreepParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
 
-#: A lag below this part of the sample time is neglected.
+#: Smallest lag, as a part of the sample time; smaller ones are neglected.
 SHORTEST_LAG = 0.02
 #: A creep rate below this is neglected.
 SMALLEST_RATE = 1e-5
-#: Responses that are kept.
+#: Number of cached responses.
 RESPONSES = 16
 
 
 def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
-    """Return ``x``, shape (N, ...), behind a lag 1/(τ s + 1), straight between the samples and at rest at zero before.
+    """Return ``x``, shape (N, ...), behind a lag 1/(τ s + 1), linear between the samples and initially at rest at zero.
 
     Units: ``time_constant`` [s], ``sample_time`` [s].
     """
@@ -48,7 +48,7 @@ def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mode:
-    """One resonance: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²), beside the lag."""
+    """One resonance: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²), in parallel with the lag."""
 
     frequency: float  #: ω/2π [Hz], undamped.
     damping: float  #: ζ, below 1.
@@ -58,7 +58,7 @@ class Mode:
     velocity: float = 0.0
 
     def state_space(self):
-        """Return the continuous A, shape (2, 2), B, shape (2,), and C, shape (2,), in rad/s: a turn that decays."""
+        """Return the continuous A, shape (2, 2), B, shape (2,), and C, shape (2,), in rad/s: a decaying rotation."""
         omega = 2.0 * np.pi * self.frequency
         real, turn = -self.damping * omega, omega * np.sqrt(1.0 - self.damping**2)
         A = np.array([[real, turn], [-turn, real]])
@@ -71,17 +71,17 @@ class Mode:
 
 @dataclass(frozen=True)
 class LinearPart:
-    """Creep, and behind it a lag beside modes, and a delay."""
+    """Creep, then a lag in parallel with modes, then a delay."""
 
     lag: float = 0.0  #: Time constant τ [s].
     delay: float = 0.0  #: Dead time [s].
-    creep_rate: float = 0.0  #: γ of the logarithmic law, a decade.
+    creep_rate: float = 0.0  #: γ of the logarithmic law, per decade.
     longest_time: float = 100.0  #: Time up to which the creep law holds [s].
     #: Creep had settled under the first sample; otherwise everything was at rest at zero before it.
     settled: bool = False
-    modes: tuple[Mode, ...] = ()  #: What does not pass through them passes through the lag.
-    #: Sample time of the voltage [s] that lag, modes and delay were found for as a held one; they are then those of
-    #: the stage itself. 0: straight lines between the samples, the half sample of holding is in the delay.
+    modes: tuple[Mode, ...] = ()  #: Modes; the remaining part of the displacement passes through the lag.
+    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they are then those of the
+    #: stage itself. 0: linear between the samples; the delay then includes the half sample of holding.
     hold: float = 0.0
 
     @property
@@ -130,14 +130,14 @@ class LinearPart:
 
     @property
     def group_delay(self) -> float:
-        """By how much slow movement comes later [s]; creep left aside."""
+        """Delay of slow movement [s], without creep."""
         omega = 2.0 * np.pi * np.array([mode.frequency for mode in self.modes])
         late = [2.0 * mode.damping * mode.position - mode.velocity for mode in self.modes]
         direct = 1.0 - sum(mode.position for mode in self.modes)
         return self.delay + direct * self.lag + float(np.sum(np.array(late) / omega))
 
     def synchronous(self, sample_time: float) -> bool:
-        """Whether each displacement belongs to the voltage of its own sample.
+        """Return whether each displacement belongs to the voltage of the same sample.
 
         Units: ``sample_time`` [s].
         """
@@ -150,9 +150,9 @@ class LinearPart:
         return feedthrough + float(np.sum(weights))
 
     def dynamics(self, sample_time: float) -> LinearParameters:
-        """Return lag, modes and delay as the discrete block that a node runs, whose input is held between samples.
+        """Return lag, modes and delay as the discrete block of a node, whose input is held between samples.
 
-        Where holding is in lag and delay it is taken off the delay, and then off the lag: slow movement comes as late.
+        The delay by holding is subtracted from the delay, then from the lag, so that slow movement has the same delay.
 
         Units: ``sample_time`` [s].
         """
@@ -164,7 +164,7 @@ class LinearPart:
         if part < 1e-9:
             A, B = zero_order_hold(A, B, sample_time) if n else (A, B)
             return _flat(A, B, C, through, sample_time, whole * sample_time if self.modes else delay)
-        # resonances feel within a sample when the input changes: x⁺ = A x + late u_k + early u_(k-1), u_(k-1) a state
+        # the input may change within a sample: x⁺ = A x + late u_k + early u_(k-1), with u_(k-1) as a state
         step, both = zero_order_hold(A, B, sample_time)
         late = zero_order_hold(A, B, (1.0 - part) * sample_time)[1]
         A, B = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
@@ -175,7 +175,7 @@ class LinearPart:
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay behind a held input, read before it changes: that comes T/(1 - e^(-T/τ)) late, not τ."""
+        """Return lag and delay behind a held input, read before it changes; its delay is T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -185,7 +185,7 @@ class LinearPart:
         return (sample_time / np.log1p(1.0 / rest) if rest > 0.0 else 0.0), 0.0
 
     def _continuous(self, lag: float):
-        """Return the continuous A, B, C of lag and modes, and the part that passes through neither."""
+        """Return the continuous A, B, C of lag and modes, and the feedthrough."""
         direct = 1.0 - sum(mode.position for mode in self.modes)
         if abs(direct) < 1e-9:
             direct = 0.0
@@ -202,20 +202,20 @@ class LinearPart:
 
 @lru_cache(maxsize=RESPONSES)
 def _spectrum(part: LinearPart, samples: int, sample_time: float) -> tuple[int, np.ndarray]:
-    """Return the length of the transforms, and that of the response; searches ask for one again and again."""
+    """Return the length of the transforms and that of the response; cached for searches."""
     length = scipy.fft.next_fast_len(2 * samples - 1, real=True)
     return length, scipy.fft.rfft(part.impulse(samples, sample_time), length)
 
 
 class Known(NamedTuple):
-    """A linear part that a fit of a hysteresis takes as given."""
+    """A known linear part for the fit of a hysteresis."""
 
     part: LinearPart
-    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched all the same.
+    parts: tuple[str, ...] = ()  #: Parts of lag, delay and creep that are searched nevertheless.
 
 
 def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:
-    """Return ``x`` behind a mode, straight between the samples."""
+    """Return ``x`` behind a mode, linear between the samples."""
     A, B, C = mode.state_space()
     system = scipy.signal.cont2discrete((A, B[:, None], C[None], np.zeros((1, 1))), sample_time, method="foh")
     numerator, denominator = scipy.signal.ss2tf(*system[:4])

@@ -9,8 +9,8 @@
 
 """Linear systems and their exact simulation: discrete state space and continuous transfer functions.
 
-An input is held (``zoh``, as a converter does), straight (``linear`` or ``foh``, nearest to a slowly sampled
-monitor signal) or band-limited between its samples (a multisine below the Nyquist frequency, decimated data).
+An input is held (``zoh``, as a converter does), linear (``linear`` or ``foh``, nearest to a slowly sampled monitor
+signal) or band-limited between its samples (a multisine below the Nyquist frequency, decimated data).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 
 
 class FitError(IdentificationError):
-    """A fit cannot be made from this data with these settings; the message says what to change."""
+    """A fit is not possible with this data and these settings; the message says what to change."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Mode:
 def propagate(A, inputs, initial=None) -> np.ndarray:
     """Return the states of ``x_(k+1) = A x_k + w_k``.
 
-    The recursion runs in the Schur form of A, one filter of first order a state: as exact for poles close to one
-    another or to the unit circle as the plain recursion, and without a loop over the samples.
+    The recursion runs in the Schur form of A, as one first-order filter per state: as accurate as the plain recursion
+    for poles close to one another or to the unit circle, but without a loop over the samples.
     """
     return _run(A, inputs, initial)[:-1]
 
@@ -105,7 +105,7 @@ class LinearModel(StateSpace):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the model: unstable poles, zeros outside the unit circle, a gain that is not positive."""
+        """Problems of the model: unstable poles, zeros outside the unit circle, a gain that is not positive."""
         found = list(pole_zero_warnings(self.poles, self.zeros))
         gain = self.dc_gain
         if isinstance(gain, float) and not gain > 0.0:
@@ -123,7 +123,7 @@ class LinearModel(StateSpace):
         return y[:, 0] if np.ndim(u) == 1 else y
 
     def linear_parameters(self) -> LinearParameters:
-        """Return the parameters of the linear block with unit DC gain (Hammerstein: the gain is the hysteresis')."""
+        """Return the parameters of the linear block with unit DC gain; the hysteresis has the gain."""
         if self.D.size != 1:
             raise FitError(f"a linear block has one input and one output; this model has {self.D.shape[::-1]}")
         if not self.stable:
@@ -166,7 +166,7 @@ MARGIN = 64
 
 
 def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False) -> np.ndarray:
-    """Return the input at ``factor`` times as many instants, shape (N factor,); every factor-th is a sample."""
+    """Return the input at ``factor`` times as many points, shape (N factor,); every factor-th is a sample."""
     u = np.ascontiguousarray(u, dtype=np.float64)
     if method not in METHODS or factor < 1:
         raise IdentificationError(
@@ -185,7 +185,7 @@ def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False
             spectrum[-1] *= 0.5  # the Nyquist bin represents two frequencies of the finer grid
         return np.fft.irfft(spectrum, u.size * factor) * factor
     margin = min(MARGIN, u.size - 1)
-    # mirrored about the ends, so that level and slope go on
+    # mirrored about the ends, so that level and slope continue
     head, tail = 2.0 * u[0] - u[margin:0:-1], 2.0 * u[-1] - u[-2 : -margin - 2 : -1]
     longer = scipy.signal.resample_poly(np.concatenate([head, u, tail]), factor, 1, window=("kaiser", 12.0))
     return longer[margin * factor : (margin + u.size) * factor]
@@ -194,7 +194,7 @@ def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False
 def find_period(u, tolerance: float = 1e-6) -> int | None:
     """Return the number of samples after which the input repeats itself, None when it does not.
 
-    At least two whole periods must be there.
+    The input must contain at least two whole periods.
     """
     u = np.asarray(u, dtype=float)
     centred = u - u.mean()
@@ -213,17 +213,17 @@ def find_period(u, tolerance: float = 1e-6) -> int | None:
 
 #: How an input may run between its samples; ``linear`` is another word for ``foh``.
 INTERSAMPLE = ("zoh", "foh", "linear", "bandlimited")
-#: Where the state of a simulation may start.
+#: Known initial states of a simulation.
 KNOWN_STARTS = ("zero", "rest", "periodic")
-#: Points a sample that a band-limited input is reconstructed at.
+#: Points per sample of a reconstructed band-limited input.
 FINER = 8
 
 
 class CanonicalSimulation:
-    """The responses of ``sⁱ/denominator`` to an input, from which every numerator's response is a sum.
+    """The responses of ``sⁱ/denominator`` to an input; the response of every numerator is a sum of them.
 
     The states of the controllable form are these responses. Time is scaled with the geometric mean of the poles, so
-    that the matrix is well scaled for a mirror of 2 kHz and a creep of an hour alike.
+    that the matrix is well scaled for a mirror of 2 kHz as well as for a creep of an hour.
 
     Units: ``sample_time`` [s].
     """
@@ -337,7 +337,7 @@ def _reconstructed(u, periodic):
     """Return ``u`` at FINER points a sample, as the band-limited signal through its samples."""
     if periodic:
         return scipy.signal.resample(u, FINER * len(u))
-    # mirrored about its end points, so that no step at the ends rings into the record
+    # mirrored about its end points, so that a step at the ends causes no ringing
     pad = min(len(u) - 1, 64)
     head, tail = 2 * u[0] - u[pad:0:-1], 2 * u[-1] - u[-2 : -pad - 2 : -1]
     long = np.concatenate([head, u, tail])

@@ -11,8 +11,8 @@
 
 The left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is linear in its
 coefficients once multiplied by Q, so that one linear least-squares solution fits them to all lines at once. Its degree
-is chosen generously, its realisation has pole-zero pairs that nearly cancel, and a truncation of the balanced
-realisation takes them out within a tolerance.
+is higher than necessary, so its realisation has pole-zero pairs that nearly cancel; a truncation of the balanced
+realisation removes them within a tolerance.
 
 References
 ----------
@@ -36,7 +36,7 @@ from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.models.linear import BOUNDARY
 
-#: Misfits below this share of the response's own size are taken for rounding, not for a lack of order.
+#: Misfit over the response below which it is attributed to rounding, not to a lack of order.
 ROUNDING = 1e-7
 
 
@@ -54,7 +54,7 @@ class MatrixFraction:
         return len(self.denominator) - 1
 
     def realisation(self, input_unit: str = "V", output_unit: str = "m") -> LinearModel:
-        """Return the state space in observer form, order p · n_y, nothing cancelled yet."""
+        """Return the state space in observer form, order p · n_y, before any cancellation."""
         Q, R = self.denominator, self.numerator
         p, ny = self.degree, Q.shape[1]
         A = np.zeros((p * ny, p * ny))
@@ -70,16 +70,17 @@ class MatrixFraction:
 class MatrixFractionFit:
     """A linear model from a frequency response."""
 
-    model: LinearModel  #: Of the order chosen.
-    order: int  #: Its order: the one asked for, or the one suggested.
+    model: LinearModel  #: Model of the chosen order.
+    order: int  #: Its order: as requested, or as suggested.
     suggested_order: int  #: The lowest order whose misfit is within the tolerance of the best one.
     hankel_values: np.ndarray  #: shape (n,); Hankel singular values of the full fit over the largest, falling.
-    orders: np.ndarray  #: shape (m,); Orders that were tried.
+    orders: np.ndarray  #: shape (m,); Tried orders.
     #: shape (m,); Misfit of each: rms of |Ĝ - G| over the lines in units of the standard deviation, or over rms |G|
     #: when the variance is not known.
     misfit: np.ndarray
     fraction: MatrixFraction  #: The full fit.
-    #: Unstable poles of the full fit that were left out: usually of noise. What they took with them is in the misfit.
+    #: Unstable poles of the full fit that were removed, usually caused by noise; the misfit includes their
+    #: contribution.
     dropped: tuple[complex, ...]
     warnings: tuple[str, ...]  #: Non-minimum-phase fit, large misfit, order at its bound …
 
@@ -94,7 +95,7 @@ def fit_matrix_fraction(
     F, ny, nu = G.shape
     unknowns = degree * ny + (degree + bool(feedthrough)) * nu
     refuse_short(2 * F * nu, unknowns, f"a matrix fraction of degree {degree} (numbers in the response)")
-    # scaled, so that metres and volts do not decide about rank
+    # scaled, so that the units do not affect the rank
     scale = np.sqrt(np.mean(np.abs(G) ** 2))
     G = G / scale
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
@@ -136,9 +137,7 @@ def identify_matrix_fraction(
         data, deviation, _degrees(data.response.shape, degree, most, feedthrough), most, feedthrough, iterations
     )
     if not candidates:
-        raise FitError(
-            "no stable part remains of the fit; is the response that of a stable system, and not noise only?"
-        )
+        raise FitError("the fit has no stable part; is the response that of a stable system, and not only noise?")
     highest = max(len(item.models) for item in candidates)
     if order is not None and not 1 <= order <= highest:
         raise FitError(f"order = {order}: must be within 1 … {highest}, what degree {degree} and the lines allow")
@@ -153,9 +152,9 @@ def identify_matrix_fraction(
     model = winner.models[chosen - 1]
     warnings = [*data.warnings, *model.warnings, *_missed(winner, misfit[chosen - 1], data, deviation, size)]
     if suggested == maximum_order and order is None:
-        warnings.append(f"the suggested order {suggested} is the highest that was tried; the misfit still falls")
+        warnings.append(f"the suggested order {suggested} is the highest one tried; the misfit still falls")
     if order is not None and order < suggested:
-        warnings.append(f"order {order} was asked for; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
+        warnings.append(f"order {order} was requested; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
     return MatrixFractionFit(
         model=model,
         order=chosen,
@@ -170,7 +169,7 @@ def identify_matrix_fraction(
 
 
 class _Candidate(NamedTuple):
-    """What one degree gave."""
+    """Result of one degree."""
 
     fraction: MatrixFraction
     dropped: list[complex]
@@ -180,12 +179,12 @@ class _Candidate(NamedTuple):
 
 
 def _misfit_with(order: int) -> Callable[[_Candidate], float]:
-    """Return what tells the misfit of a candidate with a model of an order."""
+    """Return the function that computes the misfit of a candidate with a model of a given order."""
     return lambda candidate: candidate.misfits[order - 1]
 
 
 def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iterations: int) -> list[_Candidate]:
-    """Return what each degree gives that leaves a stable part: its models of the orders 1 … ``most``."""
+    """Return the models of the orders 1 … ``most`` of each degree with a stable part."""
     weights = None if deviation is None else 1.0 / np.maximum(deviation.max(axis=(1, 2)), 1e-3 * deviation.max())
     found = []
     for degree in degrees:
@@ -204,19 +203,21 @@ def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iteratio
 
 
 def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
-    """Yield what the model chosen misses of the response, whose size is ``size``."""
+    """Yield warnings about the misfit of the chosen model; ``size`` is that of the response."""
     if winner.dropped:
-        # poles of noise outside the circle take nothing with them; those of an unstable system do
+        # unstable poles from noise contribute nothing to the response; those of an unstable system do
         whole = winner.fraction.realisation(data.input_unit, data.output_unit)
         if misfit > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
             poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
-            yield f"unstable linear fit: pole(s) {poles} outside the unit circle were left out and are missed"
+            yield (
+                f"unstable linear fit: pole(s) {poles} outside the unit circle were removed, their response is missing"
+            )
     if misfit > 0.5 * size:
-        yield f"the model misses the response by {100 * misfit / size:.0f} % of it: not usable"
+        yield f"the misfit of the model is {100 * misfit / size:.0f} % of the response: not usable"
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
-    """Return the degrees to try: a low one is biased by noise, a high one puts poles of noise beside the true ones."""
+    """Return the degrees to try: a low one is biased by noise, a high one has additional poles from noise."""
     if degree is not None:
         return [degree]
     F, ny, nu = shape
@@ -226,20 +227,20 @@ def _degrees(shape, degree, maximum_order, feedthrough):
 
 
 def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
-    """Return the part of ``model`` with the poles inside the unit circle, and the poles left out.
+    """Return the part of ``model`` with the poles inside the unit circle, and the removed poles.
 
     The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
     stable one keeps its share of the response.
     """
     for margin in (BOUNDARY, 1e-6, 1e-4, 1e-3, 1e-2):
         stable, dropped = _separated(model, 1.0 - margin)
-        if stable.stable:  # poles in a cluster move by more than rounding when they are put in order
+        if stable.stable:  # reordering moves poles in a cluster by more than rounding
             break
     return stable, dropped
 
 
 def _separated(model, radius):
-    def inside(real, imaginary=0.0):  # named arguments: SciPy looks at the signature
+    def inside(real, imaginary=0.0):  # named arguments: SciPy inspects the signature
         return abs(real + 1j * imaginary) < radius
 
     A, basis, count = scipy.linalg.schur(model.A, output="real", sort=inside)
@@ -254,7 +255,7 @@ def _separated(model, radius):
 def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     """Return the balanced realisation of a stable model and its Hankel singular values, falling.
 
-    Directions below rounding (1e-14 of the largest) are left out: they are neither reached nor seen.
+    Directions below rounding (1e-14 of the largest) are removed: they are neither controllable nor observable.
     """
     if not model.stable:
         raise FitError(f"an unstable model (poles {model.poles}) has no balanced realisation; take its stable part")
@@ -273,7 +274,7 @@ def truncate(balanced: LinearModel, order: int) -> LinearModel:
 
 
 def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, feedthrough: bool = False) -> LinearModel:
-    """Fit B (and D) to the lines again by linear least squares, A and C kept: what was cancelled shifts the rest."""
+    """Refit B (and D) to the lines by linear least squares with A and C fixed, which corrects for the truncation."""
     F, ny, nu = data.response.shape
     n = model.order
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
@@ -296,7 +297,7 @@ def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, fee
 
 
 def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
-    """Return the rms misfit of a model at the lines; of the model zero when None."""
+    """Return the rms misfit of a model at the lines; None is the model zero."""
     predicted = 0.0 if model is None else model.frequency_response(data.frequency)
     scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
     return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))
@@ -306,7 +307,7 @@ def _deviation(data):
     variance = data.total_variance if data.total_variance is not None else data.noise_variance
     if variance is None or not np.all(np.isfinite(variance)) or not np.any(variance > 0.0):
         return None
-    # a variance from few averages scatters; a smoothed floor keeps single lines from taking over
+    # a variance from few averages scatters; a smoothed lower limit keeps single lines from dominating
     floor = 0.1 * np.median(variance[variance > 0.0])
     return np.sqrt(np.maximum(variance, floor))
 

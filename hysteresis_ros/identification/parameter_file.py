@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The result of an identification as ROS 2 parameter file: the nodes run it unchanged, and it says where it comes from.
+"""The result of an identification as ROS 2 parameter file, which the nodes run unchanged and which names its origin.
 
 The sections of plant, compensator and controller are those every axis has. The section ``/identification`` belongs to
-no node, so ROS passes it over; it holds the source, the figures, and what was assumed or is to be doubted.
+no node, so ROS ignores it; it holds the source, the figures, the assumptions and the warnings.
 """
 
 from __future__ import annotations
@@ -45,25 +45,25 @@ from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: The entry that no node reads.
+#: Section that no node reads.
 SECTION = "/identification"
 #: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
-#: What is written of each mode.
+#: Written fields of each mode.
 MODE_NUMBERS = ("frequency", "damping", "position", "velocity")
 _HEADER = """\
 # Identified by `hysteresis identify`; a ROS 2 parameter file for the nodes of an axis. SI units.
-# /identification is no node: it says where the numbers come from.
+# /identification is not a node: it says where the numbers come from.
 """
 
 
 def limits_of(chain: PlantModel) -> tuple[float, float]:
-    """Return the range of the recorded voltage [V], 0 V in it."""
+    """Return the range of the recorded voltage [V], extended to 0 V."""
     return min(chain.voltage_low, 0.0), max(chain.voltage_high, 0.0)
 
 
 def block_mapping(parameters: Parameters, prefix: str) -> dict:
-    """Return the flat parameters of a block without the variants that are not in use, and without empty arrays."""
+    """Return the flat parameters of a block without unused variants and empty arrays."""
     kind = getattr(parameters, "type", None)
     values = {}
     variants = {row.name.split(".")[0] for row in type(parameters).table() if "." in row.name}
@@ -86,7 +86,7 @@ def sections(result: Identification) -> dict[str, dict]:
     dynamics = block_mapping(linear, "dynamics.") if linear.order else {}
     offset = {"preload.A1": chain.offset} if chain.offset else {}
     inverse = block_mapping(chain.inverse, "inverse.")
-    # not in use until adaptation.type says so
+    # used only when adaptation.type is set
     adapts = dynamics and chain.hysteresis.model.weighted is not None
     adaptation = {f"adaptation.{name}": value for name, value in dynamics.items()} if adapts else {}
     adaptation |= {"adaptation.zero": chain.offset} if adapts and chain.offset else {}
@@ -94,7 +94,7 @@ def sections(result: Identification) -> dict[str, dict]:
     lowest, highest = _reach(chain, low, high)
     stroke = highest - lowest
     commands = {"command_minimum": min(lowest - stroke, 0.0), "command_maximum": max(highest + stroke, 0.0)}
-    # a remanent actuator is not at zero at 0 V: the reference starts where the actuator is
+    # a remanent actuator is not at zero at 0 V: the reference starts at its position
     start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
@@ -114,13 +114,13 @@ def rate_of(sample_time: float) -> float:
 
 
 def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
-    """Return the displacements [m] at the ends of the voltage range and between, what it is at rest in it."""
+    """Return the displacements [m] at the ends of the voltage range, and at rest between them."""
     if not chain.invertible:
         reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
         return (-reach if low < 0.0 else 0.0), reach
     ends = [at_rest(chain.hysteresis, chain.sample_time)]
     for end in (low, high):
-        # from rest in fine steps: some models are integrated along the way
+        # from rest in fine steps: some models are integrated along the path
         ends.append(
             float(hysteresis_block(chain.hysteresis, chain.sample_time).simulate(np.linspace(0.0, end, 257))[-1])
         )
@@ -177,12 +177,12 @@ def assumptions(result: Identification) -> tuple[str, ...]:
     low, high = limits_of(result.chain)
     found = [
         f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
-        "no noise, no quantisation: the recording does not say which of the blocks has them",
+        "no noise, no quantisation: the recording does not show which block causes them",
     ]
     if result.chain.offset:
         found.append("preload.A1 holds the zero of the sensor: displacements count from there")
     if result.chain.linear_part is not None and result.chain.linear_part.lag > 0.0:
-        found.append("the lag stands behind the hysteresis; whether amplifier, actuator or sensor lags is not known")
+        found.append("the lag is behind the hysteresis; whether amplifier, actuator or sensor causes it is unknown")
     if result.chain.synchronous:
         found.append("quasi-static recording: an axis reads each displacement one sample later")
     return (*found, *result.assumptions)
@@ -194,7 +194,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
     Units: ``excited`` [V/s].
     """
     nodes = {**sections(result), SECTION: section}
-    # every array an object of its own: YAML would write the second one as an alias, which ROS does not read
+    # copy every array: YAML would write a second reference as an alias, which ROS does not read
     copied = {
         node: {name: tuple(value) if isinstance(value, tuple) else value for name, value in values.items()}
         for node, values in nodes.items()
@@ -205,7 +205,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
         _block(configuration, "plant_simulator", ActuatorParameters)
         _block(configuration, "hysteresis_compensator", CompensatorParameters)
     except ParameterError as error:
-        raise IdentificationError(f"no usable model comes out of this data: {error}") from None
+        raise IdentificationError(f"this data gives no usable model: {error}") from None
     return with_safe_motion(text, "the identified model", excited=excited)
 
 
@@ -249,7 +249,7 @@ def write_file(path, text: str) -> None:
 
 
 def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
-    """Return the parameters of a block out of its node's, whose further parameters are left aside."""
+    """Return the parameters of a block from those of its node."""
     names = {row.name for row in cls.table()}
     values = {name: value for name, value in configuration.node(node, namespace).items() if name in names}
     return cls.from_mapping(values, prefix=f"{configuration.source}: {node}: ").validated()
@@ -272,12 +272,12 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
     try:
         return _chain(section, plant, inverse, 1.0 / float(rate)), section
     except (TypeError, ValueError, ArithmeticError) as error:
-        text = f"sample_rate of plant_simulator or {SECTION} holds what no identification writes: {error}"
+        text = f"sample_rate of plant_simulator or {SECTION} is not written by an identification: {error}"
         raise ConfigurationError(f"{path}: {text}") from None
 
 
 def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters, sample_time: float) -> PlantModel:
-    """Return the model that a plant is with what an identification has written about it."""
+    """Return the model of a plant, with the data that an identification has written about it."""
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
     return PlantModel(

@@ -33,18 +33,18 @@ from hysteresis_ros.units import readable
 
 @dataclass(frozen=True)
 class Request:
-    """One identification as requested: the model, what may follow it, and the conditions."""
+    """Request of one identification: the model, the dynamics that may follow it, and the conditions."""
 
     model: str
     parts: tuple[str, ...]  #: Parts that may follow the hysteresis, of ``lag``, ``delay``, ``creep``, ``modes``.
     stage: str | None  #: Dynamics of higher order instead.
     options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
-    skip: int | None  #: First samples left out of the error; None: those before the past is wiped out.
+    skip: int | None  #: First samples that the error omits; None: those until the past is erased.
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
-    #: What :func:`.separation.separated` found in this data before, by what was asked for.
+    #: Earlier results of :func:`.separation.separated` for this data, by its arguments.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:
@@ -54,32 +54,32 @@ class Request:
 
 @dataclass(frozen=True)
 class FittedHysteresis:
-    """A hysteresis as it was fitted."""
+    """A fitted hysteresis."""
 
     hysteresis: HysteresisParameters
-    fitted: int  #: How many of its numbers were fitted.
-    deviations: dict[str, float] = field(default_factory=dict)  #: Their standard deviations, where known.
+    fitted: int  #: Number of fitted parameters.
+    deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, if known.
     warnings: tuple[str, ...] = ()
     converged: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class PlantModel:
-    """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset."""
+    """Model of a plant: voltage → hysteresis → creep → linear dynamics → + offset."""
 
     hysteresis: HysteresisParameters
     creep: CreepParameters
     dynamics: LinearParameters  #: For ``sample_time``.
     sample_time: float  #: [s]
-    offset: float = 0.0  #: Constant part of the displacement [m]; a plant carries it as preload offset.
-    #: Creep, lag and delay in continuous time, where the dynamics are nothing else.
+    offset: float = 0.0  #: Constant part of the displacement [m]; a plant has it as preload offset.
+    #: Creep, lag and delay in continuous time, if the dynamics have no other part.
     linear_part: LinearPart | None = None
-    #: Numerator and denominator of the dynamics in continuous time, where they were found so.
+    #: Numerator and denominator of the dynamics, if they were identified in continuous time.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    #: A displacement belongs to the voltage of its own sample (quasi-static sweeps); on an axis it is read before.
+    #: A displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis reads it before.
     synchronous: bool = False
-    initial: str = "zero"  #: Where the state starts: ``zero``, ``periodic`` or ``estimate``.
-    intersample: str = "zoh"  #: How the input runs between samples: ``zoh``, ``linear`` or ``bandlimited``.
+    initial: str = "zero"  #: Initial state: ``zero``, ``periodic`` or ``estimate``.
+    intersample: str = "zoh"  #: Input between samples: ``zoh``, ``linear`` or ``bandlimited``.
     voltage_low: float = 0.0  #: voltage_low, voltage_high: Range of the recording [V].
     voltage_high: float = 0.0
     #: Inverse that the compensator uses.
@@ -87,15 +87,15 @@ class PlantModel:
 
     @property
     def invertible(self) -> bool:
-        """Whether the hysteresis is invertible; otherwise dynamics are inside of it."""
+        """Whether the hysteresis is a separate, invertible block; otherwise it includes dynamics."""
         return self.hysteresis.model.block.invertible
 
     @property
     def continuous(self) -> LinearPart:
-        """Creep, lag and delay; other dynamics are stood for by a lag of their group delay at low frequencies."""
+        """Creep, lag and delay; a lag of equal group delay at low frequencies replaces other dynamics."""
         if self.linear_part is not None:
             return self.linear_part
-        # half of the sample time is the converter's, which the voltage of a recording does not know
+        # half of the sample time belongs to the converter and is not in the voltage of a recording
         delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
         return LinearPart(lag=max(delay, 0.0))
 
@@ -120,26 +120,26 @@ class Identification:
     """Result of any identification."""
 
     model: str  #: Name of the model in the registry.
-    linear: str  #: The dynamics behind the hysteresis, in words.
-    #: The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
+    linear: str  #: Description of the dynamics behind the hysteresis.
+    #: The model; its hysteresis is zero at rest at 0 V, or at the remanent displacement of the recording's beginning.
     chain: PlantModel
-    fitted: int  #: How many numbers were fitted.
+    fitted: int  #: Number of fitted parameters.
     #: Figures of the fit besides the parameters, names with units (``lag_s``).
     numbers: dict[str, float] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, by parameter.
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the best point found.
-    skipped: int | None = None  #: First samples left out of the fit; None: those before the memory is wiped out.
-    start: str = ""  #: How the recording was taken to begin, in a sentence.
-    drift: float = 0.0  #: What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
+    skipped: int | None = None  #: First samples that the fit omits; None: those until the past is erased.
+    start: str = ""  #: Sentence about the assumed past of the recording.
+    drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
     #: shape (K, n); Names and values of the parameters after each iteration of the best run.
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 
 
 @runtime_checkable
 class IdentifiedModel(Protocol):
-    """What an estimator returns, whatever the model: it predicts, is judged, and becomes the parameters of an axis."""
+    """Result of an estimator for any model: it predicts, is scored, and gives the parameters of an axis."""
 
     def predict(self, voltage, sample_time: float | None = None) -> np.ndarray:
         """Return the displacement [m], shape (N,), under a voltage [V] of shape (N,).
@@ -159,7 +159,7 @@ class IdentifiedModel(Protocol):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What finds a model: its structure and options are chosen, the data is not."""
+    """An estimator: structure and options are chosen, the data is not."""
 
     def fit(self, data) -> IdentifiedModel:
         """Return the model that fits a recording."""
@@ -167,7 +167,7 @@ class Estimator(Protocol):
 
 
 class Procedure(Protocol):
-    """The fit of one hysteresis model, which its declaration names by ``identify="my_package.my_fit:identify"``."""
+    """The fit of one hysteresis model, named in its declaration as ``identify="my_package.my_fit:identify"``."""
 
     def __call__(self, data: IdentificationData, request: Request) -> Identification:
         """Return the plant that fits the data, with deviations, warnings and whether the search converged."""
@@ -184,7 +184,7 @@ def group_delay(dynamics: LinearParameters) -> float:
 
 
 def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
-    """Return the displacement [m] of a hysteresis that never saw another voltage than 0 V.
+    """Return the displacement [m] of a hysteresis whose voltage has always been 0 V.
 
     Units: ``sample_time`` [s].
     """
@@ -192,9 +192,9 @@ def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
 
 
 def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
-    """Return the hysteresis shifted such that it is at zero at rest at 0 V, and the constant [m] taken out.
+    """Return the hysteresis shifted to zero at rest at 0 V, and the removed constant [m].
 
-    A constant of the sensor is no part of a stroke: kept out of the hysteresis, references count from rest.
+    Without the constant of the sensor in the hysteresis, references count from rest.
 
     Units: ``sample_time`` [s].
     """

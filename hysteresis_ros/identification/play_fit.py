@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fits whose output is linear in the weights of plays: one search, one solution for the weights, many models.
+"""Fits of models whose output is linear in the weights of plays: one search and one solver for many models.
 
-A model gives the columns of its plays for a shape (:meth:`PlayFit.columns`), the numbers of the shape that are searched
-(:attr:`PlayFit.extra`) and what its weights mean (:meth:`PlayFit.parameters`). The linear part and the shape are
-searched; for each trial the weights ≥ 0 and the constants follow by linear least squares (:mod:`.weights`).
+A model gives the columns of its plays for a shape (:meth:`PlayFit.columns`), the searched parameters of the shape
+(:attr:`PlayFit.extra`) and the block's parameters for the weights (:meth:`PlayFit.parameters`). The linear part and the
+shape are searched; for each trial the weights ≥ 0 and the constants follow by linear least squares (:mod:`.weights`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ SEARCH_STRENGTH = 1e-2
 
 
 class PlayFit(ABC):
-    """A model of plays on one set of data."""
+    """A model of plays, fitted to one set of data."""
 
-    #: Numbers of the shape that are searched: name, start, and ends of the range.
+    #: Searched parameters of the shape: name, initial value, and ends of the range.
     extra: tuple[tuple[str, float, float, float], ...] = ()
     #: Differences of neighbouring weights that are penalised, one row each.
     roughness: np.ndarray
@@ -48,14 +48,14 @@ class PlayFit(ABC):
 
     @abstractmethod
     def parameters(self) -> HysteresisParameters:
-        """Return the numbers as parameters of the block."""
+        """Return the fit as parameters of the block."""
 
     def solve(self, part, shape) -> np.ndarray:
         """Return the residual [m] of the weights for one trial of the search."""
         return self.solve_weights(part, shape, SEARCH_STRENGTH)
 
     def solve_weights(self, part, shape, strength: float | None = None) -> np.ndarray:
-        """Return the residual [m] of the best weights; a strength of None is chosen by the residual."""
+        """Return the residual [m] of the best weights; for a strength of None the residual determines it."""
         data = self.data
         moved = data.counted(part.apply(self.columns(shape), data.sample_time))
         target = data.counted(data.displacement)
@@ -65,19 +65,19 @@ class PlayFit(ABC):
         return residual
 
     def fit(self, linear, progress):
-        """Search the linear part and the shape, then settle the weights."""
+        """Search the linear part and the shape, then compute the weights."""
         search = PartSearch(self.solve, self.data, self.extra, progress)
         self.kept, self.base, found = search_linear_part(search, linear)
         return self._finish(search, found)
 
     def settle(self, before, progress):
-        """Search the shape, and the numbers of the linear part whose structure another fit found."""
+        """Search the shape, and the parameters of a linear part with known structure."""
         self.kept, self.base = before.kept, before.base
         search = PartSearch(self.solve, self.data, self.extra, progress)
         return self._finish(search, search.run(self.kept, before.found.values, self.base))
 
     def behind(self, part):
-        """Settle the weights for a known linear part, with the shape at its start."""
+        """Compute the weights for a known linear part, with the initial shape."""
         self.part, self.shape = part, {name: start for name, start, *_ in self.extra}
         self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
         return self
@@ -91,7 +91,7 @@ class PlayFit(ABC):
         return self
 
     def refitted(self, data: Condensed):
-        """Return the model with weights for other samples of the recording, of the same shape and linear part."""
+        """Return the model with the same shape and linear part, and weights for other samples of the recording."""
         other = copy(self)
         other.data = data
         other.solve_weights(self.part, self.shape, self.strength)

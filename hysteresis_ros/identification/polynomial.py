@@ -17,10 +17,10 @@ quadratics of the peak voltage V_max. Two corrections make the branches continuo
 
 With them nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2 and C_f2 as
 linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients for a given
-voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to
-all samples at once by linear least squares, which works with any excitation. The paper judges a model by its
-largest error; where the shape of the loops, not noise, makes the residual, the weights are therefore moved towards
-the largest residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
+voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to all
+samples at once by linear least squares, which works with any excitation. The paper rates a model by its largest error.
+If the residual comes from the shape of the loops and not from noise, the weights are therefore moved towards the
+largest residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
 
 K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
 """
@@ -56,7 +56,7 @@ from hysteresis_ros.models.hysteresis.polynomial import (
 )
 from hysteresis_ros.recordings.loops import REVERSAL
 
-#: Peaks that differ by more than this part of the largest are different loops.
+#: Smallest difference of the peaks of different loops, as a part of the largest.
 DIFFERENT_PEAKS = 0.02
 
 
@@ -66,7 +66,7 @@ class LoopCoefficients:
 
     v_max: float  #: Peak [V].
     D: float  #: Lower corner D_r = D_f [m].
-    C_r1: float  #: C_r1, C_r2: Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
+    C_r1: float  #: C_r1, C_r2: Rising branch [m/V, m/V²]; NaN if the recording does not rise again after this peak.
     C_r2: float
     C_f1: float  #: C_f1, C_f2: Falling branch.
     C_f2: float
@@ -115,7 +115,7 @@ def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
 
 
 def distinct_peaks(v, reversal) -> list[float]:
-    """Return the values V_max takes, those that hardly differ once."""
+    """Return the distinct values of V_max."""
     peaks: list[float] = []
     for branch in split_branches(v, reversal):
         if branch.high > (1.0 + DIFFERENT_PEAKS) * (peaks[-1] if peaks else 0.0):
@@ -124,7 +124,7 @@ def distinct_peaks(v, reversal) -> list[float]:
 
 
 def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
-    """Return a loop in SI units that was fitted in units of ``v_unit`` [V] and ``x_unit`` [m]."""
+    """Return in SI units a loop that was fitted in units of ``v_unit`` [V] and ``x_unit`` [m]."""
     one, two = x_unit / v_unit, x_unit / v_unit**2
     return LoopCoefficients(
         v_max=float(loop.v_max * v_unit),
@@ -137,22 +137,22 @@ def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
     )
 
 
-#: The free numbers θ of a fit, in this order; the last three need several peaks.
+#: The free parameters θ of a fit, in order; the last three need several peaks.
 FREE = ("D_v", "C_v1", "C_v2", "D_1", "C_r2", "C_f2", "D_2", "C_r2 slope", "C_f2 slope")
 SINGLE_PEAK_FREE = 6
-#: Those that are taken as small where the recording says nothing about them, and the weight of that.
+#: Parameters that are assumed small if the recording does not determine them, and the weight of this assumption.
 SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
-#: Where a branch parabola is sampled when quadratics of V_max are drawn through the loops, in parts of V_max.
+#: Sample points of a branch parabola for the fit of quadratics of V_max, in parts of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-#: A recording may go below 0 V by this part of its highest voltage; further down the model has no branches.
+#: Lowest voltage, as a part of the highest one, below 0 V; further down the model has no branches.
 LOWEST_PART = -0.35
-#: A constrained fit keeps slopes above this part of the mean slope.
+#: Smallest slope of a constrained fit, as a part of the mean slope.
 SMALLEST_SLOPE = 0.02
-#: Steps of Lawson's reweighting; and the part of the largest residual a sample without residual counts as.
+#: Steps of Lawson's reweighting, and the smallest residual of a sample as a part of the largest.
 REWEIGHTINGS = 30
 LEAST_WEIGHT = 0.15
-#: A residual that is this many times as large as its noise has structure.
+#: Ratio of residual and noise above which the residual has structure.
 STRUCTURE = 2.0
 
 _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
@@ -163,14 +163,14 @@ class PolynomialIdentification:
     """Result of :func:`identify_polynomial`."""
 
     parameters: PolynomialParameters  #: The model.
-    loops: tuple[LoopCoefficients, ...]  #: What each loop gave by itself.
-    #: shape (21, 21); Of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D, falling_C1,
-    #: falling_C2, three numbers each; for white residuals.
+    loops: tuple[LoopCoefficients, ...]  #: Coefficients of each single loop.
+    #: shape (21, 21); Covariance of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D,
+    #: falling_C1, falling_C2, three numbers each; for white residuals.
     covariance: np.ndarray
     rms: float  #: rms, maximum: Residual of all samples [m].
     maximum: float
-    criterion: str  #: ``rms`` or ``maximum``: what was made small.
-    converged: bool  #: False when a monotone model had to be forced and was not found.
+    criterion: str  #: ``rms`` or ``maximum``: minimised error.
+    converged: bool  #: False if no monotone model was found.
     warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
     @property
@@ -196,7 +196,7 @@ def _basis(count: int) -> np.ndarray:
 
 
 def _simulated(voltage, coefficients) -> np.ndarray:
-    """Return the output, shape (N,), of the model with any 21 coefficients, also such that are no actuator."""
+    """Return the output, shape (N,), of the model with any 21 coefficients, also unphysical ones."""
     p = np.append(coefficients, 1.0)
     x = np.zeros(STATES)
     x[DISPLACEMENT] = x[TURN_DISPLACEMENT] = p[VIRGIN]
@@ -207,7 +207,7 @@ def _simulated(voltage, coefficients) -> np.ndarray:
 
 
 def _slopes(basis, v_low) -> np.ndarray:
-    """Return G such that G θ are the slopes that PolynomialParameters wants positive; they are linear in θ."""
+    """Return G such that G θ are the slopes that PolynomialParameters requires to be positive."""
 
     def curve(family, v_max, v, order):
         """Row of the value (order 0) or the slope (1) of a branch."""
@@ -221,14 +221,14 @@ def _slopes(basis, v_low) -> np.ndarray:
     for v_max in np.linspace(SMALLEST_LOOP, 1.0, CHECKED_LOOPS):
         for bottom in {0.0, v_low}:
             start = curve(4, v_max, bottom, 0) - curve(1, v_max, bottom, 0)
-            # at the upper corner nothing has to be blended: it lies on the virgin curve
+            # the upper corner lies on the virgin curve and needs no blending
             rows += [curve(1, v_max, v, 1) - start / (v_max - bottom) for v in (bottom, v_max)]
             rows += [curve(4, v_max, v, 1) for v in (bottom, v_max)]
     return np.array(rows)
 
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
-    """Return θ of the quadratics of V_max that run nearest to the loops' own parabolas (K2 as printed)."""
+    """Return θ of the quadratics of V_max nearest to the parabolas of the loops (K2 as printed)."""
     if not loops:
         raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
     rows, wanted = [], []
@@ -248,7 +248,7 @@ def _through_loops(loops, virgin, basis) -> np.ndarray:
 
 
 def _weights(matrix, wanted, criterion):
-    """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` turned into."""
+    """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` has selected."""
     # weights change 30 times: work on an orthogonal basis, whose weighted normal equations are well conditioned
     u, singular, _ = np.linalg.svd(matrix, full_matrices=False)
     u = u[:, singular > 1e-10 * singular[0]]
@@ -269,7 +269,7 @@ def _weights(matrix, wanted, criterion):
 
 
 def _with_prior(weight, matrix, wanted):
-    """Return the weighted problem with rows that keep undetermined numbers small."""
+    """Return the weighted problem with rows that keep undetermined parameters small."""
     size = SMALL_WEIGHT * np.sqrt(len(wanted))
     prior = size * np.eye(len(FREE))[[FREE.index(name) for name in SMALL], : matrix.shape[1]]
     return np.vstack([weight[:, None] * matrix, prior]), np.append(weight * wanted, np.zeros(len(prior)))
@@ -351,7 +351,7 @@ def identify_polynomial(
 
 
 def _check_request(voltage, method: str, criterion: str) -> None:
-    """Refuse unknown choices and voltages that the model has no branches for."""
+    """Refuse unknown choices, and voltages for which the model has no branches."""
     for name, value, allowed in (
         ("method", method, ("samples", "loops")),
         ("criterion", criterion, ("automatic", "rms", "maximum")),
@@ -361,13 +361,13 @@ def _check_request(voltage, method: str, criterion: str) -> None:
     high, low = float(voltage.max()), float(voltage.min())
     if high <= 0.0 or low < LOWEST_PART * high:
         raise IdentificationError(
-            f"the voltage runs from {low:g} to {high:g} V; the polynomial model knows loops between 0 V and positive "
-            "peaks only: record such loops, or identify another model (prandtl_ishlinskii) for both polarities"
+            f"the voltage runs from {low:g} to {high:g} V; the polynomial model describes only loops between 0 V "
+            "and positive peaks: record such loops, or identify another model (prandtl_ishlinskii) for both polarities"
         )
 
 
 def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
-    """Return how many numbers the path (in parts of its peak) leaves free, and warnings."""
+    """Return the number of parameters that the path (in parts of its peak) determines, and warnings."""
     count, warnings = len(FREE), []
     peaks = distinct_peaks(v, reversal)
     if len(peaks) < 3:
@@ -384,7 +384,7 @@ def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
 
 
 def _undetermined(matrix) -> list[str]:
-    """Return the warning of a recording that does not determine every number."""
+    """Return the warning about a recording that does not determine every parameter."""
     condition = np.linalg.cond(matrix)
     if not condition > 1e6:
         return []
@@ -395,13 +395,13 @@ def _undetermined(matrix) -> list[str]:
 
 
 def _not_monotone(slope: float, converged: bool) -> str:
-    """Return the warning of a fit with a branch that is not monotone, ``slope`` [m/V] being the smallest."""
+    """Return the warning about a fit with a non-monotone branch; ``slope`` [m/V] is the smallest slope."""
     taken = "the nearest monotone one was taken" if converged else "no monotone one was found: do not use this model"
     return f"the best fit has a branch that is not monotone (smallest slope {slope:.3g} m/V); {taken}"
 
 
 def _scale(v_unit: float, x_unit: float) -> np.ndarray:
-    """Return the units of the 21 coefficients, shape (21,)."""
+    """Return the scale of the 21 coefficients in SI units, shape (21,)."""
     scale = np.array([x_unit / v_unit ** (power + row) for row in (0, 0, 1, 2, 0, 1, 2) for power in range(3)])
     scale[:3] = x_unit / v_unit ** np.arange(3)
     return scale
@@ -430,7 +430,7 @@ class PreloadIdentification:
     """Result of :func:`identify_preload`."""
 
     parameters: PreloadParameters  #: A1, B1 and B2, with the preload in use as ``force``.
-    covariance: np.ndarray  #: shape (3, 3); Of A1, B1 and B2.
+    covariance: np.ndarray  #: shape (3, 3); Covariance of A1, B1 and B2.
     rms: float  #: Residual [m].
     stiffness: float  #: -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
     largest_force: float  #: Largest preload of the data [N].
@@ -459,7 +459,8 @@ def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIden
     ends = b1 + 2.0 * b2 * np.array([force.min(), force.max()])
     if ends.min() * ends.max() <= 0.0:
         warnings.append(
-            f"W(L0) is not monotone between {force.min():g} and {force.max():g} N; a preload does not follow from it"
+            f"W(L0) is not monotone between {force.min():g} and {force.max():g} N; a displacement does not "
+            "determine a preload"
         )
     if in_use > force.max():
         warnings.append(f"preload {in_use:g} N lies beyond the largest recorded, {force.max():g} N: extrapolated")

@@ -9,27 +9,27 @@
 
 """Prandtl-Ishlinskii models from data, with lag, delay and creep: smooth density, classical, and modified.
 
-Three structures compete; one with more freedom is taken only where it predicts blocks of the recording better that
-it was not fitted to (:func:`.hammerstein.survivor`).
+Three structures compete; one with more freedom is chosen only if it predicts held-out blocks of the recording better
+(:func:`.hammerstein.survivor`).
 
-*Smooth density* (few numbers): a reversible part (a share ρ of the motion), a density that falls exponentially
-with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map
-``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both
-branches alike, which plays cannot. ρ, κ, a and b are searched with the linear part, scale and constant follow by
-least squares. Loops of one amplitude hardly tell κ from the map: it is held at :data:`PRIOR_DECAY`, what stacks of
-other makers show, unless another one lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
-realised by plays, the map by dead zones, so nodes run the model as any other one of this kind.
+*Smooth density* (few parameters): a reversible part (a share ρ of the motion), a density that falls exponentially with
+the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map ``s(u) = u + a (u² - 1)/2 + b
+(u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both branches equally, which plays
+cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares. Loops of one
+amplitude hardly distinguish κ from the map: κ is kept at :data:`PRIOR_DECAY`, the value of stacks of other makers,
+unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. Plays realise the density and dead zones
+the map, so nodes run the model as any other of this kind.
 
-*Free weights*: a weight ≥ 0 of its own for each play, by linear least squares (:mod:`.weights`). *Modified*: dead
-zones behind them, which bend both branches alike, make the output bilinear in the two sets of weights: a few
-Gauss-Newton steps, each of them a constrained linear problem again.
+*Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.weights`). *Modified*:
+dead zones behind the plays, which bend both branches equally, make the output bilinear in the two sets of weights; a
+few Gauss-Newton steps, each a constrained linear problem, solve it.
 
-*Ambiguity*, what a recording does not settle: let f be the reversible part with the map and W(r) the sum of the
-weights of plays up to radius r. A periodic loop between 0 and V gives f'(v) + W(v/2) on its rising and f'(v) +
-W((V - v)/2) on its falling branch, so a W that is symmetric about V/4 and an f' that makes up for it leave no
-trace, while the gain of smaller loops changes. Densities ``exp(-κ r/h)`` of every κ are fitted behind the linear
-part found, each with a map of its own; those that fit about as well as the best may all be true, and how far apart
-they are on smaller loops is the remaining uncertainty.
+*Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
+radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising and f'(v) + W((V - v)/2) on its
+falling branch. A change of W that is symmetric about V/4, with a compensating change of f', is therefore not
+observable, although it changes the gain of smaller loops. Densities ``exp(-κ r/h)`` of every κ are fitted behind the
+identified linear part, each with its own map. All that fit about as well as the best are possible, and their difference
+on smaller loops is the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinski
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
-#: The slope behind all dead zones stays above this part of the slope at zero.
+#: Smallest slope behind all dead zones, as a part of the slope at zero.
 LOWEST_SLOPE = 0.2
-#: The penalty on the slopes that dead zones add, in residual RMS over stroke: keeps unneeded ones near zero.
+#: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unneeded ones near zero.
 ZONE_RIDGE = 1e-3
 
 
 class FreeWeights(PlayFit):
-    """Free weights of plays, and dead zones behind them, on one set of data."""
+    """Individual weights of plays, and dead zones behind them, fitted to one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, zone_count: int):
         super().__init__(data)
@@ -109,7 +109,7 @@ class FreeWeights(PlayFit):
         return self.part.apply(x, self.data.sample_time) + self.data.constants @ self.constants
 
     def _bend(self, part, target, strength, residual, steps):
-        """Gauss-Newton on plays' and dead zones' weights; each step solves for both at once."""
+        """Run Gauss-Newton on the weights of plays and dead zones; each step solves for both."""
         data = self.data
         x = self.plays @ self.weights
         thresholds = x.min() + np.ptp(x) * np.arange(1, self.zone_count + 1) / (self.zone_count + 1)
@@ -121,7 +121,7 @@ class FreeWeights(PlayFit):
             zones = _zones(x, thresholds)
             slope = 1.0 + (zones != 0.0) @ zone_weights
             table = data.counted(part.apply(np.column_stack([slope[:, None] * self.plays, zones]), data.sample_time))
-            # linearised: S'(x) Z w + d(x) s has to be y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
+            # linearised: S'(x) Z w + d(x) s = y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
             kink = data.counted(part.apply((zones - (zones != 0.0) * x[:, None]) @ zone_weights, data.sample_time))
             zone_part = data.counted(part.apply(zones @ zone_weights, data.sample_time))
             free = np.column_stack([table[:, len(self.radii) :], constants])
@@ -145,7 +145,7 @@ class FreeWeights(PlayFit):
         return residual
 
     def parameters(self) -> HysteresisParameters:
-        """Return the numbers as parameters of the block."""
+        """Return the fit as parameters of the block."""
         moving = self.weights > 1e-9 * self.weights.sum()
         moving[0] = True
         weights = np.maximum(self.weights, 1e-6 * self.weights.sum() * (np.arange(len(moving)) == 0))
@@ -167,7 +167,7 @@ def _zones(x, thresholds):
 
 
 def _monotone(zone_weights, thresholds):
-    """Weaken what makes the slope behind the dead zones fall below the lowest one."""
+    """Reduce the slopes that make the slope behind the dead zones too small."""
     result = np.array(zone_weights, dtype=float)
     for side in (np.flatnonzero(thresholds >= 0.0), np.flatnonzero(thresholds < 0.0)[::-1]):
         slope = 1.0
@@ -177,16 +177,16 @@ def _monotone(zone_weights, thresholds):
     return result
 
 
-#: κ where the data cannot tell: the prior, and the range in which it is searched.
+#: Prior of κ, for data that does not determine it, and the range of its search.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
-#: Start and range of the other numbers; within them the map rises everywhere.
+#: Initial values and ranges of the other parameters; within them the map rises everywhere.
 DENSITY_SHAPE = (
     ("elastic_share", 0.6, 0.02, 1.0),
     ("map_slope", 0.0, -0.7, 0.7),
     ("map_curvature", 0.0, -0.25, 0.4),
 )
-#: Straight pieces of the map over the recording; bends smaller than this part of a slope are none.
+#: Linear pieces of the map over the recording, and smallest change of slope between them.
 PIECES = 16
 TINY = 1e-9
 
@@ -203,7 +203,7 @@ class SmoothDensity:
         self.numbers: dict[str, float] = {}
 
     def fit(self, linear, progress):
-        """Search linear part and shape with κ at its prior, then try whether the data settles it."""
+        """Search linear part and shape with κ at its prior, then test whether the data determines κ."""
         self.decay = PRIOR_DECAY
         search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress)
         kept, base, held = search_linear_part(search, linear)
@@ -222,7 +222,7 @@ class SmoothDensity:
         return self
 
     def behind(self, part, decay: float):
-        """Fit the shape for a κ and a linear part that are known."""
+        """Fit the shape for a known κ and a known linear part."""
         self.decay, self.part = decay, part
         search = PartSearch(lambda _, shape: self.solve(part, shape), self.data, DENSITY_SHAPE, None)
         self.shape = search.run([], {}, part).values
@@ -239,7 +239,7 @@ class SmoothDensity:
         return target - table @ solution
 
     def moved(self, shape) -> np.ndarray:
-        """Return what the linear part gets, shape (N,), at unit scale and zero at rest."""
+        """Return the input of the linear part, shape (N,), at unit scale and zero at rest."""
         weights = self._weights(shape)
         sums = self.data.voltage * weights[0] + self.plays @ weights[1:]
         counted = sums[self.data.first :]
@@ -247,7 +247,7 @@ class SmoothDensity:
         return self._map(sums, shape) - self._map(0.0, shape)
 
     def _weights(self, shape) -> np.ndarray:
-        """Weights of the voltage and of the plays; both parts move by about their share over the range."""
+        """Return the weights of the voltage and of the plays; both parts move by about their share over the range."""
         density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
         moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
         share = shape["elastic_share"]
@@ -255,7 +255,7 @@ class SmoothDensity:
 
     def _map(self, sums, shape):
         u = (sums - self.centre) / self.span
-        inside = np.clip(u, -1.0, 1.0)  # beyond the recording it goes on straight
+        inside = np.clip(u, -1.0, 1.0)  # linear beyond the recording
         bent = 0.5 * shape["map_slope"] * (inside**2 - 1.0) + 0.5 * shape["map_curvature"] * (inside**3 - inside)
         end = shape["map_slope"] * inside + shape["map_curvature"] * (1.5 * inside**2 - 0.5)
         return u + bent + end * (u - inside)
@@ -265,7 +265,7 @@ class SmoothDensity:
         return SmoothDensity(data, self.play_count)
 
     def refitted(self, data: Condensed):
-        """Return the model fitted to other samples of the recording, from the numbers found."""
+        """Return the model fitted to other samples of the recording, from the present parameters."""
         other = copy(self)
         other.data = data
         extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
@@ -288,7 +288,7 @@ class SmoothDensity:
         above, rising = self._pieces(width, high)
         below, falling = self._pieces(-width, low)
         first = float(rising[0]) if len(rising) else float(falling[0])
-        # a corner at rest itself belongs to the side above; the side below starts just under it
+        # a corner at rest belongs to the upper side; the lower side starts just below it
         corners = np.append(above[1:], np.where(below == 0.0, -TINY * (high - low), below))
         steps = np.append(np.diff(rising), np.diff(falling, prepend=first)) / first
         bends = np.abs(steps) > TINY
@@ -312,7 +312,7 @@ class SmoothDensity:
 
 PLAYS = 20
 ZONES = 5
-#: How the weights of the plays may run over the radius.
+#: Forms of the weights over the radius.
 DENSITIES = ("auto", "exponential", "free")
 
 
@@ -338,7 +338,7 @@ def fit_prandtl_ishlinskii(
     if density not in DENSITIES:
         raise IdentificationError(f"density = {density!r}: must be one of {', '.join(DENSITIES)}")
     if density == "exponential" and zone_count is not None:
-        raise IdentificationError("zone_count goes with density=free; an exponential density has a map of its own")
+        raise IdentificationError("zone_count needs density=free; an exponential density has its own map")
 
     def choose(data):
         return _chosen(data, play_count, zone_count, density, linear, progress, rivals)
@@ -355,7 +355,7 @@ def fit_prandtl_ishlinskii(
 
 
 def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: str, linear, progress, others):
-    """Return the fit of the structure that predicts best what it has not seen."""
+    """Return the fit of the structure that predicts held-out blocks best."""
     if zone_count is not None:
         return without_drift(lambda data: FreeWeights(data, play_count, zone_count).fit(linear, progress), data)
     if density == "free":
@@ -365,7 +365,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
         if density == "exponential":
             return rivals[0]
         rivals.append(FreeWeights(rivals[0].data, play_count, 0).fit(linear, progress))
-    # dead zones behind the linear part that suits best without them; if they survive they get a search of their own
+    # dead zones with the best linear part without them; if they are accepted, their linear part is searched again
     part = min(rivals, key=lambda fit: fit.rms).part
     zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
     rivals.append(zones)
@@ -380,26 +380,26 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     return chosen
 
 
-#: κ that are tried, and plays that represent each density.
+#: Tried values of κ, and plays per density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
-#: Half swings of the loops they are compared on, which fall to nothing, and points of each.
+#: Half swings of the decaying loops for the comparison, and points of each.
 SWINGS, POINTS = 16, 40
 #: The small loop, as a part of the range.
 SMALL = 0.1
-EXCITATION = "loops of decaying amplitude settle it (hysteresis excite --recipe decaying)"
+EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """What may be true besides the model that was chosen."""
+    """Other models that fit about as well as the chosen one."""
 
     decays: tuple[float, float]  #: Lowest and highest κ that fit about as well as the best.
-    #: Gain of loops over a tenth of the range, lowest and highest of all that may be true, by that of the model.
+    #: Gain of loops over a tenth of the range, lowest and highest of all possible models, over that of the chosen one.
     gain: tuple[float, float]
     error: float  #: Largest RMS difference from the model on loops of decaying amplitude [m].
-    stroke: float  #: Of the recording [m].
-    held: bool  #: The model holds κ at its prior.
+    stroke: float  #: Stroke of the recording [m].
+    held: bool  #: The model keeps κ at its prior.
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -415,21 +415,21 @@ class Ambiguity:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is to be doubted, and what would settle it; empty where the recording does."""
+        """Warning about the ambiguity with its remedy; empty if the recording determines the model."""
         if self.error < NOTABLE_AMBIGUITY * self.stroke:
             return ()
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
         return (
-            f"the recording does not settle the gain of loops smaller than its own: {low:+.2g} … {high:+.2g} % at "
+            f"the recording does not determine the gain of loops smaller than its own: {low:+.2g} … {high:+.2g} % at "
             f"a tenth of the range, {1e6 * self.error:.2g} µm on decaying loops; {self._held()}{EXCITATION}",
         )
 
     def _held(self) -> str:
-        return f"the density is held at the prior κ = {PRIOR_DECAY:g}; " if self.held else ""
+        return f"the density is kept at the prior κ = {PRIOR_DECAY:g}; " if self.held else ""
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return how far densities and maps that the data does not tell apart are from the model; None if none fits."""
+    """Return the difference of the model from densities and maps that fit equally well; None if there are no others."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
@@ -452,7 +452,7 @@ def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParamete
 
 
 def _decaying(low: float, high: float) -> np.ndarray:
-    """Return a voltage [V] that goes through the range once, then to and fro ever less, and through a small loop."""
+    """Return a voltage [V] with one full sweep, decaying loops, and a small loop."""
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
     sizes = [1.0, 1.0, *(1.0 - np.arange(1, SWINGS + 1) / SWINGS)]
     ends = [centre + half * size * (-1.0) ** k for k, size in enumerate(sizes)]

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Predict with an identified plant: the displacement under a voltage, and the voltage behind a displacement.
+"""Predictions of an identified plant: the displacement for a voltage, and the voltage for a displacement.
 
-The chain is simulated without limits and sensor, by the kernels of the nodes. With ``zoh`` (the voltage is held, as
-a converter does) that is sample for sample what the plant node measures. ``linear`` and ``bandlimited`` let the
-input run straight or band-limited between the samples, which a sampler of its own clock sees.
+The chain is simulated without limits and sensor, by the kernels of the nodes. With ``zoh`` (the voltage is held, as a
+converter does) the result equals the measurement of the plant node sample by sample. ``linear`` and ``bandlimited``
+assume a linear or band-limited input between the samples, as for a sampler with its own clock.
 
-Inverse validation: the measured displacement goes in, the voltage that caused it should come back. The lag is
-undone with a smoothed derivative (which may look ahead, unlike on a running axis), creep and hysteresis by the
-compensator of the nodes. Errors of a model are felt here divided by its local slope.
+Inverse validation computes the voltage from the measured displacement and compares it with the applied one. A smoothed
+derivative inverts the lag (it may look ahead, unlike on a running axis); the compensator of the nodes inverts creep and
+hysteresis. Errors of a model appear here divided by its local slope.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ from hysteresis_ros.registry import resolved
 #: The window of the smoothed derivative covers this many lags, and at least so many samples.
 LAG_WINDOW = 3.0
 FEWEST_IN_WINDOW = 5
-#: Where dynamics with modes answer less than this they are not undone.
+#: Smallest response of dynamics with modes that is inverted.
 SMALLEST_RESPONSE = 0.1
-#: The voltage may leave the range of the identification by this part of it on each side.
+#: Part of the range of the identification by which the voltage may exceed it on each side.
 VOLTAGE_MARGIN = 0.1
 
 
@@ -62,14 +62,14 @@ class InverseValidation:
     voltage: np.ndarray  #: shape (N,); Recovered voltage [V].
     error: np.ndarray  #: shape (N - skip,); Recovered less applied voltage [V].
     rmse: float  #: [V]
-    rmse_displacement: float  #: The same in displacement [m], through the model's nominal gain.
-    rmse_percent: float  #: Of the range of the applied voltage.
+    rmse_displacement: float  #: RMS of the error times the model's nominal gain [m].
+    rmse_percent: float  #: RMS of the error in % of the range of the applied voltage.
 
 
 def recover_voltage(
     fit: HammersteinFit, displacement, voltage, skip: int = 0, free_offset: bool = True
 ) -> InverseValidation:
-    """Invert the model along a measured displacement and compare with the voltage that was applied.
+    """Invert the model for a measured displacement, and compare with the applied voltage.
 
     Units: ``displacement`` [m], ``voltage`` [m].
     """
@@ -102,7 +102,7 @@ def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
     if not part.modes:
         return undo_lag(y, part.lag, part.delay, sample_time)
     y = np.asarray(y, dtype=float)
-    # mirrored about the ends, so that level and slope go on
+    # mirrored about the ends, so that level and slope continue
     longer = np.concatenate([2.0 * y[0] - y[:0:-1], y, 2.0 * y[-1] - y[-2::-1]])
     response = np.fft.rfft(replace(part, creep_rate=0.0).impulse(longer.size, sample_time))
     spectrum = np.fft.rfft(longer - y[0]) * response.conj() / (np.abs(response) ** 2 + SMALLEST_RESPONSE**2)
@@ -127,15 +127,15 @@ def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
     return np.interp(place, np.arange(y.size), early)
 
 
-#: Where the state of a prediction may start.
+#: Known initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
-#: Voltages that may have been before, as parts of the largest.
+#: Tried voltages before the recording, as parts of the largest.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-#: Points a sample at which a band-limited voltage is followed.
+#: Points per sample of a band-limited voltage.
 BANDLIMITED_POINTS = 8
-#: Sample times this near to each other are the same.
+#: Relative difference of equal sample times.
 SAME_RATE = 1e-4
-#: Free responses of more states than these are not distinguished.
+#: Most states with distinguishable free responses.
 MOST_FREE = 12
 
 
@@ -176,7 +176,7 @@ def predict(
 
 
 def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:
-    """Return the voltages before the first that explain the measurement best, until they no longer matter."""
+    """Return the voltages before the first one that explain the measurement best."""
     last = wiped_out(voltage)
     v, y = voltage[:last], measured[:last]
     largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))
@@ -233,7 +233,7 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
         )
     if chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order:
         raise IdentificationError(
-            f"intersample = {intersample!r}: the model's dynamics are known for a held voltage only; use zoh"
+            f"intersample = {intersample!r}: the model's dynamics are known only for a held voltage; use zoh"
         )
     factor = BANDLIMITED_POINTS if intersample == "bandlimited" else 1
     fine = upsample(voltage, factor, intersample)
@@ -249,7 +249,7 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
 
 
 def _free_response(chain: PlantModel, residual) -> np.ndarray:
-    """Return the least-squares sum of the dynamics' free responses, beside a constant that is left out."""
+    """Return the free response of the dynamics, fitted by least squares together with an unused constant."""
     if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
         return np.zeros_like(residual)
     model = chain.dynamics.state_space
@@ -273,20 +273,20 @@ def judge(
     fitted: int = 0,
     inverse: bool = True,
 ) -> tuple[Validation, InverseValidation | None, str]:
-    """Compare prediction with measurement, and the voltage the inverse finds behind the measurement with the applied.
+    """Compare prediction with measurement, and the voltage of the inverse with the applied voltage.
 
     Units: ``predicted`` [m].
     """
     found = validate(data.output, predicted, data.input, parameters=fitted, skip=skip, free_offset=free_offset)
     if not inverse:
-        return found, None, "not asked for"
+        return found, None, "not requested"
     if not chain.invertible:
-        return found, None, f"{chain.hysteresis.type} has dynamics inside, it has no inverse"
+        return found, None, f"{chain.hysteresis.type} includes dynamics and has no inverse"
     displacement = data.output - chain.offset
     try:
         back = recover_voltage(chain.as_hammerstein(), displacement, data.input, skip, free_offset)
     except ParameterError as error:
         return found, None, " ".join(str(error).split())
     if not np.isfinite(back.rmse):
-        return found, None, "the inverse leaves the range of numbers"
+        return found, None, "the inverse overflows"
     return found, back, ""

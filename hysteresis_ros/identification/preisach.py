@@ -9,11 +9,11 @@
 
 """Preisach models from data, together with lag, delay and creep.
 
-One large loop does not settle a Preisach density over two variables, so the density is taken as the simplest that fits
-such loops: a constant reversible slope, and a density that depends on the width of an elementary loop freely (but
-smoothly, and never negative) and on its bias linearly. The Everett map of such a density is that of plays behind the
-bent voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by
-linear least squares (:mod:`.weights`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
+One large loop does not determine a Preisach density over two variables, so the fit uses the simplest density for such
+loops: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width of an
+elementary loop and linear in its bias. The Everett map of such a density is that of plays behind the mapped voltage
+``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
+squares (:mod:`.weights`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 
 WIDTHS = 24
 NODES = 33
-#: The range of the map goes beyond that of the data by this part on each side.
+#: Part of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
 #: Largest dependence on the bias: g stays monotone up to 0.5.
 LARGEST_BIAS = 0.4
@@ -85,7 +85,7 @@ class Density(PlayFit):
         voltage, bias = self.data.voltage, shape["bias"]
         g = self.bent(voltage, bias)
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
-        # fallen to the lower end and risen to 0 V: where the Preisach block starts
+        # from the lower end up to 0 V: the initial state of the Preisach block
         start = np.maximum(bottom + self.radii, rest - self.radii)
         before = plays(self.bent(np.array([0.0, *self.data.history]), bias), self.radii, start)[-1]
         return np.column_stack([voltage, plays(g, self.radii, before) - start])

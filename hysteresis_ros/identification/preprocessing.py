@@ -9,11 +9,11 @@
 
 """Preprocessing of data for fits: resampling, reduction, outliers and drift, block averages, branches.
 
-Resampling puts samples on a uniform grid and bridges gaps. Reduction takes of a long recording the stretch that
-shows most of the loops, and averages neighbours as far as neither signal holds anything above its noise. Outliers
-and drift are found in what a fit leaves and taken out before it is repeated. A fit of hysteresis sees block
-averages, as coarse as the loops allow, from the sample on at which the past is known (:class:`Condensed`), or the
-branches between the turning points of the input.
+Resampling puts samples on a uniform grid and bridges gaps. Reduction selects the interval of a long recording that
+shows most of the loops, and averages neighbours as far as both signals contain only noise above the new band. Outliers
+and drift are detected in the residual of a fit and removed before it is repeated. A fit of hysteresis uses block
+averages, as coarse as the loops allow, from the sample at which the past is known (:class:`Condensed`), or the branches
+between the turning points of the input.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from hysteresis_ros.identification.weights import plays
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
 
-#: Samples are taken as uniform when that makes the signals this much smoother than their stamps do.
+#: Smoothness of the signals with uniform times over that with their stamps, above which uniform times are assumed.
 SMOOTHER = 0.7
 #: Distances above this many medians are gaps.
 GAP_DISTANCE = 1.5
-#: Gaps of so many samples are bridged without being asked for; of longer ones the longest part without one is taken, if
-#: it holds this part of the samples.
+#: Gaps up to this many samples are bridged automatically; with longer ones, the longest part without gaps is used if it
+#: holds this part of the samples.
 SHORT_GAP, LONG_ENOUGH = 3, 0.3
 
 
 def steadied(data: IdentificationData) -> IdentificationData:
-    """Return the data on a uniform grid where the signals say that only their stamps jitter.
+    """Return the data on a uniform grid if the signals show that only their stamps jitter.
 
-    A computer often stamps late what a converter took in time. Each sample is predicted from the two before and the two
-    after it by the cubic through them, once with the stamps and once with equal distances: whichever is right predicts
-    better.
+    A computer often stamps samples late that a converter took in time. Each sample is predicted by the cubic through
+    the two samples before and the two after it, once with the stamps and once with equal distances; the right
+    assumption predicts better.
     """
     if len(data) < 20:
         return data
     distances = np.diff(data.time)
     median = float(np.median(distances))
     index = np.arange(len(data)) - 0.5 * (len(data) - 1)
-    # the straight line through all: the ends jitter as the others do
+    # a line through all stamps, because the ends jitter too
     grid = data.time.mean() + index * (np.dot(index, data.time - data.time.mean()) / np.dot(index, index))
     beside = float(np.max(np.abs(data.time - grid)))
     if beside <= GRID_TOLERANCE * median or distances.max() > 2.5 * median or beside > 5.0 * median:
@@ -74,10 +74,10 @@ def steadied(data: IdentificationData) -> IdentificationData:
 
 
 def uninterrupted(data: IdentificationData) -> IdentificationData:
-    """Return data of a uniform grid without its gaps: short ones bridged, else the longest part without one.
+    """Return data on a uniform grid without gaps: short ones are bridged, otherwise the longest part without one.
 
-    What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or
-    output is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
+    The input during a longer gap is unknown, and therefore the memory of a hysteresis after it. Samples without input
+    or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
     """
     finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
     if finite.size < 50:
@@ -98,15 +98,15 @@ def uninterrupted(data: IdentificationData) -> IdentificationData:
     longest = int(np.argmax(steps))
     warning = (
         f"{np.count_nonzero(steps > 1)} gaps, the longest {distances[longest]:.4g} s at "
-        f"{data.time[finite][longest]:.6g} s: the longest part without one is taken, samples {data.first + first} to "
-        f"{data.first + last - 1} ({100.0 * part:.0f} %); another part with --range, all with --resample auto, which "
-        "bridges the gaps by straight lines"
+        f"{data.time[finite][longest]:.6g} s: using the longest part without one, samples "
+        f"{data.first + first} to {data.first + last - 1} ({100.0 * part:.0f} %); choose another part with "
+        "--range, or all with --resample auto, which interpolates linearly"
     )
     return replace(data.part(first, last), warnings=(*data.warnings, warning))
 
 
 def _roughness(time, values) -> float:
-    """Return the RMS error of predicting each sample from four neighbours, in parts of the range."""
+    """Return the RMS error of the prediction of each sample from four neighbours, in parts of the range."""
     t = [time[k : len(time) - 4 + k] - time[2:-2] for k in range(5)]
     predicted = 0.0
     for k in (0, 1, 3, 4):
@@ -119,13 +119,13 @@ def _roughness(time, values) -> float:
 
 
 def resample(data: IdentificationData, sample_time: float | None = None) -> IdentificationData:
-    """Return the data on a uniform grid: linear between the samples there are, low-passed where it becomes coarser.
+    """Return the data on a uniform grid: interpolated linearly, and low-passed if the grid is coarser.
 
     Units: ``sample_time`` [s].
     """
     finite = np.isfinite(data.input) & np.isfinite(data.output)
     if np.count_nonzero(finite) < 2:
-        raise DataError("short", f"{np.count_nonzero(finite)} samples are there; resampling needs two")
+        raise DataError("short", f"{np.count_nonzero(finite)} finite samples; resampling needs two")
     time = data.time[finite]
     distances = np.diff(time)
     median = float(np.median(distances))
@@ -149,13 +149,13 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
 
 
 def _gaps(distances, median):
-    """Return which distances are gaps: jitter alone, three of its standard deviations, makes none."""
+    """Return which distances are gaps; jitter up to three standard deviations is not a gap."""
     jitter = 1.5 * float(np.median(np.abs(distances - median)))
     return distances > max(GAP_DISTANCE * median, median + 3.0 * jitter)
 
 
 def _bridged(time, median, rows):
-    """Yield a warning about the gaps that straight lines bridge."""
+    """Yield a warning about the interpolated gaps."""
     distances = np.diff(time)
     gaps = _gaps(distances, median)
     if not gaps.any():
@@ -166,14 +166,14 @@ def _bridged(time, median, rows):
     widest = int(np.argmax(np.diff(stretches)))
     first, last = rows[stretches[widest]], rows[stretches[widest + 1] - 1] + 1
     yield (
-        f"{np.count_nonzero(gaps)} gaps ({lost} samples) bridged by straight lines, the longest "
-        f"{distances[longest]:.4g} s at {time[longest]:.6g} s; what happened in them is unknown (longest part without "
-        f"one: --range {first}:{last})"
+        f"{np.count_nonzero(gaps)} gaps ({lost} samples) interpolated linearly, the longest "
+        f"{distances[longest]:.4g} s at {time[longest]:.6g} s; the signals in them are unknown (longest part "
+        f"without one: --range {first}:{last})"
     )
 
 
 def _jittering(time, median):
-    """Yield a warning about samples beside their places, gaps apart."""
+    """Yield a warning about jitter, without the gaps."""
     distances = np.diff(time)
     whole = np.maximum(np.rint(distances / median), 1.0)
     beside = float(np.quantile(np.abs(distances - whole * median), 0.99))
@@ -187,31 +187,31 @@ def _jittering(time, median):
 def _decimated(values, factor):
     taps = scipy.signal.firwin(20 * factor + 1, 0.8 / factor, window=("kaiser", 8.0))
     half = 10 * factor
-    # mirrored about the ends, so that a level or a slope there stays what it is
+    # mirrored about the ends, so that level and slope continue
     head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
     if len(head) < half or len(tail) < half:
         raise DataError("resample", f"{len(values)} samples are too few to be made {factor} times coarser")
     return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
 
 
-#: Recordings of more samples than this are reduced, and have no more afterwards except for sweeps …
+#: Most samples of a recording that is not reduced, and of a reduced one except for sweeps …
 MOST_SAMPLES = 100_000
-#: … nor fewer than these, where its signals would allow it.
+#: … and fewest samples of a reduced one.
 FEWEST_REDUCED = 6000
-#: Full strokes, to and fro counted one by one, and samples that are tried one after the other until they show as much
-#: as all: enough for a fit, for one of many different loops, and for sweeps, of which every part says something else.
+#: Numbers of full strokes (each direction counts) and of samples, tried in order until an interval shows as much as the
+#: whole recording: for a simple fit, for many different loops, and for sweeps, in which every part is different.
 STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
-#: A stretch that shows this part of the loops that another shows is as good.
+#: Part of the loops of the best interval that an equally good one shows.
 AS_GOOD = 0.9
-#: Beginnings of a stretch among which is chosen.
+#: Number of candidate beginnings of the interval.
 TRIED = 20
 #: Levels at which turning points count as different.
 LEVELS = 20
-#: What is lost above the new band must be below this part of the signal …
+#: Largest lost power above the new band, as a part of the signal …
 LOST = 3e-4
-#: … and the new rate so many times the highest frequency that is kept.
+#: … and smallest new rate over the highest kept frequency.
 OVERSAMPLING = 8.0
-#: Samples over which turning points are looked for, and of a segment of the spectrum; fewest and most segments.
+#: Samples for the search of turning points, and of a segment of the spectrum; fewest and most segments.
 OVERVIEW = 500_000
 SEGMENT = 1 << 14
 SEGMENTS = 24
@@ -221,9 +221,9 @@ ABOVE_FLOOR = 3.0
 
 
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
-    """Return a stretch of long data, with neighbouring samples averaged, and a note about both; short data as it is.
+    """Return an interval of long data with neighbouring samples averaged, and a note; short data unchanged.
 
-    Each sample is at the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
+    Each sample is at the middle of the averaged ones; :attr:`IdentificationData.factor` is their number.
     """
     if len(data) <= MOST_SAMPLES:
         return data
@@ -243,16 +243,16 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     words = [f"{size} samples condensed to {count}"]
     if last - first < size - factor:
         begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
-        words.append(f"the stretch from {begin:.4g} to {end:.4g} s shows the loops ({strokes:.0f} full strokes in all)")
+        words.append(f"{begin:.4g} to {end:.4g} s show the loops ({strokes:.0f} full strokes in total)")
     if factor > 1:
-        held = f"above {readable(highest, 'Hz')} is noise only" if highest > 0.0 else "what is fast is noise only"
-        words.append(f"{factor} averaged in one, {rate:.4g} Hz to {rate / factor:.4g} Hz ({held})")
-    note = f"{'; '.join(words)}; --all-samples takes every one"
+        held = f"only noise above {readable(highest, 'Hz')}" if highest > 0.0 else "fast movement is only noise"
+        words.append(f"averaged over {factor}, {rate:.4g} Hz to {rate / factor:.4g} Hz ({held})")
+    note = f"{'; '.join(words)}; --all-samples uses every one"
     return replace(data, **columns, first=data.first + first, factor=factor, notes=(*data.notes, note))
 
 
 def _telling_stretch(voltage, averaged: int):
-    """Return first and last sample of the stretch that shows most, of which so many become one, and all strokes."""
+    """Return first and last sample of the most informative interval, and the number of full strokes in all data."""
     block = math.ceil(voltage.size / OVERVIEW)
     coarse = voltage[: voltage.size // block * block].reshape(-1, block).mean(axis=1)
     turns = turning_points(coarse)
@@ -281,26 +281,26 @@ def _telling_stretch(voltage, averaged: int):
             )
             found.append((_shown(levels[first : last + 1], speeds[first:last]), first, last))
         best = max(found)[0]
-        # of those that show about as much the earliest: it is nearest to rest, and shows how creep begins
+        # of equally good ones the earliest: it is nearest to rest, and shows the beginning of creep
         shown, start, end = next(item for item in found if item[0] >= AS_GOOD * best)
         if shown >= AS_GOOD * everything:
             break
     begin = int(turns[start]) * block if start else 0
-    # creep between two turning points may be longer than what is wanted
+    # a hold between two turning points may be longer than the wanted interval
     return begin, min((int(turns[end]) + 1) * block if end > start else voltage.size, begin + longest), strokes[-1]
 
 
 def _shown(levels, speeds) -> float:
-    """Return how much turning points at these levels show: different loops and speeds, most of all to both ends."""
+    """Return the information in turning points at these levels: different loops and speeds, mainly to both ends."""
     loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
     reach = np.ptp(levels) / LEVELS if levels.size else 0.0
     return reach**4 * len(loops)
 
 
 def _highest_frequency(values, sample_time: float) -> float:
-    """Return the frequency [Hz] above which there is nothing but noise; 0 where all is."""
+    """Return the frequency [Hz] above which there is only noise; 0 if there is only noise."""
     size = min(SEGMENT, values.size // SEGMENTS)
-    # segments from all over: more of them tell nothing new about the band
+    # segments spread over the recording; more of them do not change the band
     starts = np.linspace(0, values.size - size, min(MOST_SEGMENTS, values.size // size)).astype(int)
     values = np.concatenate([values[start : start + size] for start in starts])
     frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, noverlap=0, detrend="linear")
@@ -311,20 +311,20 @@ def _highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: A stretch of samples of which most are far off are no outliers.
+#: Length of an interval; most samples of it far off are not outliers.
 STRETCH = 11
-#: Blocks that are held out one after the other to judge a drift.
+#: Number of held-out blocks for the test of a drift.
 BLOCKS = 5
-#: How often a model without terms of its own for these is fitted at most.
+#: Most fits of a model that has no terms for drift and outliers.
 ROUNDS = 3
 
 
 class Cleaned(NamedTuple):
-    """A recording without what does not belong to the movement."""
+    """A recording without drift and outliers."""
 
     data: IdentificationData
-    drift: float  #: What was taken out [m/s].
-    outliers: int  #: How many samples were moved to where they were expected.
+    drift: float  #: Removed drift [m/s].
+    outliers: int  #: Number of samples replaced by their prediction.
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -333,28 +333,30 @@ class Cleaned(NamedTuple):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The figures, where there is something."""
+        """The figures that are not zero."""
         drift = {"drift_m_per_s": self.drift} if self.drift else {}
         return drift | ({"outliers": float(self.outliers)} if self.outliers else {})
 
 
 def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
-    """Return in sentences what was kept out of a model.
+    """Return sentences about drift and outliers, which are not part of the model.
 
     Units: ``drift`` [m/s].
     """
     found = []
     if drift:
-        found.append(f"the output drifts by {1e6 * drift:.3g} µm/s beside creep: fitted too, but no part of the model")
+        found.append(
+            f"the output drifts by {1e6 * drift:.3g} µm/s in addition to creep: fitted, but not part of the model"
+        )
     if outliers:
         found.append(f"{outliers} outliers left out of the fit")
     return tuple(found)
 
 
 def inliers(error, first: int) -> np.ndarray:
-    """Return which samples are no outliers, shape (N,) of bool; those before ``first`` count as none.
+    """Return which samples are not outliers, shape (N,) of bool; those before ``first`` never are.
 
-    Far off are single samples and short stretches: what is far off for long is what a fit has no shape for.
+    Outliers are single samples and short intervals; longer deviations come from the structure of the model.
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     return _within(error, first) | _within(alone, first)
@@ -368,13 +370,13 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def outliers_matter(error, added, used) -> bool:
-    """Tell whether samples far off make up a notable part of the squared error."""
+    """Return whether outliers make up a notable part of the squared error."""
     share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
     return share >= OUTLIERS_MATTER
 
 
 def drift_of(error, kept) -> float:
-    """Return the growth of an error, shape (N,), per sample; 0 where a drift does not predict blocks held out."""
+    """Return the growth per sample of an error, shape (N,); 0 if a drift does not predict held-out blocks."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -389,7 +391,7 @@ def drift_of(error, kept) -> float:
 
 
 def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | None = None) -> Cleaned:
-    """Return a recording without outliers and drift, as a prediction of it shows them.
+    """Return a recording without the outliers and the drift that a prediction shows.
 
     Units: ``predicted`` [m], ``drift`` [m/s].
     """
@@ -409,47 +411,47 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     return Cleaned(replace(data, output=predicted + error), drift, count)
 
 
-#: Data is made coarser until the voltage moves by this part of its range in one sample …
+#: Data is averaged until the voltage moves by this part of its range in one sample …
 LARGEST_STEP = 0.02
-#: … and no further than needed to come down to this many samples.
+#: … and only as far as necessary for this many samples.
 ENOUGH_SAMPLES = 6000
-#: The fit starts where the input has come within this part of its range of both ends: the past is wiped out there.
+#: The past is erased when the input has come within this part of its range of both ends; the fit starts there.
 WIPED_OUT = 0.05
 
-#: Swings above this part of the range are all of one size.
+#: Swings above this part of the range count as equal.
 ONE_SIZE = 0.8
-#: What comes after must rise and fall by this part of the range.
+#: Part of the range by which the input must rise and fall afterwards.
 LEAST_SWING = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages."""
+    """Data in the form for a fit: uniform block averages, as coarse as the loops allow."""
 
     voltage: np.ndarray  #: voltage, displacement: shape (N,) [V], [m].
     displacement: np.ndarray
     sample_time: float  #: [s]
     first: int  #: First sample whose residual counts.
-    factor: int  #: How many samples of the recording make one.
-    kept: np.ndarray  #: shape (N - first,); Which of the samples that count are no outliers.
-    remembers: bool = False  #: The past before the recording matters to the samples that count.
-    drifts: bool = False  #: Beside a constant the displacement may hold one that grows with time.
+    factor: int  #: Number of averaged samples of the recording.
+    kept: np.ndarray  #: shape (N - first,); Which of the samples that count are not outliers.
+    remembers: bool = False  #: The past before the recording affects the samples that count.
+    drifts: bool = False  #: The displacement may contain a linear drift besides a constant.
     #: Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
-        """Return of values, shape (N, ...), those whose residual counts."""
+        """Return those of ``values``, shape (N, ...), whose residual counts."""
         return values[self.first :][self.kept]
 
     @property
     def constants(self) -> np.ndarray:
-        """What is not moved by the voltage, shape (N, 1 or 2): a constant, and a drift that is 1 at the end."""
+        """Columns independent of the voltage, shape (N, 1 or 2): a constant, and a drift that is 1 at the end."""
         places = np.arange(len(self.voltage)) / len(self.voltage)
         return np.column_stack([np.ones(len(places)), places] if self.drifts else [np.ones(len(places))])
 
     @property
     def reach(self) -> float:
-        """Radius [V] from which on no play moves: half the range, from rest the largest voltage."""
+        """Radius [V] beyond which no play moves: half the range, or from rest the largest voltage."""
         half = 0.5 * self.voltage_range
         return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
 
@@ -479,7 +481,7 @@ def condense(
     history: tuple[float, ...] = (),
     enough: int = ENOUGH_SAMPLES,
 ) -> Condensed:
-    """Average blocks of samples, so that a long or finely sampled recording is fitted in seconds.
+    """Average blocks of samples, so that the fit of a long recording takes seconds.
 
     Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
@@ -491,12 +493,12 @@ def condense(
     if np.ptp(v) == 0.0 or np.ptp(y) == 0.0:
         raise IdentificationError("voltage or displacement is constant; record a moving input")
     if len(turning_points(v)) < 3:
-        raise IdentificationError("the voltage never turns: a loop model needs a rising and a falling branch")
+        raise IdentificationError("the voltage never reverses: a loop model needs a rising and a falling branch")
     wiped = wiped_out(v)
     first = wiped or 0 if skip is None else skip
     if not 0 <= first < v.size - 50:
         raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
-    # the steepest steps of all may be jumps at the start, which no sampling resolves
+    # the steepest steps may be jumps at the start, which no sampling resolves
     step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
     coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
     factor = max(1, min(coarsest, v.size // enough))
@@ -512,10 +514,10 @@ def condense(
 
 
 def wiped_out(voltage) -> int | None:
-    """Return the sample from which the past no longer matters, if a cycle comes after it; else None.
+    """Return the sample from which the past no longer matters, if a cycle follows it; otherwise None.
 
-    A voltage that has been at both ends of its range has moved every play operator that the recording moves. It has to
-    fall and to rise afterwards, by half of the range each: less would show one branch alone.
+    A voltage that has been at both ends of its range has moved every play operator that the recording moves. Afterwards
+    it must fall and rise by half of the range; less would show only one branch.
 
     Units: ``voltage`` [V].
     """
@@ -529,7 +531,7 @@ def wiped_out(voltage) -> int | None:
 
 
 def simple_loops(data: Condensed) -> bool:
-    """Return whether all loops that count are of one size: nothing is seen of what happens inside of them."""
+    """Return whether all loops that count have one size, so that the recording shows no minor loops."""
     voltage = data.voltage[data.first :]
     swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the ends may be cut
     return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
@@ -542,7 +544,7 @@ FEWEST_BRANCH_SAMPLES = 5
 
 @dataclass(frozen=True)
 class Branch:
-    """A stretch of a recording along which the input moves one way."""
+    """Part of a recording in which the input moves in one direction."""
 
     start: int  #: start, stop: Indices of its two turning points; both belong to it.
     stop: int
@@ -571,7 +573,7 @@ def checked_signals(input_, output, names=("voltage", "displacement"), fewest: i
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise IdentificationError(
-                f"{name} is not finite at {bad.size} samples, the first is number {bad[0]}; cut or mend the recording"
+                f"{name} is not finite at {bad.size} samples, the first is number {bad[0]}; cut or repair the recording"
             )
         if np.ptp(values) == 0.0:
             raise IdentificationError(f"{name} is constant at {values[0]:g}; record a motion")

@@ -7,16 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One procedure per model: from checked data and a request to a chain of blocks.
+"""One procedure per model, from checked data and a request to a chain of blocks.
 
-Models of plays are found together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
-model that declares ``guess`` and ``free``) are fitted to data from which these were taken out. A gain with dynamics
-and the Bouc-Wen oscillator are fitted to the recording itself.
+Models of plays are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
+model that declares ``guess`` and ``free``) are fitted to data from which these are removed. A gain with dynamics and
+the Bouc-Wen oscillator are fitted to the recording itself.
 
-Declared free parameters (:func:`parametric`): the model is simulated by the kernel of the nodes under the recorded
-voltage; trust-region steps within the ranges of the parameters, with sensitivities by finite differences, lower the
-output error. A constant of the output is left free. What the parameters refuse together (their ``check``) counts as
-a large error.
+Declared free parameters (:func:`parametric`): the kernel of the nodes simulates the model under the recorded voltage;
+trust-region steps within the ranges of the parameters, with sensitivities by finite differences, reduce the output
+error. The offset of the output is free. Combinations that fail the ``check`` of the parameters count as a large error.
 """
 
 from __future__ import annotations
@@ -64,24 +63,24 @@ from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import readable
 
-#: Widths of the densities that trials of the past fit.
+#: Widths of the densities in trials of the past.
 TRIED_WIDTHS = 10
-#: To how many samples data is made coarser for what it cannot tell.
+#: Samples of the reduced data for the ambiguity.
 COARSE_SAMPLES = 2000
 
 
 def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identification:
-    """Plays (and dead zones) with lag, delay and creep, found together."""
+    """Fit plays (and dead zones) together with lag, delay and creep."""
     return _hammerstein(fit_prandtl_ishlinskii, data, request, _numbers_of_plays)
 
 
 def usual(data: IdentificationData, request: Request) -> Identification:
-    """The same, or plays between envelopes and with growing thresholds where blocks held out are predicted better."""
+    """Fit the same, or generalised plays if they predict held-out blocks better."""
     return _hammerstein(partial(fit_prandtl_ishlinskii, rivals=rivals), data, request, _numbers_of_plays)
 
 
 def preisach(data: IdentificationData, request: Request) -> Identification:
-    """Everett map with lag, delay and creep, found together."""
+    """Fit an Everett map together with lag, delay and creep."""
     count = int(request.options.get("widths", WIDTHS)) + 3
     return _hammerstein(
         fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED_WIDTHS, TRIED_WIDTHS)
@@ -89,18 +88,18 @@ def preisach(data: IdentificationData, request: Request) -> Identification:
 
 
 def generalised_play(data: IdentificationData, request: Request) -> Identification:
-    """Plays between envelopes, with thresholds that grow with the rate, with lag, delay and creep."""
+    """Fit plays between envelopes, with thresholds that grow with the rate, together with lag, delay and creep."""
     return _hammerstein(fit_generalised_play, data, request, _numbers_of_plays)
 
 
 def _numbers_of_plays(parameters) -> int:
-    """Return how many numbers of plays were fitted: weights, dead zones or envelopes and rate, and a constant."""
+    """Return the number of fitted parameters: weights, dead zones or envelopes and rate, and a constant."""
     between = 4 if isinstance(parameters, GeneralisedPlayParameters) else len(parameters.zone_weights)
     return len(parameters.weights) + between + 1
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
-    # a stage holds the lag itself, but the hysteresis must not take it for its own: it is found with one and handed on
+    # the stage includes the lag, but the hysteresis must not absorb it: fit the hysteresis with a lag
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
     voltage, displacement, skip = start.signals(data)
@@ -115,7 +114,7 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     else:
         chain = chain_of(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
         result = identified(chain, request, found, fit.linear_part)
-    request.progress(0, "what the recording cannot tell")
+    request.progress(0, "ambiguity of the recording")
     coarse = condense(voltage, displacement, data.sample_time, skip, history=start.history, enough=COARSE_SAMPLES)
     doubt = find_ambiguity(coarse, fit.linear_part, fit.hysteresis, fit.numbers.get("density_decay") == PRIOR_DECAY)
     numbers = {**result.numbers, **fit.numbers, **(doubt.numbers if doubt else {})}
@@ -128,7 +127,7 @@ POLYNOMIAL_FREE = 9
 
 
 def polynomial(data: IdentificationData, request: Request) -> Identification:
-    """Branch polynomials on data whose lag was undone."""
+    """Fit branch polynomials to data without the lag."""
     static = separated(data, request)
 
     def fit(other: Separated, _):
@@ -141,7 +140,7 @@ def polynomial(data: IdentificationData, request: Request) -> Identification:
 
 
 def bouc_wen(data: IdentificationData, request: Request) -> Identification:
-    """Static Bouc-Wen element by Nelder-Mead on data whose lag was undone."""
+    """Fit the static Bouc-Wen element by Nelder-Mead to data without the lag."""
     static = separated(data, request)
     v, x = static.voltage, static.displacement
     options = dict(request.options)
@@ -176,13 +175,13 @@ def bouc_wen(data: IdentificationData, request: Request) -> Identification:
 
 
 def duhem(data: IdentificationData, request: Request) -> Identification:
-    """Duhem equation on data whose lag was undone; with its own inverse on request."""
+    """Fit the Duhem equation to data without the lag, with its own inverse on request."""
     static = separated(data, request)
     v, x = static.voltage, static.displacement
     request.progress(0, "shape functions and alpha")
     found = identify_duhem(v, x, **request.options)
     warnings = list(found.warnings)
-    # its output is all that it remembers, so the recording itself shows where it starts
+    # its output is its only memory, so the recording itself shows the initial state
     first: dict[str, Any] = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
     hysteresis = HysteresisParameters(type="duhem", duhem=replace(found.parameters, **first))
     fitted = sum(len(shape) for shape in found.parameters.shapes) + 1
@@ -224,19 +223,20 @@ def static_result(
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
 
-#: Parameters that are refused count as an error of this many strokes everywhere.
+#: Error of refused parameters at every sample, in strokes.
 REFUSED = 10.0
 #: Most evaluations of the model for each free parameter.
 MOST_EVALUATIONS = 200
-#: Relative step of the finite differences: with the square root of the rounding, kinks of a model would show as noise.
+#: Relative step of the finite differences: with the usual square root of the rounding, kinks of a model would act as
+#: noise.
 RELATIVE_STEP = 1e-6
 
 
 def parametric(data, request: Request) -> Identification:
-    """Identify a model with ``guess`` and ``free`` on data whose lag and creep were undone."""
+    """Identify a model with ``guess`` and ``free`` on data without lag and creep."""
     model = MODELS[request.model]
     if model.guess is None:
-        raise IdentificationError(f"{model.name}: has no initial values to search from")
+        raise IdentificationError(f"{model.name}: has no initial values for the search")
     static = separated(data, request)
     try:
         start = replace(model.guess(static.voltage, static.displacement), **request.options).validated()
@@ -256,7 +256,7 @@ def parametric(data, request: Request) -> Identification:
 
 
 class _ParametricSearch:
-    """The search on one recording: free parameters, each divided by its size at the start."""
+    """The search on one recording, with free parameters divided by their initial size."""
 
     def __init__(self, model: HysteresisModel, static: Separated):
         self.model, self.first = model, len(static.history)
@@ -323,7 +323,7 @@ class _ParametricSearch:
 
 
 def _repeated(fit, data: IdentificationData, skip: int) -> Identification:
-    """Return what ``fit(data, before)`` finds once what it shows to be outliers and drift was taken out of the data."""
+    """Return the result of ``fit(data, before)`` on data without the outliers and the drift that it shows."""
     clean, result = Cleaned(data, 0.0, 0), fit(data, None)
     for _ in range(ROUNDS):
         predicted = predict(result.chain, data.input, data.sample_time, measured=clean.data.output)
@@ -336,7 +336,7 @@ def _repeated(fit, data: IdentificationData, skip: int) -> Identification:
 
 
 def proportional(data: IdentificationData, request: Request) -> Identification:
-    """A gain, and dynamics behind it."""
+    """Fit a gain, and dynamics behind it."""
     return _repeated(lambda clean, _: _proportional(clean, request), data, request.skip or 0)
 
 
@@ -350,7 +350,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             chain = chain_of(data, request, hysteresis, part, part.dynamics(data.sample_time), False, constant)
             return identified(chain, request, FittedHysteresis(hysteresis, 2), part)
     if request.stage:
-        # a size to start from: the gain is the stage's, behind whose dynamics no line through the samples shows it
+        # an initial size: with dynamics behind it, a line through the samples does not show the gain
         size = ProportionalParameters(gain=data.stroke / float(np.ptp(u)))
         return with_stage(
             data, request, FittedHysteresis(HysteresisParameters(type="proportional", proportional=size), 1)
@@ -362,7 +362,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
     if not request.parts:
         chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), True, float(constant))
         return identified(chain, request, FittedHysteresis(hysteresis, 2), LinearPart())
-    # a lag where it helps: output error of one pole against none
+    # add a lag if it helps: output error of one pole against none
     best = float(np.std((y - gain * u - constant)[skip:]))
     found = fit_transfer_function(u, y, data.sample_time, Structure(1, 0, "linear", "rest", offset=True), skip=skip)
     if not LAG_OF_A_GAIN.improves(np.sqrt(found.mse), best) or not found.dc_gain > 0.0:
@@ -378,7 +378,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
 
 
 def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
-    """Grey box: all parameters by output error."""
+    """Fit all parameters by output error (grey box)."""
     skip = request.skip or 0
 
     def fit(clean, before):
@@ -392,7 +392,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
         rest, repeated = (float(np.std((data.output - values)[skip:])) for values in predicted)
         if PAST_WHILE_FITTING.improves(repeated, rest):
             request = replace(request, initial="periodic")
-            note = "the input had repeated before, which fits better than rest at 0 V"
+            note = "the input was periodic before, which fits better than rest at 0 V"
             return replace(_repeated(fit, data, skip), start=note)
     notes = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
     asked = "as asked for: " if request.initial else ""
@@ -400,7 +400,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
 
 
 def _oscillator(data: IdentificationData, request: Request, before: Identification | None) -> Identification:
-    """Fit the oscillator, from initial values or from what was found ``before`` on nearly the same data."""
+    """Fit the oscillator, from initial values or from an earlier result ``before`` for nearly the same data."""
     options = dict(request.options)
     trials, seed = options.pop("trials", None), options.pop("seed", 0)
     if before is not None:

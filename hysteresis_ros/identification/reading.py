@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From a file to checked data: which columns are meant, in which units, and what is taken of them."""
+"""Reading of checked data from a file: choice of columns, units and samples."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from hysteresis_ros.recordings.foreign_tables import (
     split_choice,
 )
 
-#: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
+#: Usual column names of voltage and displacement in other recordings, the clearest first.
 INPUT_NAMES = (
     *("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo"),
     *("spannung", "ao0", "ao1", "in"),
@@ -50,13 +50,13 @@ OUTPUT_NAMES = (
 
 @dataclass(frozen=True)
 class Columns:
-    """What is taken of a file.
+    """Selection of data in a file.
 
     Parameters
     ----------
     input, output, time : str, optional
-        Columns as ``name`` or ``name:unit`` (``control_V:V``, ``cap_sensor_um:um``); by default what names and units
-        tell.
+        Columns as ``name`` or ``name:unit`` (``control_V:V``, ``cap_sensor_um:um``); by default chosen by names and
+        units.
     sample_time : float, optional
         [s], for tables without a time column.
     namespace : str, optional
@@ -71,7 +71,7 @@ class Columns:
         Take every sample; by default long data is condensed to what carries information
         (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
-        Of long data leave no stretch out: neighbours are averaged only. What is to be judged is judged whole.
+        Of long data only average neighbours, and omit no interval: an evaluation uses the whole recording.
     """
 
     input: str | None = None
@@ -91,8 +91,8 @@ class Reading:
     """Checked data."""
 
     data: IdentificationData
-    report: DataReport  #: What the checks found.
-    guessed: tuple[str, ...] = ()  #: Columns that were chosen by their names, in sentences.
+    report: DataReport  #: Result of the checks.
+    guessed: tuple[str, ...] = ()  #: Sentences about columns that were chosen by their names.
 
 
 def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
@@ -136,7 +136,7 @@ def _read(source, columns: Columns, progress) -> Reading:
 
 
 def _reduced(data: IdentificationData, whole: bool) -> tuple[IdentificationData, DataReport]:
-    """Return checked data without the samples that say nothing new, and the report of all."""
+    """Return checked data without redundant samples, and the report of all data."""
     data = data.trimmed()
     if len(data) <= MOST_SAMPLES:
         return data.checked()
@@ -148,7 +148,7 @@ def _reduced(data: IdentificationData, whole: bool) -> tuple[IdentificationData,
 
 
 def _load(path: pathlib.Path, columns: Columns, progress):
-    """Return the data of a file, what was guessed on the way, and the range that is still to be taken."""
+    """Return the data of a file, the guesses made, and the range that is still to be selected."""
     sample_time, ranged = columns.sample_time, columns.range or (0, None)
     if sample_time is not None and not 0.0 < sample_time < float("inf"):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
@@ -166,7 +166,7 @@ def _load(path: pathlib.Path, columns: Columns, progress):
 
 
 def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Choose the columns whose names tell most, or raise ``error``."""
+    """Choose the columns with the clearest names, or raise ``error``."""
     declared = table.units
     given = {"input": columns.input, "output": columns.output}
     taken = {find_time(declared)}
@@ -192,7 +192,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the one column of that unit, or without any, with the most telling name; None when two are equal."""
+    """Return the column of that unit, or without a unit, with the clearest name; None if two are equal."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     ranked = sorted(fitting, key=lambda name: _rank(name, names))
     best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]
@@ -200,7 +200,7 @@ def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
 
 
 def _rank(name: str, names) -> int:
-    """Return how early one of the telling names occurs in a column's name."""
+    """Return the rank of the usual name in a column's name."""
     words = name.lower().replace("-", "_").replace(" ", "_").split("_")
     for place, telling in enumerate(names):
         if telling in words or (len(telling) > 3 and telling in name.lower()):

@@ -7,12 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification by the name of a model: how, with which options and which inverse, is what the model declares.
+"""Identification by the name of a model, which declares its procedure, options and inverses.
 
-Before any fit the sign is checked: which way the output moves when the input rises slowly, judged by the gain of
-slow movement, at which neither lag nor resonance turns the phase. What else moves the output (other inputs,
-vibration, drift) is noise here: the gain is that of the narrowest band, from the lowest frequency on, in which it
-exceeds its standard deviation clearly.
+Before any fit the sign is checked by the gain of slow movement, whose phase neither lag nor resonance changes. Other
+causes of movement (other inputs, vibration, drift) count as noise: the gain is that of the narrowest band, from the
+lowest frequency up, in which it clearly exceeds its standard deviation.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved
 from hysteresis_ros.units import readable
 
-#: Part of the input's power in the first band; each further one holds twice as many frequencies.
+#: Part of the input's power in the first band; each further band has twice as many frequencies.
 FIRST_BAND = 0.01
-#: The sign of the gain is certain where it is this many standard deviations away from zero.
+#: Distance of the gain from zero, in standard deviations, at which its sign is certain.
 CERTAIN = 3.0
 
 
@@ -41,16 +40,16 @@ class SlowGain(NamedTuple):
 
     gain: float  #: gain, deviation: In the output's unit per input's unit.
     deviation: float
-    highest: float  #: End of the band it was seen in [Hz].
+    highest: float  #: Upper end of its band [Hz].
 
     @property
     def certain(self) -> bool:
-        """Whether its sign is certain."""
+        """Whether the sign of the gain is certain."""
         return abs(self.gain) > CERTAIN * self.deviation
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances of the output; else of all movement.
+    """Return the gain of the slowest movement that exceeds the disturbances of the output, or of all movement.
 
     Units: ``sample_time`` [s].
     """
@@ -69,12 +68,12 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
     return found
 
 
-#: Name that selects the model which predicts best.
+#: Name that selects the best predicting model.
 AUTO = "auto"
 #: Name of what is tried by default: a first model, whose parts, options and inverses count, and
 #: its rivals.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
-#: Words for sets of parts.
+#: Names of sets of parts.
 WORDS = {"none": (), "auto": PARTS}
 
 
@@ -89,12 +88,12 @@ def find_model(name: str) -> HysteresisModel:
 
 
 def linear_words(model: HysteresisModel) -> tuple[str, ...]:
-    """Return what may follow a model: parts and stages."""
+    """Return the parts and stages that may follow a model."""
     return (*model.parts, *(STAGES if model.stages else ()))
 
 
 def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | None]:
-    """Return the parts that may be found with the hysteresis and the stage behind it (None for no stage)."""
+    """Return the parts that may be fitted with the hysteresis, and the stage behind it or None."""
     entry = find_model(model)
     linear = linear_words(entry)
     words = words or "auto"
@@ -110,10 +109,10 @@ def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | 
     refused = [word for word in given if word not in linear]
     if refused:
         allowed = ", ".join(("auto", "none", *linear))
-        raise IdentificationError(f"linear {', '.join(refused)} does not go with {model}; allowed: {allowed}")
+        raise IdentificationError(f"linear {', '.join(refused)} cannot be used with {model}; allowed: {allowed}")
     stages = [word for word in given if word in STAGES]
     if stages and len(given) > 1:
-        raise IdentificationError(f"linear {words}: {stages[0]} stands alone, it holds lag and delay already")
+        raise IdentificationError(f"linear {words}: {stages[0]} cannot be combined, it includes lag and delay already")
     return (() if stages else given), (stages[0] if stages else None)
 
 
@@ -179,6 +178,6 @@ def _refuse_falling(data: IdentificationData) -> None:
         size, deviation = (readable(value, data.output_unit) for value in (-found.gain, found.deviation))
         raise IdentificationError(
             f"the output {data.output_name} falls with rising input {data.input_name}, by {size}/{data.input_unit} "
-            f"(± {deviation}) below {readable(found.highest, 'Hz')}; count it the other way round (--negate), or check "
+            f"(± {deviation}) below {readable(found.highest, 'Hz')}; invert it (--negate), or check "
             "that the columns belong together"
         )

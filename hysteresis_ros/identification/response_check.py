@@ -7,12 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How uncertain a model's frequency response is, from a recording or from a measured response.
+"""Uncertainty of a model's frequency response, from a recording or from a measured response.
 
-A recording judges the response by the movement before the dynamics, which the model's hysteresis and creep put
-out, and by what was measured, as averages over parts of an octave. So the errors of the hysteresis are in it,
-which feedback meets too. A measured response gives the uncertainty directly, and linear dynamics by a fit to its
-lines.
+From a recording, the response is estimated between the modelled input of the dynamics (the output of hysteresis and
+creep) and the measurement, averaged over parts of an octave. It therefore includes the errors of the hysteresis, which
+also act in feedback. A measured response gives the uncertainty directly, and linear dynamics by a fit to its lines.
 """
 
 from __future__ import annotations
@@ -39,78 +38,80 @@ from hysteresis_ros.identification.plant_model import PlantModel, group_delay
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Bands in an octave, and narrow ones for resonances.
+#: Bands per octave, and narrow bands per octave for resonances.
 BANDS, NARROW_BANDS = 6, 24
-#: The response counts as known where two standard deviations are below this part of it.
+#: The response counts as known if two standard deviations are below this part of it.
 KNOWN = 0.5
-#: An error that is larger than that and certain is a resonance that the model lacks or has elsewhere: its mean over a
-#: narrow band is so many times below its peak, where its damping is as low as is assumed of an unobserved one.
+#: A larger, significant error is a resonance that the model lacks or has at another frequency: the ratio of its peak to
+#: its mean over a narrow band, for the low damping that is assumed of an unobserved resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
-#: A deviation of so many times two standard deviations is known too.
+#: A deviation of this many times two standard deviations also counts as known.
 CLEARLY = 2.0
-#: Overlapping windows: so many sums say what one independent does.
+#: Overlapping windows: number of sums equivalent to one independent sum.
 OVERLAP = 2.0
-#: Bands without content between two that have some are known as these are, up to so many octaves apart.
+#: Bands without content between two with content are interpolated, up to this distance in octaves.
 GAP = 1.5
-#: All of the response is known where the content reaches this part of the sample rate: a loop acts up to there.
+#: If the content reaches this part of the sample rate, the whole response counts as known: a loop acts up to there.
 WHOLE = 0.5
 #: The residual rings where its spectrum exceeds its surroundings (a band against two octaves) by this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
-#: What is left of a movement that the model explains to more than this part does not count.
+#: Residuals do not count if the model explains more than this part of the movement.
 RINGS = 0.3
-#: Something else moves the output where at least this part of its power goes with no linear response to the input.
+#: Smallest part of the output's power without linear response to the input that shows another source of movement.
 FOREIGN = 0.25
 NO_CONTENT = "the voltage has hardly any content there"
-#: A loop of the speed that the model alone allows must not be faster than what is certain by this factor.
+#: Largest ratio of the crossover that the model allows to the certain one.
 FASTER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseCheck:
-    """The frequency response of a model beside a recording."""
+    """The frequency response of a model compared with a recording."""
 
     uncertainty: ResponseUncertainty
-    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2 if the model were exact, for what the
-    #: recording shows of its errors, and for all that it may be where nothing is known.
+    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2 for an exact model, for the errors that
+    #: the recording shows, and for all responses that it leaves possible.
     believed: float
     seen: float
     certain: float
-    unfit_at: float  #: Frequency [Hz] at which the recording shows the error that keeps the loop from being as fast.
-    ringing: tuple[float, ...] = ()  #: Frequencies [Hz] at which something is left in the residual.
+    unfit_at: float  #: Frequency [Hz] of the error that limits the loop.
+    ringing: tuple[float, ...] = ()  #: Frequencies [Hz] of peaks in the residual.
     #: Part of the power of the measured movement that no linear response to the modelled one explains; 0 where most of
     #: it is slower than the segments of the spectra.
     foreign: float = 0.0
 
     @property
     def fit_for_feedback(self) -> bool:
-        """Whether the recording shows nothing against a loop about as fast as the model alone would allow."""
+        """Whether the recording permits a loop about as fast as the model alone would allow."""
         return self.seen * FASTER >= self.believed
 
     @property
     def reason(self) -> str:
-        """Why not, in a line; empty otherwise."""
+        """Reason why the model is not fit for feedback, in one line; empty if it is fit."""
         if self.fit_for_feedback:
             return ""
         there = self.unfit_at
         percent = 100.0 * float(self.uncertainty.at([there])[0])
         why = f"the response at {there:.4g} Hz is known to {percent:.0f} % only"
         if there > self.uncertainty.known_to and self.ringing:
-            why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has nothing"
-        slower = f"up to {self.certain:.3g} Hz it is" if self.certain else "no slower one is known to be safe either"
+            why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has no resonance"
+        slower = (
+            f"it is fit up to {self.certain:.3g} Hz" if self.certain else "no slower loop is known to be safe either"
+        )
         crossover = f"with a crossover of {self.believed:.3g} Hz, which the model would allow"
         return f"not fit for feedback {crossover}: {why}; {slower}"
 
     @property
     def figures(self) -> dict:
-        """The figures by names with units; what has no bound is left out."""
+        """The finite figures, by names with units."""
         found = {"fit_for_feedback": self.fit_for_feedback, "certain_crossover_hz": self.certain}
         known = self.uncertainty.known_to
         return found | ({"response_known_to_hz": known} if np.isfinite(known) else {})
 
     @property
     def entries(self) -> dict:
-        """What a parameter file keeps of it, for a design."""
+        """Values for the parameter file, for a design."""
         found = self.uncertainty
         known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
         return {
@@ -122,26 +123,26 @@ class ResponseCheck:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is left in the residual and up to where the dynamics are known, in sentences."""
+        """Sentences about the residual, and about the frequency up to which the dynamics are known."""
         found = [f"the residual rings at {frequency:.4g} Hz" for frequency in self.ringing]
         if self.foreign > FOREIGN:
             found.append(
-                f"{100.0 * self.foreign:.0f} % of the movement (in squares) goes with no linear response to the "
-                "voltage: something else moves the output too (other inputs, vibration, noise); keep the other "
-                "axes still and record again"
+                f"{100.0 * self.foreign:.0f} % of the movement (mean square) is not a linear response to the voltage: "
+                "something else also moves the output (inputs, vibration, noise); keep other axes still and record "
+                "again"
             )
         known = self.uncertainty.known_to
         if not np.isinf(known) and self.certain < self.seen:
-            why = "what else moves the output hides them" if self.foreign > FOREIGN else NO_CONTENT
+            why = "other movement of the output hides them" if self.foreign > FOREIGN else NO_CONTENT
             found.append(
-                f"dynamics above {known:.3g} Hz are unknown, {why}: a design keeps to a crossover of about "
+                f"dynamics above {known:.3g} Hz are unknown, {why}: a design is limited to a crossover of about "
                 f"{self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
 
 
 def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -> ResponseCheck | None:
-    """Return how well a recording knows the response of a chain; None for one with dynamics inside the hysteresis."""
+    """Return the check of a chain's response by a recording; None for dynamics inside the hysteresis."""
     if not chain.invertible:
         return None
     part = chain.continuous
@@ -157,7 +158,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
     uncertainty, shown = _uncertainty(spectra, response)
     ringing = _ringing(spectra, response)
-    # a band without excitation says nothing about a model, ringing there speaks against it
+    # a band without excitation does not test a model, but ringing there is an error
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
@@ -170,7 +171,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
 
 
 def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty, ResponseUncertainty]:
-    """Return how far the response may be from the model's, and how far it is at least, in bands."""
+    """Return the largest possible and the smallest certain deviation of the response from the model, in bands."""
     centres, deviation, spread = _in_bands(spectra, response, BANDS)
     clear = deviation > CLEARLY * 2.0 * spread
     known = (2.0 * spread < KNOWN) | clear
@@ -200,13 +201,13 @@ def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty
 
 
 def _in_bands(spectra: SegmentSpectra, response, bands: int):
-    """Return centres [Hz] of bands, how far the measured response is from the model's, and the standard deviation."""
+    """Return centres of bands [Hz], deviation of the measured response from the model, and its standard deviation."""
     f = spectra.frequencies
     count = int(bands * np.log2(f[-1] / f[0])) + 1
     edges = np.searchsorted(f, f[0] * 2.0 ** (np.arange(count + 1) / bands))
     edges = np.unique(np.append(edges[:-1], len(f)))[:-1]
     expected = np.abs(response) ** 2 * spectra.input.sum(axis=0)
-    # errors that repeat with the movement, as those of a hysteresis do, are one error however often they are seen
+    # errors that repeat with the movement, as those of a hysteresis, count once however often they repeat
     repeated = np.abs(spectra.cross.sum(axis=0) - response * spectra.input.sum(axis=0)) ** 2
     repeated = spectra.smooth(repeated / np.maximum(spectra.input.sum(axis=0), np.finfo(float).tiny))
     noise = spectra.incoherent() + repeated
@@ -218,7 +219,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
 
 
 def _foreign(spectra: SegmentSpectra, output) -> float:
-    """Return the part of the output's power that goes with no linear response; 0 where the spectra hold too little."""
+    """Return the part of the output's power without linear response; 0 if the spectra contain too little of it."""
     # the spectra are of differences
     undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
     power = np.abs(np.fft.rfft(output - output.mean())) ** 2
@@ -230,7 +231,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return where the spectrum of the residual has peaks and that of the input does not."""
+    """Return the frequencies at which the spectrum of the residual has peaks and that of the input has not."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]
@@ -242,9 +243,9 @@ def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
     return (float(spectra.frequencies[place]),) if ratio[place] > STANDS_OUT else ()
 
 
-#: Lowest lines by which the gain of a response to a voltage is compared with the model's.
+#: Number of lowest lines for the comparison of the gain with the model.
 LOWEST = 10
-#: Iterations by which the lines of a fit are weighted as its own denominator says.
+#: Iterations of the weights by the denominator of the fit.
 ITERATIONS = 10
 
 
@@ -254,10 +255,10 @@ class MeasuredPlant:
 
     frequency: np.ndarray  #: shape (F,) [Hz]
     response: np.ndarray  #: shape (F,) [m/m]
-    radius: np.ndarray  #: shape (F,); Of the circles that hold the true one with 95 %.
+    radius: np.ndarray  #: shape (F,); Radius of the circles that contain the true response with 95 % probability.
 
     def uncertainty(self, model, sample_time: float) -> ResponseUncertainty:
-        """Return how far a model may be off: what was measured, and what the circles leave open.
+        """Return the uncertainty of a model: its measured deviation, and the radius of the circles.
 
         Units: ``sample_time`` [s].
         """
@@ -270,9 +271,9 @@ class MeasuredPlant:
 
 
 def measured_plant(found: Analysis, model) -> MeasuredPlant:
-    """Return the response from the command; of one from a voltage with the model's gain at the lowest lines.
+    """Return the response from the command; a response from a voltage gets the model's gain at the lowest lines.
 
-    The model's gain is that of the whole stroke, and small movements of a hysteresis have another one.
+    The model's gain is that of the whole stroke, which differs from that of small movements of a hysteresis.
     """
     response = found.response
     radius = response.radius(PROBABILITY)[:, 0, 0]

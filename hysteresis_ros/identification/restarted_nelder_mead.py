@@ -10,8 +10,8 @@
 """SciPy's Nelder-Mead, scaled, restarted and from several starts, with recorded trajectories (B3).
 
 Parameters of a model differ by orders of magnitude, so the simplex works on parameters divided by their scales. A
-simplex may collapse before it has reached a minimum: each start is therefore repeated from its best point with a fresh
-simplex until that brings nothing more.
+simplex may collapse before it has reached a minimum: each start is therefore repeated from its best point with a new
+simplex until there is no further improvement.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from hysteresis_ros.executors import Job, shared
 #: Size of the first simplex and spread of further starts, in scales.
 FIRST_STEP = 0.1
 SPREAD = 0.5
-#: A restart counts as no better when it lowers the cost by less than this part.
+#: Smallest relative reduction of the cost that counts as an improvement.
 NO_BETTER = 1e-6
 MOST_RESTARTS = 10
-#: About what a start takes, to see whether more processes pay.
+#: Approximate duration of a start [s] above which more processes are worthwhile.
 EVALUATIONS = 500
-#: A cost that has fallen to this part of the guess's is that of a perfect fit; below there are rounding errors only.
+#: Cost of a perfect fit over that of the guess; smaller ones are only rounding errors.
 PERFECT = 1e-18
 
 
 @dataclass(frozen=True)
 class SimplexSettings:
-    """How long and from where is searched."""
+    """Budget and starts of the search."""
 
-    #: Starts in all; further ones are spread around the guess by half a scale (normally distributed). By default as
-    #: many as the problem takes: one, where nothing else is said.
+    #: Number of starts; further ones are spread around the guess by half a scale (normally distributed). None: the
+    #: default of the problem, usually one.
     starts: int | None = None
     iterations: int = 2000  #: Most iterations of one start.
     tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs at which a run ends.
-    seed: int = 0  #: Of the further starts.
-    #: Processes that share the starts, whose cost has to be picklable then; None: as many as pays.
+    seed: int = 0  #: Seed of the further starts.
+    #: Processes that share the starts, which then need a picklable cost; None: chosen automatically.
     workers: int | None = 1
 
 
@@ -58,7 +58,7 @@ class SimplexRun:
     trajectory: np.ndarray
     costs: np.ndarray  #: shape (iterations + 1,); Its cost.
     evaluations: int  #: Calls of the cost function.
-    converged: bool  #: The simplex became smaller than the tolerance, not the budget.
+    converged: bool  #: The simplex became smaller than the tolerance within the budget.
 
     @property
     def iterations(self) -> int:
@@ -78,7 +78,7 @@ class SimplexSearch:
 
     @property
     def agreeing(self) -> int:
-        """How many starts came within 1 % of the lowest cost: one of several hints at further local minima."""
+        """Number of starts within 1 % of the lowest cost; 1 of several suggests further local minima."""
         return sum(run.costs[-1] <= 1.01 * self.cost for run in self.runs)
 
 
@@ -90,7 +90,7 @@ def restarted_nelder_mead(
     settings: SimplexSettings | None = None,
     progress=None,
 ) -> SimplexSearch:
-    """Minimise ``cost`` with Nelder-Mead simplices, restarted until a fresh one brings nothing more."""
+    """Minimise ``cost`` with Nelder-Mead simplices, restarted until there is no further improvement."""
     start = np.atleast_1d(np.asarray(start, dtype=float))
     scale = np.abs(start) if scale is None else np.broadcast_to(np.asarray(scale, dtype=float), start.shape)
     if not np.all(np.isfinite(start)) or not np.all(scale > 0.0):
@@ -133,7 +133,7 @@ def _runs(cost: _FiniteCost, guesses: list[np.ndarray], settings: SimplexSetting
             note = None if progress is None else lambda i, value, number=number: progress(number, i, value)
             runs.append(_run(cost, guess, settings, note))
         return runs
-    cost(guesses[0])  # what compiles does so now
+    cost(guesses[0])  # compile now
     begun = time.perf_counter()
     cost(guesses[0])
     seconds = (time.perf_counter() - begun) * EVALUATIONS * len(guesses)
@@ -171,7 +171,7 @@ def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexR
                     "maxiter": iterations - len(values) + 2,
                     "maxfev": 10 * iterations * (z.size + 1),
                     "xatol": tolerance,
-                    # scipy wants an absolute bound; costs of a perfect fit end at rounding errors
+                    # SciPy needs an absolute bound; the cost of a perfect fit ends at rounding errors
                     "fatol": max(tolerance * before, nothing) if np.isfinite(before) else tolerance,
                 },
             )

@@ -7,21 +7,21 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How fast an axis may move: the limits of voltage and setpoint that every command writes, and where they come from.
+"""Safe speed of an axis: the limits of voltage and setpoint that every command writes, with their reasons.
 
-*Slew rate of the voltage*, the least of what is known: the amplifier's own; twice what a recording held without harm;
-the range in one period of the lowest resonance, or in the slowest time constant of a model that only lags. Where
-nothing is known the range takes :data:`FIRST_SECONDS`.
+*Slew rate of the voltage*: the smallest of the known limits, which are that of the amplifier, twice the largest in a
+recording, and the range in one period of the lowest resonance, or in the slowest time constant of a model with lags
+only. Without any, the range takes :data:`FIRST_SECONDS`.
 
-*Approach to setpoints*: half of the slew rate is for the setpoint, the other half for what feedback and hysteresis
-add. The approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one
-period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
-leaves little vibration even when the frequency is off by some per cent.
+*Approach to setpoints*: half of the slew rate is for the setpoint, the other half for feedback and hysteresis. The
+approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one period of the
+resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint leaves little
+vibration even when the frequency is off by some per cent.
 
-*Steps of a waveform* keep the limits of the approach too where the controller inverts the dynamics; elsewhere the slew
-rate alone limits them.
+*Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
+slew rate limits them.
 
-What a file states, it keeps: a limit above 0 is never replaced.
+A limit above 0 in a file is never replaced.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from hysteresis_ros.models.compensator import CompensatorParameters, reachable_c
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import eigenvalues
 
-#: The range in so many seconds [s] is what an unknown stage is moved with.
+#: Time in which an unknown stage moves over the voltage range [s].
 FIRST_SECONDS = 1.0
-#: How much faster than in the recording the voltage may change, and the setpoint's part of the slew rate.
+#: Allowed slew rate over that of the recording, and the setpoint's part of the slew rate.
 ROOM, FOR_SETPOINTS = 2.0, 0.5
-#: Damping from which a mode is not a resonance, and size of a pole below which it is a delay.
+#: Damping above which a mode is not a resonance, and size below which a pole is a delay.
 NO_RESONANCE, DELAY = 0.5, 1e-3
-#: Where no resonance is known a moving average lasts this part of the crossing of the stroke.
+#: Without a known resonance: length of a moving average as a part of the time to cross the stroke.
 UNKNOWN_PART = 0.1
-#: Digits that are written: limits are no more exact.
+#: Digits of written limits, which are no more accurate.
 DIGITS = 3
 NODES = ("plant_simulator", "hysteresis_compensator")
 APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
@@ -54,7 +54,7 @@ APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
 
 @dataclass(frozen=True)
 class Slew:
-    """A slew rate [V/s] and where it comes from."""
+    """A slew rate [V/s] and its reason."""
 
     rate: float
     reason: str
@@ -88,16 +88,16 @@ def safe_slew(
     first = span / FIRST_SECONDS
     known = []
     if amplifier > 0.0:
-        known.append(Slew(amplifier, "what the amplifier can follow"))
+        known.append(Slew(amplifier, "the slew rate of the amplifier"))
     if excited > 0.0:
         text = f"twice the largest change in the recording, {excited:.{DIGITS}g} V/s"
-        slow = f"the range in {FIRST_SECONDS:g} s; the recording had no more than {excited:.{DIGITS}g} V/s"
+        slow = f"the range in {FIRST_SECONDS:g} s; the recording had at most {excited:.{DIGITS}g} V/s"
         known.append(Slew(ROOM * excited, text) if ROOM * excited > first else Slew(first, slow))
     if pace > 0.0:
         lag = f"the lag of the model, {1e3 / pace:.{DIGITS}g} ms"
         text = f"one period of the resonance, {pace:.{DIGITS}g} Hz" if resonant else lag
         known.append(Slew(span * pace, f"the range in {text}"))
-    return min(known or [Slew(first, f"nothing is known: the range in {FIRST_SECONDS:g} s")], key=lambda one: one.rate)
+    return min(known or [Slew(first, f"no limit is known: the range in {FIRST_SECONDS:g} s")], key=lambda one: one.rate)
 
 
 def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.0) -> tuple[float, float, float]:
@@ -112,10 +112,10 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
 
 
 def with_safe_motion(text: str, source: str, namespace: str = "", excited: float = 0.0, amplifier: float = 0.0) -> str:
-    """Return the text of a parameter file with the limits of voltage and setpoint it lacks, each with its reason."""
+    """Return the text of a parameter file with its missing limits of voltage and setpoint, each with its reason."""
     configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
     if configuration.describes("inchworm_sequencer", namespace):
-        return text  # a motor that walks has speeds of its own
+        return text  # an inchworm motor has its own speeds
     nodes = {name: configuration.node(name, namespace) for name in (*NODES, "motion_controller")}
     plant, compensator = (nodes[name] for name in NODES)
     if not all(f"limits.{end}" in node for node in (plant, compensator) for end in ("minimum", "maximum")):
@@ -124,12 +124,12 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
     sample_time = 1.0 / float(plant.get("sample_rate", 1000.0))
     found = [slowest(dynamics, sample_time) for dynamics in _dynamics(nodes)]
     paces = [(resonant, pace) for pace, resonant in found if pace > 0.0]
-    # a resonance counts before a lag
+    # a resonance takes precedence over a lag
     resonant, pace = min(paces, key=lambda one: (not one[0], one[1]), default=(False, 0.0))
     stated = [float(node.get("limits.slew_rate", 0.0)) for node in (plant, compensator)]
     slew = safe_slew(span, pace, resonant, excited, amplifier)
     if any(rate > 0.0 for rate in stated):
-        slew = Slew(min(rate for rate in stated if rate > 0.0), "as the other node has it")
+        slew = Slew(min(rate for rate in stated if rate > 0.0), "the same as in the other node")
     rate = _rounded(slew.rate) if not any(stated) else slew.rate
     for name, own in zip(NODES, stated, strict=True):
         if not own > 0.0:
@@ -154,7 +154,7 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
 
 
 def with_comments(text: str, commented: str) -> str:
-    """Return a text whose lines have the comments that the same lines have in another one."""
+    """Return a text with the comments that equal lines have in another text."""
     known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
     lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines)
@@ -169,7 +169,7 @@ def _dynamics(nodes: dict[str, dict]) -> Iterable[LinearParameters]:
 
 
 def _part(values: dict, cls):
-    """Return the parameters of a block out of its node's."""
+    """Return the parameters of a block from those of its node."""
     names = {row.name for row in cls.table()}
     return cls.from_mapping({name: value for name, value in values.items() if name in names})
 
@@ -179,9 +179,9 @@ def _rounded(value: float) -> float:
 
 
 def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float | bool, str]]) -> str:
-    """Return the text with values in a group of a node's last section, their comments behind them; others stay.
+    """Return the text with new, commented values in a group of a node's last section.
 
-    A group that is written in one line gets its values there, the reasons behind the line.
+    A group in one line gets its values in that line, and the reasons behind it.
     """
     full = f"{namespace}/{node}"
     root = yaml.compose(text)
@@ -205,7 +205,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
         return "".join(lines[:at] + added + lines[at:])
     mapping = found[1]
     before = {key.value: value for key, value in mapping.value}
-    # from behind, so that places before stay what they are
+    # from the end, so that earlier positions stay valid
     for name in sorted(set(values) & set(before), key=lambda name: before[name].start_mark.line, reverse=True):
         value, reason = values[name]
         mark, end = before[name].start_mark, before[name].end_mark
@@ -251,7 +251,7 @@ def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tu
 
 
 def _number(value: float | bool) -> str:
-    """Return a number that YAML and ROS both read as a double; or true, false."""
+    """Return a number in a form that YAML and ROS both read as a double; or true, false."""
     if isinstance(value, bool):
         return str(value).lower()
     text = repr(float(value))

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a recording holds beside the hysteresis: the past before it, and lag, creep, drift and outliers, taken out.
+"""Separation of a hysteresis from the past of the recording, and from lag, creep, drift and outliers.
 
-A hysteresis remembers, and a recording does not show what was before. Where the voltage reaches both ends of its
-range and a cycle follows, the memory is wiped out, and what came before is left out. Elsewhere the whole recording
-counts, and three pasts are tried: rest at 0 V; the input had repeated before; a larger voltage had left the
-actuator remanent. How much of a remanent past a model remembers differs, so it is searched with the model.
+A hysteresis has memory, and a recording does not show the voltage before it. If the voltage reaches both ends of its
+range and a cycle follows, the past is erased, and the earlier samples are omitted. Otherwise the whole recording
+counts, and three pasts are tried: rest at 0 V; a periodic input; a larger voltage that has left the actuator remanent.
+The memory of a remanent past depends on the model, so it is searched with the model.
 
-Models that have no lag and creep of their own are fitted to what is left when these are undone (:func:`separated`).
+Models without lag and creep are fitted to data from which these are removed (:func:`separated`).
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ from hysteresis_ros.identification.preprocessing import Cleaned, Condensed, clea
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 from hysteresis_ros.models.creep import Creep, creep, creep_inverse
 
-#: Plays and dead zones of the trials, and to how many samples they make the data coarser.
+#: Plays and dead zones of the trials, and samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Pasts are judged without this part of the samples, which may be outliers.
+#: Part of the samples, possibly outliers, that the comparison of pasts omits.
 TRIMMED = 0.1
-#: A recording is bipolar when its voltage goes below 0 V by this part of its largest.
+#: A recording is bipolar if its voltage goes below 0 V by this part of its largest.
 BIPOLAR = 0.1
-#: Rest explains a beginning whose error is below so many times that of what follows, or below this part of the stroke.
+#: Rest explains a beginning whose error is below this factor times that of the rest, or below this part of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
-#: A recording is closed when input and output come back to their start within this part of their range.
+#: A recording is closed if input and output return to their start within this part of their range.
 CLOSED_PART = 0.02
-#: Voltages a remanent actuator may have seen, as parts of the largest of the recording.
+#: Tried past voltages of a remanent actuator, as parts of the largest of the recording.
 LARGEST_PAST = 1.5
 TRIED_PASTS = (-1.0, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, LARGEST_PAST)
 
 
 @dataclass(frozen=True)
 class Start:
-    """How a recording is taken to begin."""
+    """Assumed beginning of a recording."""
 
     kind: str  #: ``zero``, ``periodic`` or ``estimate`` (remanent), as in ``initial``.
-    skip: int  #: First samples left out.
-    history: tuple[float, ...] = ()  #: Voltages [V] that the hysteresis went through before, from rest at 0 V.
-    note: str = ""  #: What was done and why, in a sentence.
+    skip: int  #: Number of omitted first samples.
+    history: tuple[float, ...] = ()  #: Voltages [V] before the recording, from rest at 0 V.
+    note: str = ""  #: Sentence about the choice and its reason.
 
     def signals(self, data: IdentificationData):
-        """Return voltage [V] and displacement [m] to fit, and the samples to leave out: periodic data comes twice."""
+        """Return voltage [V] and displacement [m] to fit, and the samples to omit; periodic data is repeated once."""
         if self.kind != "periodic":
             return data.input, data.output, self.skip
         return np.tile(data.input, 2), np.tile(data.output, 2), len(data) + self.skip
@@ -84,13 +84,13 @@ def find_start(
     *,
     whole: bool = False,
 ) -> Start:
-    """Return how the recording begins: as asked for, else as its beginning fits best."""
-    asked = "as asked for: "
+    """Return the beginning of the recording, as requested or as it fits best."""
+    asked = "as requested: "
     if initial == "periodic":
         _refuse_open(data)
-        return Start("periodic", skip or 0, (), f"{asked}the input had repeated before")
+        return Start("periodic", skip or 0, (), f"{asked}the input was periodic before")
     if initial == "zero" or (skip is not None and initial is None):
-        words = f"the first {skip} samples left out" if skip else "at rest at 0 V before the recording"
+        words = f"the first {skip} samples omitted" if skip else "at rest at 0 V before the recording"
         return Start("zero", skip or 0, (), asked + words)
     trials = _PastTrials(data, structure or (lambda condensed: FreeWeights(condensed, TRIED_PLAYS, TRIED_ZONES)))
     if initial == "estimate":
@@ -103,17 +103,17 @@ def find_start(
         return Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
     seconds = wiped * data.sample_time
     note = (
-        f"the first {wiped} samples ({seconds:.3g} s) left out, until the voltage had been near both ends of its range"
+        f"the first {wiped} samples ({seconds:.3g} s) omitted, until the voltage had been near both ends of its range"
     )
-    return Start("zero", wiped, (), note if wiped else "nothing left out: it begins at an end of the range")
+    return Start("zero", wiped, (), note if wiped else "no samples omitted: it begins at an end of the range")
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
-    """Choose between the pasts where the memory of them lasts for too long to be left out."""
+    """Choose between the pasts when their memory lasts too long to omit its samples."""
     rest = _trimmed(trials.error())
-    found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: nothing else fits better"))]
+    found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other past fits better"))]
     if _closed(data):
-        note = "the input had repeated before: the recording ends where it begins, and fits that better than rest"
+        note = "the input was periodic before: the recording ends where it begins, and this fits better than rest"
         found.append((_trimmed(trials.error(periodic=True)), Start("periodic", 0, (), note)))
     voltage, error = trials.remanent()
     found.append((error, Start("estimate", 0, (voltage, float(data.input[0])), remanence(voltage))))
@@ -122,15 +122,15 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
 
 
 def remanence(voltage: float) -> str:
-    """Return a past in words.
+    """Return a description of a past.
 
     Units: ``voltage`` [V].
     """
-    return f"remanent before the recording, as after {voltage:.4g} V: found with the fit"
+    return f"remanent before the recording, as after {voltage:.4g} V: identified with the fit"
 
 
 class _PastTrials:
-    """Fits to a coarse recording under different pasts, each behind a lag of its own."""
+    """Fits to a coarse recording under different pasts, each with its own lag."""
 
     def __init__(self, data: IdentificationData, structure):
         self.data, self.structure = data, structure
@@ -143,7 +143,7 @@ class _PastTrials:
         return condense(v, y, self.data.sample_time, skip, history=history, enough=COARSE)
 
     def error(self, history=(), periodic: bool = False, part=None) -> np.ndarray:
-        """Return what is left [m] of every sample with this past, shape (N,) or a little less."""
+        """Return the residual [m] of the samples with this past, shape (N,) or a little less."""
         condensed = self.condensed(history, periodic)
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
@@ -166,7 +166,7 @@ class _PastTrials:
         def cost(part):
             return _trimmed(self.error((part * largest, first), part=lag))
 
-        for _ in range(2):  # the lag that goes with the best past, then the past again
+        for _ in range(2):  # the lag for the best past, then the past again
             lag = _lag(self.condensed((parts[place] * largest, first), False))
             errors = [cost(part) for part in parts]
             place = int(np.argmin(errors))
@@ -182,13 +182,13 @@ def _lag(condensed: Condensed) -> LinearPart:
 
 
 def _trimmed(error) -> float:
-    """Root mean square without the largest errors, in their unit."""
+    """Return the root mean square without the largest errors, in their unit."""
     size = np.sort(np.abs(error))
     return float(np.sqrt(np.mean(size[: max(1, int((1.0 - TRIMMED) * len(size)))] ** 2)))
 
 
 def _closed(data: IdentificationData) -> bool:
-    """Whether the recording may be a whole number of periods: it comes back, and has not grown up to its end."""
+    """Return whether the recording may be a whole number of periods: it returns to its start, and does not grow."""
     u, span = data.input, float(np.ptp(data.input))
     reached = [np.flatnonzero(np.abs(u - end) <= CLOSED_PART * span)[0] for end in (u.max(), u.min())]
     return max(reached) <= 0.75 * len(data) and all(
@@ -209,14 +209,14 @@ def _refuse_open(data: IdentificationData) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Separated:
-    """A recording without the dynamics behind a hysteresis and without drift."""
+    """A recording without the dynamics behind a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
-    output: np.ndarray  #: shape (N,); Lag and creep undone too [m].
+    output: np.ndarray  #: shape (N,); Output also without lag and creep [m].
     part: LinearPart  #: The linear part behind the hysteresis.
-    start: Start  #: How the recording is taken to begin.
-    warnings: tuple[str, ...]  #: What is to be doubted of the separation.
-    constant: float = 0.0  #: What was taken out of the output before creep was undone [m].
+    start: Start  #: Assumed beginning of the recording.
+    warnings: tuple[str, ...]  #: Warnings about the separation.
+    constant: float = 0.0  #: Constant removed from the output before creep was inverted [m].
 
     @property
     def voltage(self) -> np.ndarray:
@@ -235,10 +235,10 @@ class Separated:
 
 
 def separated(data: IdentificationData, request: Request) -> Separated:
-    """Return the data with lag and creep undone, outliers and drift taken out, and what is assumed of its past.
+    """Return the data without lag, creep, outliers and drift, and the assumed past.
 
-    A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
-    What was found is kept in the request, for the next model of the same data.
+    A Preisach or a Prandtl-Ishlinskii model, whichever has the smaller residual, identifies them, because these models
+    leave the shape of the loops free. The request stores the result for the next model of the same data.
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -251,8 +251,8 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)
     if request.skip is None and request.initial is None and start.kind == "zero":
-        skip = None  # lag, creep and drift are identified better without the beginning, which shows more of the model
-    # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
+        skip = None  # lag, creep and drift are identified better without the beginning, which depends more on the model
+    # always include creep: without it the search would count slow drifts as noise that hides the lag
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
     searches: tuple[tuple[Any, dict], ...] = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
@@ -261,7 +261,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
         for search, settings in (searches if parts else searches[1:])
     ]
     fit = min(fits, key=lambda item: item.rmse)
-    # what repeats does not drift
+    # periodic data does not drift
     drift = 0.0 if start.kind == "periodic" else fit.drift
     clean = cleaned(data, fit.simulate(voltage)[-len(data) :], fit.skipped % len(data), drift)
     part = fit.linear_part if "creep" in parts else replace(fit.linear_part, creep_rate=0.0, settled=False)
@@ -277,7 +277,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
 
 
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), that creeps to ``y``: step by step, as the compensator does it.
+    """Return the displacement [m], shape (N,), whose creep gives ``y``, step by step as the compensator does.
 
     Units: ``sample_time`` [s].
     """
@@ -291,13 +291,13 @@ def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
     return found
 
 
-#: The past is searched between these parts of the voltage that goes with the first fit, to this part of it.
+#: Range of the search for the past, as parts of the voltage of the first fit, and its tolerance.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 
 
 def remembered(static: Separated, fit, block):
-    """Return what ``fit`` finds, and the separation with the past that goes with it."""
+    """Return the result of ``fit``, and the separation with the matching past."""
     found = fit(static, None)
     if static.start.kind != "estimate":
         return found, static

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The thresholds that decide what an identification believes: one table, each with its reason.
+"""The thresholds for the decisions of an identification, in one table with their reasons.
 
-A :class:`Threshold` says by which part an error must fall before a richer explanation replaces a simpler one. Equal
-values have different reasons, so each decision has a row of its own.
+A :class:`Threshold` is the relative reduction of an error at which a richer explanation replaces a simpler one. Equal
+values have different reasons, so each decision has its own row.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Threshold:
-    """Smallest relative improvement that decides for a richer explanation."""
+    """Smallest relative improvement for a richer explanation."""
 
     part: float  #: Part of the old error, 0 … 1.
     error: str  #: Which error is compared, on which samples.
@@ -31,12 +31,12 @@ class Threshold:
         return (1.0 - self.part) * old
 
     def improves(self, new: float, old: float) -> bool:
-        """Return whether an error ``new`` is so much below ``old`` that the richer explanation is taken."""
+        """Return whether an error ``new`` is far enough below ``old`` for the richer explanation."""
         return bool(new < self.bound(old))
 
 
 RESIDUAL = "RMS residual of the fitted samples"
-HELD_OUT = "RMS error on parts of the recording that were not fitted"
+HELD_OUT = "RMS error on held-out parts of the recording"
 
 # Linear part behind the hysteresis
 
@@ -44,28 +44,28 @@ LINEAR_PART = Threshold(
     0.01, RESIDUAL, "Each further number lowers the residual a little; the part must be visible in the recording."
 )
 SETTLED_START = Threshold(
-    0.05, RESIDUAL, "Nodes start at rest at 0 V; another start of the creep is taken only where the data is clear."
+    0.05, RESIDUAL, "Nodes start at rest at 0 V; another start of the creep is chosen only if the data is clear."
 )
 DELAY_OR_LAG = Threshold(
     0.05, RESIDUAL, "Stages have lags: a delay must be visible, and both together must be better than either alone."
 )
-LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "A lag behind a plain gain that was not requested also fits noise a little.")
+LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "An additional lag behind a plain gain also fits noise a little.")
 FAST_DYNAMICS = Threshold(
-    0.03, RESIDUAL, "Of hystereses fitted behind different dynamics the simplest is kept unless another is better."
+    0.03, RESIDUAL, "Of hystereses with different dynamics the simplest is kept unless another is better."
 )
 
 # Structure of the hysteresis
 
 STRUCTURE = Threshold(
-    0.03, HELD_OUT, "More freedom always lowers the residual; a structure must also predict what it has not seen."
+    0.03, HELD_OUT, "More freedom always lowers the residual; a structure must also predict held-out parts."
 )
-#: The gain on held-out parts must also exceed this many of its standard errors: one part alone may be luck.
+#: Smallest improvement on held-out parts in its standard errors, because that of a single part may be chance.
 STANDARD_ERRORS = 1.0
 LOOPS_OF_ONE_SIZE = Threshold(
-    0.3, HELD_OUT, "Where all loops have one size, held-out parts show nothing new and favour freedom."
+    0.3, HELD_OUT, "If all loops have one size, held-out parts are no new data and favour freedom."
 )
 ANOTHER_KIND = Threshold(
-    0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which holds no prior for smaller loops."
+    0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no prior for smaller loops."
 )
 DENSITY_DECAY = Threshold(
     0.03, RESIDUAL, "Loops of one size hardly distinguish the decay of the density from its map: the prior is kept."
@@ -75,9 +75,9 @@ FREER_MODEL = Threshold(
     0.03, HELD_OUT, "A generalised play contains plain plays and is never much worse than they are."
 )
 NO_PRIOR = Threshold(
-    0.5, HELD_OUT, "Where smaller loops are not settled, the model with the stated prior is kept unless clearly wrong."
+    0.5, HELD_OUT, "If smaller loops are not determined, the model with the stated prior is kept unless clearly wrong."
 )
-#: The residual of weights may grow by this part for the sake of smoothness: less than STRUCTURE.
+#: Allowed relative growth of the residual for smooth weights: less than STRUCTURE.
 SMOOTHER_WEIGHTS = 0.01
 #: An ambiguity of this part of the stroke is reported as a warning.
 NOTABLE_AMBIGUITY = 0.002
@@ -85,24 +85,22 @@ NOTABLE_AMBIGUITY = 0.002
 # What was before the recording
 
 PAST_WHILE_FITTING = Threshold(
-    0.1, RESIDUAL, "Rest at 0 V needs no assumption; another past is one more number, found on coarse samples."
+    0.1, RESIDUAL, "Rest at 0 V needs no assumption; another past is one more parameter, identified on coarse samples."
 )
 PAST_WHILE_PREDICTING = Threshold(
     0.1,
-    "standard deviation of the error until the past is wiped out",
+    "standard deviation of the error until the past is erased",
     "As PAST_WHILE_FITTING, with a known model.",
 )
 
 # Drift and outliers
 
-DRIFT = Threshold(
-    0.2, HELD_OUT, "A drift is no part of the model, and the shape of loops may look like a little of it."
-)
-#: Drifts that differ by less than this part are one: the rounds of fitting and cleaning have converged.
+DRIFT = Threshold(0.2, HELD_OUT, "A drift is not part of the model, and the shape of loops may resemble a small drift.")
+#: Relative difference of drifts at which the iterations of fit and cleaning have converged.
 SAME_DRIFT = 0.01
-#: Outliers are further from the median than this many standard deviations of the bulk: Gaussian noise has none …
+#: Distance of outliers from the median in standard deviations of the bulk; Gaussian noise has no such samples …
 OUTLYING = 5.0
-#: … and are at most this part of the samples; a model that misses more of them is the wrong model.
+#: … and largest part of outliers; with more of them the model is wrong.
 MOST_OUTLIERS = 0.1
-#: They are left out, and the fit is repeated, where they make up this part of the squared error.
+#: Part of the squared error at which outliers are removed and the fit is repeated.
 OUTLIERS_MATTER = 0.01

@@ -9,11 +9,11 @@
 
 """Continuous transfer functions by output error (B2), and their reduction to second order.
 
-``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. The simulated output is fitted, not a one-step
-prediction. For given poles the output is linear in the numerator, the initial state and an offset, which are solved
-for exactly within every step (variable projection); only the n numbers of the denominator are searched. The
-denominator is a product of ``s² + α s + β`` and ``s + α`` with positive coefficients, which are all the stable
-ones: no step can leave them. A reduction matches the step response (B2) and gives mass, damping and stiffness.
+``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. The simulated output is fitted, not a one-step prediction.
+For given poles the output is linear in the numerator, the initial state and an offset, which are solved for exactly
+within every step (variable projection); only the n numbers of the denominator are searched. The denominator is a
+product of ``s² + α s + β`` and ``s + α`` with positive coefficients, which represents exactly the stable ones, so every
+step of the search stays stable. A reduction matches the step response (B2) and gives mass, damping and stiffness.
 
 References
 ----------
@@ -44,29 +44,29 @@ from hysteresis_ros.identification.linear_systems import (
 )
 from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
 
-#: Where the state of the model starts.
+#: Initial states of the model.
 INITIAL = ("zero", "rest", "periodic", "estimate")
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What is fitted, and how it is simulated."""
+    """Structure of the fit, and conditions of its simulation."""
 
     poles: int = 2  #: poles, zeros: n ≥ 1 and m ≤ n.
     zeros: int = 0
     intersample: str = "zoh"  #: ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
     #: ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
     initial: str = "zero"
-    offset: bool = False  #: Whether a constant is fitted too.
+    offset: bool = False  #: Whether a constant is also fitted.
     delay: float = 0.0  #: Known dead time of the input [s].
 
     @property
     def columns(self) -> int:
-        """How many numbers the output is linear in: numerator, offset, initial state."""
+        """Number of parameters that the output is linear in: numerator, offset, initial state."""
         return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
 
     def check(self) -> None:
-        """Refuse what cannot be fitted."""
+        """Raise FitError for invalid settings."""
         if self.poles < 1 or not 0 <= self.zeros <= self.poles:
             raise FitError(
                 f"poles = {self.poles}, zeros = {self.zeros}: there must be at least one pole and no more zeros than "
@@ -80,12 +80,12 @@ class Structure:
 
 @dataclass(frozen=True)
 class Search:
-    """From where the poles are searched."""
+    """Starts of the search for the poles."""
 
-    #: How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
+    #: Number of starts: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
     starts: int = 6
-    start_poles: Sequence[complex] | np.ndarray | None = None  #: shape (n,); A start of the user's [rad/s].
-    seed: int = 0  #: Of the random starts.
+    start_poles: Sequence[complex] | np.ndarray | None = None  #: shape (n,); Start given by the user [rad/s].
+    seed: int = 0  #: Seed of the random starts.
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Start:
     """One start of the search."""
 
     poles: tuple[complex, ...]  #: [rad/s]
-    first_rmse: float  #: first_rmse, rmse: Before and after, in the output's unit.
+    first_rmse: float  #: first_rmse, rmse: RMS error before and after the search, in the output's unit.
     rmse: float
     converged: bool
 
@@ -104,8 +104,8 @@ class TransferFunctionFit:
 
     numerator: np.ndarray  #: shape (m + 1,); b_m … b_0, highest power first.
     denominator: np.ndarray  #: shape (n + 1,); 1, a_(n-1) … a_0.
-    #: shape (m + 1 + n, m + 1 + n); Of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does not tell
-    #: them apart.
+    #: shape (m + 1 + n, m + 1 + n); Of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does not
+    #: determine them apart.
     covariance: np.ndarray
     offset: float  #: Constant of the output, in its unit; 0 when it was not fitted.
     delay: float  #: Dead time of the input [s], as given.
@@ -113,11 +113,11 @@ class TransferFunctionFit:
     fit_percent: float  #: [%]
     mse: float  #: mse, fpe: In the output's unit squared.
     fpe: float
-    sample_time: float  #: Of the data [s].
-    intersample: str  #: How the input was taken to run between samples.
+    sample_time: float  #: Sample time of the data [s].
+    intersample: str  #: Assumed input between samples.
     starts: tuple[Start, ...]  #: All starts of the search, best first.
-    converged: bool  #: Whether the best one converged.
-    warnings: tuple[str, ...]  #: Not converged, at a bound, non-minimum-phase, weakly determined.
+    converged: bool  #: Whether the best start converged.
+    warnings: tuple[str, ...]  #: Warnings: not converged, at a bound, non-minimum-phase, weakly determined.
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
 
@@ -167,7 +167,7 @@ class TransferFunctionFit:
         )
 
 
-#: Most evaluations of a start, before the best of them goes on.
+#: Most evaluations of each start, before the best one continues.
 EVALUATIONS = 40
 
 
@@ -196,7 +196,7 @@ def fit_transfer_function(
         ranked[-1] = candidates[0]
     begun = time.perf_counter()
     problem.cost(ranked[0])
-    # each evaluation takes as many more as there are parameters, for the slopes
+    # each evaluation needs one more for each parameter, for the derivatives
     seconds = (time.perf_counter() - begun) * EVALUATIONS * (1 + len(ranked[0])) * len(ranked)
     solved = shared([Job(problem.solve, (start, EVALUATIONS)) for start in ranked], seconds)
     results = list(zip(ranked, solved, strict=True))
@@ -236,7 +236,7 @@ class _Problem:
         return np.polymul(result, [1.0, values[-1]]) if self.poles % 2 else result
 
     def theta(self, poles):
-        """Return the logarithms for given poles, mirrored to the stable side and put within the bounds."""
+        """Return the logarithms for given poles, mirrored to the stable side and clipped to the bounds."""
         poles = -np.abs(np.real(poles)) + 1j * np.imag(poles)
         pairs = [p for p in poles if p.imag > 0.0]
         real = sorted((p.real for p in poles if p.imag == 0.0), reverse=True)
@@ -290,7 +290,7 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:
-        raise FitError(f"start_poles has {len(given)} poles in conjugate pairs or real; {poles} are wanted")
+        raise FitError(f"start_poles has {len(given)} poles in conjugate pairs or real; {poles} are needed")
     try:
         arx = fit_arx(u, y, sample_time, ArxOrders(poles, poles), offset=True).poles.astype(complex)
         arx[np.abs(arx) < 1e-6] = 1e-6
@@ -299,7 +299,7 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     except (FitError, DataError):
         pass  # an ARX fit needs a richer input than output error does; the other starts remain
     random = np.random.default_rng(search.seed)
-    # frequencies the data can tell: from one period in it to half the sample rate
+    # observable frequencies: from one period in the data to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
     grid = np.exp(np.linspace(band[0], band[1], 6))
     for frequency, damping in itertools.product(grid, (0.05, 0.7)):
@@ -351,7 +351,7 @@ def _result(problem: _Problem, best, scales: tuple[float, float], starts, units)
 def _covariance(problem: _Problem, denominator, table, solution, residual, gain: float):
     """Return the covariance of the coefficients, NaN where the data does not distinguish them, and warnings."""
     predicted = table @ solution
-    # the derivative by each coefficient of the denominator, the linear part kept
+    # the derivative by each coefficient of the denominator, with a fixed linear part
     derivatives = []
     for j in range(1, problem.poles + 1):
         moved = denominator.copy()
@@ -364,7 +364,7 @@ def _covariance(problem: _Problem, denominator, table, solution, residual, gain:
     try:
         covariance = parameter_covariance(ordered[problem.skip :], residual)[:count, :count] * np.outer(units, units)
     except DataError:
-        return np.full((count, count), np.nan), ["the data does not tell all coefficients apart: lower the order"]
+        return np.full((count, count), np.nan), ["the data does not determine all coefficients: lower the order"]
     weak = np.sqrt(np.diag(covariance))[problem.zeros + 1 :] > np.abs(denominator[1:])
     warnings = ["the denominator is weakly determined (deviations above 100 %): lower the order"] if weak.any() else []
     return covariance, warnings
@@ -374,9 +374,9 @@ def _warnings(problem: _Problem, best, numerator, denominator):
     """Yield warnings about the search and the transfer function it found."""
     at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
     if at_bound.any():
-        yield "a pole is at its bound, slower or faster than the data can tell: lower the order"
+        yield "a pole is at its bound, slower or faster than the data can show: lower the order"
     if not best.status > 0:
-        yield "the search did not converge; this is the best point it reached"
+        yield "the search did not converge; this is the best point found"
     right = [z for z in np.roots(numerator) if z.real >= 0.0]
     if right:
         listed = ", ".join(f"{z:.4g}" for z in right)
@@ -386,7 +386,7 @@ def _warnings(problem: _Problem, best, numerator, denominator):
 
 
 def _check(u, y, structure: Structure, skip: int) -> None:
-    """Refuse data and choices that give no fit."""
+    """Refuse unusable data and settings."""
     if u.shape != y.shape or u.ndim != 1:
         raise DataError("shape", f"input {u.shape} and output {y.shape} must both be (N,)")
     structure.check()
@@ -476,7 +476,9 @@ def mass_spring_damper(numerator, denominator) -> MassSpringDamper:
         )
     m, b, K = (float(a / numerator[0]) for a in denominator)
     if not (m > 0.0 and b >= 0.0 and K > 0.0):
-        raise FitError(f"m = {m:.6g}, b = {b:.6g}, K = {K:.6g}: must be positive; the model is no mass-spring-damper")
+        raise FitError(
+            f"m = {m:.6g}, b = {b:.6g}, K = {K:.6g}: must be positive; the model is not a mass-spring-damper"
+        )
     return MassSpringDamper(m, b, K)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Validation of any model: how far the prediction is off, whether what is left is noise, and how sure the numbers are.
+"""Validation of any model: error of the prediction, whiteness of the residual, uncertainty of the parameters.
 
 References
 ----------
@@ -25,29 +25,29 @@ import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 
-#: Of the correlations [samples], and the probability that each keeps within its bounds (paper B's).
+#: Lags of the correlations [samples], and the probability that each is within its bounds (as in paper B).
 LAGS = 25
 CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
-    """A correlation of the residual with the bounds it keeps within when the residual is what it should be."""
+    """A correlation of the residual with its bounds for an ideal residual."""
 
     lags: np.ndarray  #: shape (L,) [samples]; a positive lag of an input is the input that many samples earlier.
     correlation: np.ndarray  #: shape (L,); Normalised, -1 … 1.
     bound: float  #: Half width of the confidence region of each single lag.
     confidence: float  #: Its probability.
-    outside: int  #: How many lags leave it (lag 0 of an autocorrelation is not tested).
+    outside: int  #: Number of lags outside the region (lag 0 of an autocorrelation is not tested).
     largest: float  #: Largest absolute correlation of the lags tested.
-    #: Half width of the region that all tested lags together keep within with that probability (Bonferroni).
+    #: Half width of the region that contains all tested lags together with that probability (Bonferroni).
     joint_bound: float
-    #: Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN without such a statistic.
+    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN without one.
     probability: float
 
     @property
     def passed(self) -> bool:
-        """Whether all lags are within the joint bound: by chance they are not with probability 1 - confidence."""
+        """Whether all lags are within the joint bound; a false rejection has the probability 1 - confidence."""
         return self.largest <= self.joint_bound
 
 
@@ -62,10 +62,10 @@ def _correlation_test(lags, correlation, tested, deviation, confidence, probabil
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How a prediction compares with a measurement."""
+    """Comparison of a prediction with a measurement."""
 
-    samples: int  #: Compared, those skipped not counted.
-    skipped: int  #: First samples left out of the comparison.
+    samples: int  #: Number of compared samples, without the skipped ones.
+    skipped: int  #: Number of omitted first samples.
     offset: float  #: Constant that was added to the prediction, in the unit; 0 when it was not free.
     rmse: float  #: Root mean square error, in the unit.
     maximum_error: float  #: Largest absolute error, in the unit.
@@ -73,8 +73,8 @@ class Validation:
     fit_percent: float  #: 100 (1 - ‖e‖/‖y - mean y‖) [%].
     mse: float  #: Mean square error, in the unit squared.
     fpe: float  #: Akaike's final prediction error: mse (1 + d/N)/(1 - d/N), in the unit squared.
-    autocorrelation: CorrelationTest  #: Of the residual.
-    cross_correlation: CorrelationTest | None  #: Of the input with the residual; None when no input was given.
+    autocorrelation: CorrelationTest  #: Autocorrelation of the residual.
+    cross_correlation: CorrelationTest | None  #: Cross-correlation of input and residual; None without an input.
     unit: str  #: SI unit of the measurement.
     residual: np.ndarray  #: shape (samples,); Measurement minus prediction, in the unit.
     warnings: tuple[str, ...]  #: Residual not white, residual correlated with the input.
@@ -117,7 +117,7 @@ def validate(
 ) -> Validation:
     """Compare a prediction with a measurement."""
     if not unit:
-        raise DataError("unit", "unit is empty: an error without a unit says nothing; give m, V …")
+        raise DataError("unit", "unit is empty: an error needs a unit; give m, V …")
     y, p = finite_array("measured", measured), finite_array("predicted", predicted)
     if y.shape != p.shape or y.ndim != 1:
         raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be (N,)")
@@ -156,7 +156,7 @@ def validate(
 
 
 def _test_warnings(auto: CorrelationTest, cross: CorrelationTest | None, lags: int):
-    """Yield which of the tests of a residual it does not pass."""
+    """Yield a warning for each failed test of the residual."""
     percent = f"{100 * auto.confidence:g} %"
     if not auto.passed:
         yield f"the residual is not white: {auto.outside} of {lags} lags outside the {percent} bounds"
@@ -177,7 +177,7 @@ def final_prediction_error(mse: float, samples: int, parameters: int) -> float:
 
 
 def residual_autocorrelation(residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
-    """Return the autocorrelation of a residual at the lags 0 … ``lags``; ±z/√N bounds it when it is white.
+    """Return the autocorrelation of a residual at the lags 0 … ``lags``; for a white residual it is within ±z/√N.
 
     Units: ``lags`` [samples].
     """
@@ -216,7 +216,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     if size == 0.0:
         return _correlation_test(every, np.zeros(every.size), slice(None), 0.0, confidence)
     correlation = scipy.signal.correlate(e, u, method="auto")[N - 1 - lags : N + lags] / size
-    # summed as far as the autocorrelations are more than chance: their noise would add up over all N lags
+    # summed over the significant lags only: over all N lags the noise of the autocorrelations would add up
     reach = min(N - 1, max(4 * lags, int(10 * np.sqrt(N))))
     r_e, r_u = (scipy.signal.correlate(x, x, method="auto")[N - 1 : N + reach] / (x @ x) for x in (e, u))
     spread = max(1.0 + 2.0 * float(np.sum(r_e[1:] * r_u[1:])), 1.0 / N)
@@ -236,7 +236,7 @@ def parameter_covariance(jacobian, residual, others: int = 0) -> np.ndarray:
         raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
     _, values, Vt = np.linalg.svd(J / length, full_matrices=False)
     if values[-1] < 1e-12 * values[0]:
-        raise DataError("rank", f"the {d} parameters cannot be told apart from this data")
+        raise DataError("rank", f"the data does not determine all {d} parameters")
     root = Vt.T / values / length[:, None]
     return float(e @ e) / (N - d - others) * root @ root.T
 

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Weights of many play operators from data: not negative, and as smooth over the radius as the data allows.
+"""Weights of many play operators from data: non-negative, and as smooth over the radius as the data allows.
 
-A recording of one large loop settles every weight of a classical Prandtl-Ishlinskii model, but noise and small model
-errors make neighbouring weights alternate, which is felt in minor loops. So the roughness (second difference) of the
-weights is punished as strongly as the residual permits.
+A recording of one large loop determines every weight of a classical Prandtl-Ishlinskii model, but noise and small model
+errors make neighbouring weights alternate, which causes errors in minor loops. The roughness (second difference) of the
+weights is therefore penalised as strongly as the residual permits.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from hysteresis_ros.identification.thresholds import SMOOTHER_WEIGHTS
 
 #: Added to the normal equations of columns of unit length.
 GRAM_FLOOR = 1e-13
-#: Strengths that are tried, from hardly any to nearly straight.
+#: Tried strengths of the smoothing, from hardly any to nearly linear weights.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V], from 0, in steps of half the range over their number.
 
-    A play whose radius is half the range never moves and is left out, unless it moves on the way from rest.
+    A play whose radius is half the range never moves and is omitted, unless it moves on the path from rest.
     """
     step = 0.5 * voltage_range / count
     return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
 
 
 def plays(voltage, play_radii, start=None) -> np.ndarray:
-    """Return the outputs of the play operators, shape (N, m), all in their middle at 0 V before.
+    """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
 
-    Along a monotone stretch the play is a running maximum (minimum) of V - r (V + r), so the recursion only stops at
-    reversals; the loop over samples stays with NumPy.
+    Between reversals the play is a running maximum (minimum) of V - r (V + r), so NumPy can process all samples between
+    two reversals at once.
 
     Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
     """
@@ -59,7 +59,7 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
 
 
 def smooth_weights(regressors, free, target, roughness, strength: float | None = None, ridge=None):
-    """Solve for weights ≥ 0 of ``regressors`` and free coefficients of ``free``, smooth within the discrepancy."""
+    """Return weights ≥ 0 of ``regressors``, as smooth as the residual allows, and free coefficients of ``free``."""
     solver = WeightSolver(regressors, free, target, roughness, ridge)
     if strength is not None:
         return *solver.solve(strength), strength
@@ -72,7 +72,7 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
 
 
 class WeightSolver:
-    """Constrained least squares in the compressed form R of the Cholesky decomposition, for several penalties."""
+    """Constrained least squares for several penalties, compressed by the Cholesky factor R."""
 
     def __init__(self, regressors, free, target, roughness, ridge=None):
         self.count = regressors.shape[1]
@@ -83,7 +83,7 @@ class WeightSolver:
         sizes = np.linalg.norm(both, axis=0)
         sizes[sizes == 0.0] = 1.0
         gram = (both.T @ both) / np.outer(sizes, sizes)
-        # the floor keeps columns that repeat each other apart; it is far below any noise
+        # the small diagonal separates equal columns; it is far below any noise
         compressed = np.linalg.cholesky(gram + GRAM_FLOOR * np.eye(len(gram))).T * sizes
         self.r, self.t = compressed[:, :-1], compressed[:, -1]
         self.ridge = np.zeros(free.shape[1]) if ridge is None else np.asarray(ridge, dtype=float)
@@ -96,7 +96,7 @@ class WeightSolver:
         free = self.r[:, self.count :]
         penalty = np.zeros((len(self.roughness), self.table.shape[1] + free.shape[1]))
         penalty[:, : self.count] = strength * self.size * self.roughness
-        # a coefficient of any sign is the difference of two that are not negative
+        # a coefficient of any sign is the difference of two non-negative ones
         pull = np.zeros((free.shape[1], penalty.shape[1]))
         pull[:, self.count :] = np.column_stack([np.diag(self.ridge), -np.diag(self.ridge)])
         table = np.vstack([np.column_stack([self.r, -free]), penalty, pull])

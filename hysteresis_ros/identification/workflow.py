@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identify and validate in one call each: from a recording to a parameter file, and to what the file is worth.
+"""Identification and validation in one call each: from a recording to a parameter file, and to its accuracy.
 
-``hysteresis identify`` and ``hysteresis validate`` are these two functions. With ``--model auto`` models that need
-no initial values are compared on the thirds of a recording left out of the fit.
+``hysteresis identify`` and ``hysteresis validate`` are these two functions. With ``--model auto``, models that need no
+initial values are compared on held-out thirds of the recording.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTA
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
 
-#: Part of the recording that is held out, once at its end and once at its beginning.
+#: Held-out part of the recording, once at its end and once at its beginning.
 HELD_OUT_PART = 1.0 / 3.0
-#: Fewest samples to compare on.
+#: Fewest samples of a comparison.
 FEWEST_COMPARED = 50
-#: Taken where the recording does not settle smaller loops, unless another one is much better.
+#: Preferred model if the recording does not determine smaller loops, unless another one is much better.
 PRIOR_MODEL = "prandtl_ishlinskii"
 #: Models of more freedom than the others.
 FREER_MODELS = ("generalised_play",)
 
 
 def choose_model(data: IdentificationData, linear: str | None, progress=None, **conditions):
-    """Return the name of the model that predicts best what it was not fitted to, and the RMS errors of all.
+    """Return the name of the model that predicts held-out data best, and the RMS errors of all models.
 
-    Each is fitted to the first and to the last two thirds, and predicts the third left out there, where the voltage
-    stays within the range of the fit; a constant is free. Models that cannot be fitted are passed over, one of more
-    freedom has to be better by three per cent. Where the recording does not settle smaller loops than its own
-    (:mod:`.ambiguity`), what is left out shows nothing new: then the model that holds a stated prior is taken, unless
-    another one errs by less than half.
+    Each model is fitted to the first and to the last two thirds, and predicts the other third as far as the voltage
+    stays within the range of the fit; a constant is free. Models that cannot be fitted are skipped; a model with more
+    freedom must be better by three per cent. If the recording does not determine loops smaller than its own
+    (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data is no new information: the
+    model with a stated prior is then chosen, unless the error of another one is less than half.
     """
     found: dict[str, float] = {}
     separations: tuple[dict, dict] = {}, {}
@@ -71,7 +71,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
         if not model.block.invertible:
             continue
         if progress is not None:
-            progress(number, f"{name} on blocks held out")
+            progress(number, f"{name} on held-out blocks")
         try:
             found[name], doubts[name] = held_out_error(data, name, separations=separations, linear=linear, **conditions)
         except HysteresisError as error:
@@ -88,7 +88,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
 
 
 def held_out_error(data: IdentificationData, model: str, separations=(None, None), **request) -> tuple[float, float]:
-    """Return the RMS error [m] of a model on the thirds it was not fitted to, and its ambiguity there [m]."""
+    """Return the RMS error [m] of a model on the held-out thirds, and its ambiguity there [m]."""
     edge = round(HELD_OUT_PART * len(data))
     known = wiped_out(data.input) or 0
     squares: list[np.ndarray] = []
@@ -106,29 +106,29 @@ def held_out_error(data: IdentificationData, model: str, separations=(None, None
         if error.size >= FEWEST_COMPARED:
             squares.append((error - error.mean()) ** 2)
     if not squares:
-        raise IdentificationError("too few samples are left to compare models on")
+        raise IdentificationError("too few samples remain for a comparison of models")
     return float(np.sqrt(np.mean(np.concatenate(squares)))), doubt
 
 
-#: What may be done with the constant of a sensor.
+#: Treatments of the constant of a sensor.
 OFFSETS = ("kept", "free")
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not kept"
 
 
 class Conditions(TypedDict, total=False):
-    """How a model is compared with a recording."""
+    """Conditions of the comparison of a model with a recording."""
 
-    #: The first samples left out of the error, the model sees them all the same. By default :func:`identify` leaves
-    #: out what comes before the voltage has been near both ends of its range, and :func:`validate` the same, unless
-    #: ``initial`` says what was before.
+    #: Number of first samples that the error omits; the model simulates them nevertheless. By default :func:`identify`
+    #: and :func:`validate` omit the samples until the voltage has been near both ends of its range, unless ``initial``
+    #: defines the past.
     skip: int | None
-    offset: str  #: ``kept``, or ``free``: one constant is removed (a sensor has no zero).
-    #: The input between its samples: ``zoh`` (held, as the nodes do), ``linear`` or ``bandlimited``. By default
-    #: ``zoh`` when a model is identified, and as it was identified when it is validated.
+    offset: str  #: ``kept``, or ``free``: one constant is removed, for a sensor without absolute zero.
+    #: The input between its samples: ``zoh`` (held, as by the nodes), ``linear`` or ``bandlimited``. Default: ``zoh``
+    #: for an identification, and that of the identification for a validation.
     intersample: str | None
-    #: The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the input had repeated before) or ``estimate``.
-    #: By default what suits the model.
+    #: The initial state: ``zero`` (at rest at 0 V), ``periodic`` (the input was periodic before) or ``estimate``. The
+    #: default depends on the model.
     initial: str | None
 
 
@@ -137,30 +137,30 @@ class Fast:
     """A recording of small and fast movements, from rest at 0 V on."""
 
     data: IdentificationData  #: At the rate of the axis.
-    skip: int  #: First samples that do not count, such as the way to where the small movements are.
+    skip: int  #: First samples that do not count, such as the ramp to the operating point.
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A model beside a recording.
+    """A model compared with a recording.
 
     Parameters
     ----------
     data : IdentificationData
-        What was measured.
+        The measurement.
     plant : PlantModel
-        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+        The model: hysteresis, creep, dynamics, and the inverse for a compensator.
     predicted : ndarray, shape (N,)
-        What the model says [m].
+        Displacement of the model [m].
     validation : Validation
-        Errors, and whether what is left is white.
+        Errors, and tests of the residual.
     inverse : InverseValidation or None
-        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+        Voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
         By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
-        for what is not finite. This is what ``--json`` prints.
+        if not finite. ``--json`` prints them.
     warnings : tuple of str
-        What is uncertain, in sentences.
+        Sentences about uncertainties.
     """
 
     data: IdentificationData
@@ -191,9 +191,9 @@ class Compared:
         intersample : str, optional
             The input between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as it was identified.
         initial : str, optional
-            The state at the start: ``zero``, ``periodic`` or ``estimate``; by default what suits the model.
+            The state at the start: ``zero``, ``periodic`` or ``estimate``; the default depends on the model.
         measured : array_like, shape (N,), optional
-            Displacement [m] from which ``initial = "estimate"`` takes what was before the first sample.
+            Displacement [m] from which ``initial = "estimate"`` estimates the past before the first sample.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Compared:
         Raises
         ------
         IdentificationError
-            The dynamics are not known at this sample time, or a condition does not go with the model.
+            The dynamics are not known at this sample time, or a condition does not suit the model.
         """
         step = self.plant.sample_time if sample_time is None else sample_time
         return predict(self.plant, voltage, step, intersample, initial, measured)
@@ -216,7 +216,7 @@ class Compared:
         data : path-like, Recording, Reading or IdentificationData
             A recording that the model has not seen.
         inverse : bool
-            Whether to compare the voltage that the inverse finds, too.
+            Whether to validate the inverse too.
         **conditions
             See :class:`Conditions`.
 
@@ -235,30 +235,30 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Identified(Compared):
-    """What :func:`identify` found: a :class:`Compared` with the parameter file and how it came about.
+    """Result of :func:`identify`: a :class:`Compared` with the parameter file and details of the fit.
 
     Parameters
     ----------
     data : IdentificationData
-        What was measured.
+        The measurement.
     plant : PlantModel
-        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+        The model: hysteresis, creep, dynamics, and the inverse for a compensator.
     predicted : ndarray, shape (N,)
-        What the model says [m].
+        Displacement of the model [m].
     validation : Validation
-        Errors, and whether what is left is white.
+        Errors, and tests of the residual.
     inverse : InverseValidation or None
-        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+        Voltage that the inverse computes from the displacement; None without an inverse.
     figures : dict
-        By names with units, as of a :class:`Compared`.
+        By names with units, as in :class:`Compared`.
     warnings : tuple of str
-        What is uncertain, in sentences.
+        Sentences about uncertainties.
     identification : Identification
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str
         The parameter file: a whole axis, as plant, compensator and controller load it.
     response : ResponseCheck, optional
-        How well the recording knows the frequency response; None for a model with dynamics inside its hysteresis.
+        Uncertainty of the frequency response; None for a model with dynamics inside its hysteresis.
     """
 
     identification: Identification
@@ -277,7 +277,7 @@ class Identified(Compared):
 
     @property
     def reason(self) -> str:
-        """Why the fit ended without a result to rely on; empty when it converged."""
+        """Reason why the result is not reliable; empty if the fit converged."""
         return "" if self.converged else NOT_CONVERGED
 
     def to_axis(self) -> Configuration:
@@ -286,7 +286,7 @@ class Identified(Compared):
         Returns
         -------
         Configuration
-            Plant, compensator, controller, reference, and the section that says where the numbers come from.
+            Plant, compensator, controller, reference, and the section about the origin of the numbers.
         """
         return parse_configuration(self.text, "the identified model")
 
@@ -323,7 +323,7 @@ def identify(
     reading = read_data(source)
     data = reading.data
     skip = _averaged(given.get("skip"), data)
-    # between samples that are averages the input moved, even if it was held between those of the recording
+    # between averaged samples the input moves, even if it was held between those of the recording
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
     tried: dict[str, float] = {}
     if model == registry.AUTO:
@@ -350,18 +350,18 @@ def identify(
 
 @dataclass(frozen=True)
 class HysteresisEstimator:
-    """An identification of one model, ready for any recording.
+    """An estimator of one model for any recording.
 
     Parameters
     ----------
     model : str
         Name of the model, ``usual`` or ``auto``.
     linear : str, optional
-        What may follow the hysteresis; ``auto`` by default.
+        Dynamics that may follow the hysteresis; ``auto`` by default.
     options : dict, optional
         Options of the model.
     inverse : str, optional
-        Type of the compensator's inverse; by default the first that the model offers.
+        Type of the compensator's inverse; by default the first of the model.
     conditions : dict
         See :class:`Conditions`.
     """
@@ -398,7 +398,7 @@ class HysteresisEstimator:
 def _finished(
     result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
 ) -> Identified:
-    """Return an identification with what it is worth, its file and its figures; ``read``: warnings of the reading."""
+    """Return an identification with its validation, file and figures; ``read``: warnings of the reading."""
     if free:
         plant = replace(result.chain, offset=0.0)
         result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
@@ -448,7 +448,7 @@ def validate(
     inverse: bool = True,
     **conditions: Unpack[Conditions],
 ) -> Compared:
-    """Simulate a plant under a recorded voltage and compare with what was measured.
+    """Simulate a plant under a recorded voltage, and compare with the measurement.
 
     ``parameters`` is a parameter file, or the result of :func:`identify` or :func:`validate`.
     """
@@ -466,7 +466,7 @@ def validate(
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     skip = _averaged(given.get("skip"), data)
     if skip is None:
-        # where the past is not known it is left out, as an identification does
+        # samples with an unknown past are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     found, back, reason = judge(
         plant,
@@ -494,12 +494,12 @@ def validate(
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:
-    """Return how many of the samples that are averages hold the first ``skip`` of the recording."""
+    """Return the number of averaged samples that contain the first ``skip`` samples of the recording."""
     return None if skip is None else -(-max(skip - data.first, 0) // data.factor) if data.factor > 1 else skip
 
 
 def _at_recorded_rate(chain: PlantModel, data: IdentificationData) -> PlantModel:
-    """Return the chain for the rate of the recording whose samples were averaged, if it can be had there."""
+    """Return the chain at the original rate of an averaged recording, if possible."""
     recorded = data.sample_time / data.factor
     if data.factor == 1 or (chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order):
         return chain
@@ -509,11 +509,11 @@ def _at_recorded_rate(chain: PlantModel, data: IdentificationData) -> PlantModel
 
 
 def _checked(conditions: Conditions) -> Conditions:
-    """Return the conditions, none of which is unknown."""
+    """Return the conditions; raise IdentificationError for unknown ones."""
     known = Conditions.__annotations__
     unknown = [name for name in conditions if name not in known]
     if unknown:
-        raise IdentificationError(f"{', '.join(unknown)}: no such condition; there are {', '.join(known)}")
+        raise IdentificationError(f"{', '.join(unknown)}: unknown condition; there are {', '.join(known)}")
     offset = conditions.get("offset", "kept")
     if offset not in OFFSETS:
         raise IdentificationError(f"offset = {offset!r}: must be one of {', '.join(OFFSETS)}")
@@ -521,18 +521,18 @@ def _checked(conditions: Conditions) -> Conditions:
 
 
 def _beyond(plant: PlantModel, data: IdentificationData):
-    """Yield a warning when the data leaves the range of voltages the model was identified in."""
+    """Yield a warning when the voltage leaves the range of the identification."""
     low, high = data.input_range
     margin = 0.01 * (plant.voltage_high - plant.voltage_low)
     if low < plant.voltage_low - margin or high > plant.voltage_high + margin:
         yield (
             f"the voltage runs from {low:.4g} to {high:.4g} V, beyond the {plant.voltage_low:.4g} … "
-            f"{plant.voltage_high:.4g} V the model was identified in: extrapolated"
+            f"{plant.voltage_high:.4g} V of the identification: extrapolated"
         )
 
 
 def inverse_figures(back: InverseValidation | None) -> dict:
-    """Return the figures of an inverse validation; None where there is none."""
+    """Return the figures of an inverse validation; None without one."""
     if back is None:
         return {"inverse_rmse_v": None, "inverse_rmse_m": None, "inverse_rmse_percent": None}
     return {
@@ -543,7 +543,7 @@ def inverse_figures(back: InverseValidation | None) -> dict:
 
 
 def finite(figures: dict) -> dict:
-    """Return figures for JSON: what is not finite becomes None."""
+    """Return figures for JSON; values that are not finite become None."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()

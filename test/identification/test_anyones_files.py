@@ -142,7 +142,7 @@ def test_an_empty_first_cell_costs_one_sample_and_no_header(tmp_path):
         columns = Columns("2:V", "3:um", "1:s") if header is None else Columns()
         reading = read_data(path, columns)
         assert len(reading.data) == 999 and reading.data.time[0] == pytest.approx(0.005)
-        assert "1 rows without an instant left out" in reading.report.warnings[0]
+        assert "1 rows without a time omitted" in reading.report.warnings[0]
 
 
 def test_damaged_rows_and_texts_in_cells_are_counted(tmp_path):
@@ -151,7 +151,7 @@ def test_damaged_rows_and_texts_in_cells_are_counted(tmp_path):
     path = table(tmp_path / "a.csv", rows)
     warnings = read_data(path).report.warnings
     assert "1 damaged rows, the first in line 403" in warnings[0]
-    assert any("1 gaps (2 samples) bridged" in text for text in warnings)
+    assert any("1 gaps (2 samples) interpolated" in text for text in warnings)
 
 
 def test_rows_written_twice_are_left_out_and_rounded_instants_are_spread(tmp_path):
@@ -159,7 +159,7 @@ def test_rows_written_twice_are_left_out_and_rounded_instants_are_spread(tmp_pat
     path = table(tmp_path / "a.csv", rows[:300] + rows[299:700] + [rows[700].replace(",", ",9", 1)] + rows[700:])
     reading = read_data(path)
     assert len(reading.data) == 1000
-    assert "1 rows that repeat the one before and 1 rows with the instant" in reading.report.warnings[0]
+    assert "1 rows that repeat the previous one and 1 rows with the time" in reading.report.warnings[0]
     assert "the first at 1.495 s (row 300)" in reading.report.warnings[0]
     reading = read_data(table(tmp_path / "b.csv", lines(time=np.round(TIME, 2))))
     np.testing.assert_allclose(reading.data.time, TIME, atol=0.011)
@@ -196,7 +196,7 @@ def test_too_few_samples_a_cycle_are_warned_of():
             text for text in read_data(IdentificationData(TIME, sine, 1e-5 * sine)).report.warnings if "cycle" in text
         ]
 
-    assert "7.99 samples a cycle" in warned(8.0)[0] and "3.8 % of its range" in warned(8.0)[0]
+    assert "7.99 samples per cycle" in warned(8.0)[0] and "3.8 % of its range" in warned(8.0)[0]
     assert warned(25.0) == []
 
 
@@ -204,7 +204,7 @@ def test_a_gap_that_is_bridged_is_warned_of_with_its_length():
     kept = np.ones(1000, dtype=bool)
     kept[300:600] = False
     data = resample(IdentificationData(TIME[kept], VOLTAGE[kept], DISPLACEMENT[kept]))
-    assert "1 gaps (300 samples) bridged by straight lines, the longest 1.505 s at 1.495 s" in data.warnings[0]
+    assert "1 gaps (300 samples) interpolated linearly, the longest 1.505 s at 1.495 s" in data.warnings[0]
     assert "longest part without one: --range 300:700" in data.warnings[0]
     assert resample(IdentificationData(TIME, VOLTAGE, DISPLACEMENT)).warnings == ()
 
@@ -218,7 +218,7 @@ def gappy(*missing) -> IdentificationData:
 
 def test_short_gaps_are_bridged_and_of_long_ones_the_longest_part_is_taken():
     short = read_data(gappy((100, 1), (700, 3)))
-    assert len(short.data) == 1000 and "2 gaps (4 samples) bridged" in short.report.warnings[0]
+    assert len(short.data) == 1000 and "2 gaps (4 samples) interpolated" in short.report.warnings[0]
     there = [99, 101, 699, 703]
     np.testing.assert_allclose(short.data.output[there], DISPLACEMENT[there], rtol=1e-9)
     long = read_data(gappy((100, 1), (300, 40)))
@@ -236,7 +236,7 @@ def test_a_sample_that_is_missing_is_a_gap():
     spoilt = DISPLACEMENT.copy()
     spoilt[500] = np.nan
     found = read_data(IdentificationData(TIME, VOLTAGE, spoilt))
-    assert len(found.data) == 1000 and "1 gaps (1 samples) bridged" in found.report.warnings[0]
+    assert len(found.data) == 1000 and "1 gaps (1 samples) interpolated" in found.report.warnings[0]
     assert np.all(np.isfinite(found.data.output))
 
 

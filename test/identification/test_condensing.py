@@ -53,7 +53,7 @@ def test_a_sine_is_condensed_to_what_carries_information():
     # averages hold less noise than samples
     held = np.std(data.output - 1e-5 * data.input)
     assert held == pytest.approx(1e-8 / np.sqrt(data.factor), rel=0.1)
-    assert f"{data.factor} averaged in one" in data.notes[-1] and "--all-samples" in data.notes[-1]
+    assert f"averaged over {data.factor}" in data.notes[-1] and "--all-samples" in data.notes[-1]
 
 
 def test_a_resonance_keeps_its_samples():
@@ -66,7 +66,7 @@ def test_the_stretch_that_reaches_both_ends_is_taken():
     voltage = np.where(TIME < 60.0, sine(2.0, 1.0, 2.0), sine())
     data = reduced(recording(voltage))
     assert data.first > 0 and np.ptp(data.input) == pytest.approx(3.6, rel=2e-3)
-    assert "the stretch from" in data.notes[-1]
+    assert "s show the loops" in data.notes[-1]
     growing = reduced(recording(sine() * np.minimum(TIME / TIME[-1], 1.0)))
     assert np.ptp(growing.input) > 0.95 * 3.6
 

@@ -190,4 +190,4 @@ def test_wrong_choices_are_refused():
 def test_a_first_cycle_from_rest_is_told():
     voltage = np.concatenate([np.linspace(0.0, 1.0, 200), np.linspace(1.0, 0.0, 200)])
     result = identify_duhem(voltage, truth(voltage), alpha=3.0, shape="spline")
-    assert any("miss each other" in warning for warning in result.warnings)
+    assert any("the loop has a gap" in warning for warning in result.warnings)

@@ -185,9 +185,9 @@ def test_a_shape_is_kept():
     "asked, said",
     [
         (Experiment(high=501.0), "--high 501 Hz: must be above 0 and below half the sample rate, 500 Hz"),
-        (Experiment(low=0.4), "a period of 2 s shows nothing below 0.5 Hz"),
-        (Experiment("noise", low=0.4, period=1.0), "a segment of 1 s shows nothing below 1 Hz"),
-        (Experiment("stepped", low=1.0, duration=20.0), "a block of 0.1 s shows nothing below 10 Hz"),
+        (Experiment(low=0.4), "a period of 2 s resolves nothing below 0.5 Hz"),
+        (Experiment("noise", low=0.4, period=1.0), "a segment of 1 s resolves nothing below 1 Hz"),
+        (Experiment("stepped", low=1.0, duration=20.0), "a block of 0.1 s resolves nothing below 10 Hz"),
         (Experiment(low=90.0, high=80.0), "must be below --high 80 Hz"),
         (Experiment(low=10.0, high=12.0, period=1.0), "holds 1 lines"),
         (Experiment(period=1.0, duration=1.0), "exclude each other"),
@@ -232,10 +232,10 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
     late[1500:1505] = late[1500]  # held, because the next ones were late
     assert plan_of_recording(late, 1.0 / RATE).samples == (400,)
     assert plan_of_recording(u, 1.0 / RATE, 0.2, "noise").samples == (200, u.size)
-    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "nothing repeats")):
+    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "does not repeat")):
         with pytest.raises(IdentificationError, match=said):
             plan_of_recording(noise, 1.0 / RATE, *asked)
-    with pytest.raises(IdentificationError, match="that hysteresis frf made"):
+    with pytest.raises(IdentificationError, match="made by hysteresis frf"):
         plan_of_recording(noise, 1.0 / RATE, kind="stepped")
 
 

@@ -153,7 +153,7 @@ def test_the_voltage_comes_back_from_the_displacement():
 @pytest.mark.parametrize(
     "voltage, displacement, words",
     [
-        (np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, 200), "never turns"),
+        (np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, 200), "never reverses"),
         (np.zeros(200), np.linspace(0.0, 1.0, 200), "constant"),
         (sine(1), np.where(np.arange(200) == 50, np.nan, sine(1)), "NaN"),
         (sine(1), sine(2), "one shape"),

@@ -64,7 +64,7 @@ def test_one_cycle_of_a_repeated_drive_is_fitted_as_such():
     recording = data(CYCLES[:200], bouc_wen(np.tile(CYCLES[:200], 2))[200:])
     found = identify(recording, "bouc_wen", linear="none", initial="periodic")
     assert far_off(found) < 0.02 and found.figures["rmse_m"] < 1.2e-9
-    assert found.plant.initial == "periodic" and found.figures["start"].startswith("as asked for")
+    assert found.plant.initial == "periodic" and found.figures["start"].startswith("as requested")
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_a_rest_that_explains_the_beginning_keeps_the_first_rise():
     virgin = identify(data(CYCLES, bouc_wen(CYCLES)), "bouc_wen", linear="none")
     assert "explains its beginning" in virgin.figures["start"] and far_off(virgin) < 0.02
     remanent = data(CYCLES, bouc_wen(CYCLES, (150.0, 0.0)))
-    assert "left out" in identify(remanent, "bouc_wen", linear="none").figures["start"]
+    assert "omitted" in identify(remanent, "bouc_wen", linear="none").figures["start"]
     assert far_off(identify(remanent, "bouc_wen", linear="none", initial="estimate")) < 0.02
 
 
@@ -148,7 +148,7 @@ def test_an_oscillator_in_a_repeated_drive_with_drift_and_outliers():
     for name in ("mass", "stiffness", "alpha"):
         assert getattr(found.parameters, name) == pytest.approx(getattr(OSCILLATOR, name), rel=0.02)
     quiet = identify(IdentificationData(time, u, y), "bouc_wen_mechanical", options=GUESS)
-    assert quiet.plant.initial == "periodic" and "repeated" in quiet.figures["start"]
+    assert quiet.plant.initial == "periodic" and "periodic" in quiet.figures["start"]
     assert quiet.figures["rmse_m"] < 1.2e-6
 
 

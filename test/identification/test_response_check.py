@@ -130,7 +130,7 @@ def slow(tmp_path_factory):
 def test_what_slow_triangles_do_not_show_is_said(slow):
     folder, result = slow
     assert result.exit_code in (0, 4)
-    assert "Hz are unknown, the voltage has hardly any content there: a design keeps to" in result.stdout
+    assert "Hz are unknown, the voltage has hardly any content there: a design is limited to" in result.stdout
     assert "known_to:" in (folder / "axis.yaml").read_text(encoding="utf-8")
 
 
@@ -155,7 +155,7 @@ def design(folder, name: str, *options: str):
 def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(slow):
     folder, _ = slow
     slowed = design(folder, "axis.yaml", "--controller", "pid")
-    assert slowed.exit_code == 0 and "note: slowed down to a bandwidth of" in slowed.stdout
+    assert slowed.exit_code == 0 and "note: bandwidth reduced to" in slowed.stdout
     reached = next(line for line in slowed.stdout.splitlines() if line.startswith("bandwidth reached"))
     assert float(reached.split()[2]) < 10.0
     refused = design(folder, "axis.yaml", "--controller", "pid", "--bandwidth", "60")

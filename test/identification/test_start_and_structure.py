@@ -86,7 +86,7 @@ def test_one_cycle_of_a_repeated_drive_is_found_periodic():
     voltage = loops(100.0)
     y = recorded(voltage)
     found = identify(data(voltage[400:601], y[400:601]), linear="lag")
-    assert found.plant.initial == "periodic" and "repeated before" in found.figures["start"]
+    assert found.plant.initial == "periodic" and "periodic before" in found.figures["start"]
     other = predict(found.plant, DECAYING, T, initial="zero") - recorded(DECAYING)
     assert np.std(other[200:]) < 0.08e-6
 
@@ -104,7 +104,7 @@ def test_a_remanent_stack_is_seen_where_the_ends_come_late():
 
 def test_an_unknown_past_is_left_out_where_a_cycle_remains():
     start = find_start(data(loops(100.0), recorded(loops(100.0), (150.0, 0.0))))
-    assert start.skip == wiped_out(loops(100.0)) and "left out" in start.note
+    assert start.skip == wiped_out(loops(100.0)) and "omitted" in start.note
     decaying = find_start(data(DECAYING, recorded(DECAYING)))
     assert 0 < decaying.skip == wiped_out(DECAYING)
 

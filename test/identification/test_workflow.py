@@ -75,7 +75,7 @@ def test_a_fit_that_does_not_converge_gives_its_best_point_and_the_reason():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"skipped": 3}, "skipped: no such condition; there are skip, offset"),
+        ({"skipped": 3}, "skipped: unknown condition; there are skip, offset"),
         ({"offset": "fitted"}, "offset = 'fitted': must be one of kept, free"),
         ({"options": {"plays": 3}}, "options of prandtl_ishlinskii"),
         ({"model": "preisac"}, "must be one of"),
