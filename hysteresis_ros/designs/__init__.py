@@ -11,5 +11,6 @@
 
 Read :mod:`.controller` (what ``hysteresis design`` does), which uses :mod:`.gains` and :mod:`.damping`;
 :mod:`.learning` with :mod:`.learning_filters` for periodic references. :mod:`.frequency_response` measures an axis,
-:mod:`.measured` and :mod:`.setpoint_step` judge a design by it. What a law alone designs stands in that law.
+:mod:`.measured` and :mod:`.setpoint_step` verify a design. Designs of a single control law are in the module of that
+law.
 """

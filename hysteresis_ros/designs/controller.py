@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of the controller of an axis: what ``hysteresis design`` does, decides, prints and writes."""
+"""Design of the controller of an axis, with the decisions and the output of ``hysteresis design``."""
 
 from __future__ import annotations
 
@@ -36,16 +36,15 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 
 NODE = "motion_controller"
-#: How the comment of an earlier design of the learning, and of the controller with all that was designed over it,
-#: begins, which does not describe the file any more.
+#: Beginnings of the comments of earlier designs, of the learning alone and of all, which a new design replaces.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:", *LEARNING)
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
-    """Return the flat parameters of the controller node: those of the file, with the groups that the design decides.
+    """Return the flat parameters of the controller node: those of the file, with the designed groups.
 
-    A correction that was learned over the controller before has filters that are wrong for another one: it goes.
+    A learned correction is removed, because its filters were designed for the previous controller.
     """
     groups = (*parameters.law.groups, "feedforward", *_damping(before, parameters))
     replaced = tuple(f"{name}." for name in groups)
@@ -62,18 +61,18 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
 
 
 def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
-    """Return the group of the damping, where there is one or the file speaks of it."""
+    """Return the group of the damping, if there is one or the file has its section."""
     named = any(name.startswith("damping.") for name in before)
     return ("damping",) if named or parameters.damping.type != NONE else ()
 
 
 def design_text(configuration: Configuration, parameters: ControllerParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with the design: everything but the controller's section stays as it is written."""
+    """Return the text of the file with the design; everything but the controller's section stays unchanged."""
     return _text(configuration, lambda before: designed_values(before, parameters), namespace, header, HEADERS)
 
 
 def learning_text(configuration: Configuration, parameters: LearningParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with a designed correction: everything else stays."""
+    """Return the text of the file with a designed correction; everything else stays."""
     chosen = {f"learning.{name}": value for name, value in parameters.to_mapping().items()}
 
     def values(before: dict) -> dict:
@@ -83,7 +82,7 @@ def learning_text(configuration: Configuration, parameters: LearningParameters, 
 
 
 def _text(configuration: Configuration, values: Callable[[dict], dict], namespace: str, header: str, replaced) -> str:
-    """Return the text of a file with other values in the controller's section, and its comment in place of others."""
+    """Return the text of a file with new values and a new comment in the controller's section."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     full = f"{namespace}/{NODE}"
     root = yaml.compose(configuration.text)
@@ -113,16 +112,16 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == NODE and matches(pattern, full)
 
 
-#: The bandwidth is halved up to so often, and then raised again in so many steps.
+#: Most halvings of the bandwidth, and steps of the following refinement.
 HALVINGS, RAISED = 18, 3
-#: Variances of the input's noise that are tried for a slower observer, over that of the measurement.
+#: Tried variances of the input's noise for a slower observer, over that of the measurement.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
 
 
 def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | None:
-    """Return what an identification wrote into a parameter file about the response; None where it did not."""
+    """Return the uncertainty of the response that an identification has written into a parameter file, or None."""
     found = next((values for name, values in configuration.entries if name == SECTION), {})
     if "response.uncertainty" not in found:
         return None
@@ -143,7 +142,7 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return what is certain of a design.
+    """Return the certainty of a design's loop.
 
     Units: ``sample_time`` [s].
     """
@@ -155,7 +154,7 @@ def certain_design(
 ) -> Designed:
     """Return a design that is stable for all plants that the identification leaves possible.
 
-    What was not asked for is slowed down: first the observer, then the response to the reference.
+    Parts that the user has not specified are slowed down: first the observer, then the response to the reference.
 
     Units: ``sample_time`` [s].
     """
@@ -170,9 +169,9 @@ def certain_design(
 
     def found_with(bandwidth: float | None) -> Designed | None:
         if observes and not _bears_unknown(design, bandwidth, observers[-1], response, sample_time):
-            return None  # a faster observer has more gain there
+            return None  # a faster observer has more gain at that frequency
         for q in observers:
-            with contextlib.suppress(ParameterError):  # the law does not reach this one
+            with contextlib.suppress(ParameterError):  # the law cannot achieve this bandwidth
                 found = design(bandwidth, q)
                 if borne(found, response, sample_time).distance >= KEPT:
                     return found
@@ -187,7 +186,7 @@ def certain_design(
         return slower
     known = response.assumption(sample_time)
     if certain.frequency <= response.known_to or not known:
-        known = f"the response is known there to {100.0 * certain.uncertainty:.0f} % only"
+        known = f"the response is known there only to {100.0 * certain.uncertainty:.0f} %"
     raise ConfigurationError(
         f"the model is not fit for this feedback at {certain.frequency:.4g} Hz: {known}; ask for a lower bandwidth or "
         "none, take another controller (pid), or identify from a recording with content there (hysteresis excite "
@@ -196,7 +195,7 @@ def certain_design(
 
 
 def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design leaves room for what may stand where nothing is known; True if there is no design."""
+    """Return whether a design leaves room for unknown dynamics; True without a design."""
     with contextlib.suppress(ParameterError):
         found = borne(design(bandwidth, q), response, sample_time)
         return found.distance >= KEPT or found.frequency <= response.known_to
@@ -204,7 +203,7 @@ def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, 
 
 
 def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:
-    """Return the fastest design that is certain, from a bandwidth downwards."""
+    """Return the fastest certain design up to a bandwidth."""
     for _ in range(HALVINGS):
         slow = 0.5 * fast
         best = found_with(slow)
@@ -218,16 +217,16 @@ def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Desi
     return None
 
 
-#: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
+#: Poles below this are delays and not printed; several poles at 0 are computed only this accurately.
 AT_ZERO = 1e-3
 
 
-#: RMS of the noise of a sensor that is not known, and how much of the command may be noise, as parts of the stroke.
+#: Assumed RMS noise of an unknown sensor, and largest noise of the command, as parts of the stroke.
 ASSUMED_NOISE = 1e-4
 NOISY_COMMAND = 2e-3
 
 
-#: Option of the command for each range of the plants of a robust design.
+#: Command-line option of each range of a robust design.
 OPTIONS = {
     "gain": "gain-range",
     "hysteresis": "hysteresis-range",
@@ -240,23 +239,23 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """What is asked of a design."""
+    """Request of a design."""
 
     controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
     bandwidth: float | None = None  #: [Hz]
     q: float | None = None  #: Variance of the input's noise over that of the measurement in the Kalman filter.
-    #: ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, where the law has some for that.
+    #: ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, if the law supports it.
     criterion: str | None = None
-    duration: float | None = None  #: Length of the run for that [s].
+    duration: float | None = None  #: Length of the run for the tuning [s].
     feedforward: bool = False  #: Add the inverse of the dynamics.
-    preview: int | None = None  #: Samples of preview of it; by default what the inverse needs.
-    #: RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default :data:`ASSUMED_NOISE`
-    #: of the stroke.
+    preview: int | None = None  #: Samples of preview of the feedforward; by default as many as the inverse needs.
+    #: RMS of the sensor's noise [m], which limits the bandwidth if none is given; by default :data:`ASSUMED_NOISE` of
+    #: the stroke.
     noise: float | None = None
-    #: Plants on each of which the requirements are to be met; by default the model alone, with a damping those with
-    #: resonances off by 10 % as well.
+    #: Plants that must meet the requirements; by default the model, and with a damping also plants with resonances off
+    #: by 10 %.
     robust: Uncertainty | None = None
-    #: Kind of damping to design first, or ``none``; by default that of the configuration stays.
+    #: Kind of damping to design first, or ``none``; by default the configuration's damping stays.
     damping: str | None = None
 
 
@@ -268,13 +267,13 @@ class AxisDesign:
     parameters: ControllerParameters
     margins: Margins
     sample_time: float  #: [s]
-    tuned: Tuned | None = None  #: What the tuning did.
-    robustness: Robustness | None = None  #: What the loop is worth on the plants of a robust design.
-    limited: ResponseUncertainty | None = None  #: What the design was kept slower for.
-    damped: DampedDesign | None = None  #: What the damping in front of which the controller stands is worth.
+    tuned: Tuned | None = None  #: Result of the tuning.
+    robustness: Robustness | None = None  #: Margins on the plants of a robust design.
+    limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
+    damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
 
     def misses(self) -> tuple[str, ...]:
-        """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
+        """Return the unmet requirements of the loop, on the model or on a drawn plant."""
         others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
         return self.margins.misses() or next((said for said in others if said), ())
 
@@ -325,7 +324,7 @@ def design_axis(
         with contextlib.suppress(ParameterError, ConfigurationError):
             bandwidth = design_axis(axis, plain, response).margins.bandwidth
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
-    # what was slowed down for what is unknown is no longer what was searched for
+    # after slowing down, the result of the search no longer applies
     kept = {"robustness": robust} if found is first else {"limited": response}
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, **kept)
 
@@ -333,7 +332,7 @@ def design_axis(
 def _gains(
     control: ControllerParameters, request: DesignRequest, sample_time: float, quiet: float, around: PlantsAround
 ) -> tuple[Designed, Robustness | None]:
-    """Return gains for what is asked, in front of the damping of the parameters."""
+    """Return gains for a request, with the damping of the parameters."""
     name, q = request.controller, request.q
     if request.robust is not None:
         aimed = replace(REQUIRED, command_noise_gain=quiet)
@@ -344,7 +343,7 @@ def _gains(
 
 
 def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest, criterion: str) -> Tuned:
-    """Return gains tuned on the waveform of the axis, from those of a design on."""
+    """Return gains tuned on the waveform of the axis, starting from those of a design."""
     law, _ = design_of(request.controller)
     start = getattr(parameters, law.name)
     changed = {"feedforward": parameters.feedforward, "damping": parameters.damping, law.name: start}
@@ -353,19 +352,19 @@ def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: Desi
 
 
 def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
-    """Refuse requests that exclude each other."""
+    """Refuse contradictory requests."""
     law, _ = design_of(request.controller)
     if request.criterion and law.tuning is None:
         tunable = " or ".join(sorted(name for name, (law, _) in DESIGNS.items() if law.tuning is not None))
-        raise ConfigurationError(f"--criterion tunes a {tunable}, not {request.controller}; leave it out")
+        raise ConfigurationError(f"--criterion tunes a {tunable}, not {request.controller}; omit it")
     if request.criterion and request.bandwidth is not None:
         raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
     if request.criterion and axis.reference_generator is None:
         raise ConfigurationError(
-            "--criterion tunes on the waveform of a reference generator, and a sequencer is in its place; leave it out"
+            "--criterion tunes on the waveform of a reference generator, and the file has a sequencer instead; omit it"
         )
     if "kalman" not in law.groups and request.q is not None:
-        raise ConfigurationError(f"--q is of the Kalman filter, which {request.controller} has not; leave it out")
+        raise ConfigurationError(f"--q belongs to the Kalman filter, which {request.controller} does not have; omit it")
     if request.q is not None and not request.q > 0.0:
         raise ConfigurationError(f"--q {request.q:g}: must be above 0")
     for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
@@ -376,7 +375,7 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
 
 
 def _quiet(axis: AxisParameters, noise: float | None) -> float:
-    """Return by which factor the sensor's noise may reach the command."""
+    """Return the largest gain from the sensor's noise to the command."""
     if noise is not None and not noise > 0.0:
         raise ConfigurationError(f"--noise {noise:g}: must be a noise in metres above 0")
     low, high = reachable_displacements(axis)
@@ -395,7 +394,7 @@ def _feedforward(control: ControllerParameters, request: DesignRequest) -> Feedf
 
 
 def design_file(configuration: Configuration, result: AxisDesign, namespace: str) -> str:
-    """Return the text of the parameter file of a design, checked: the axis can be built from it."""
+    """Return the text of the parameter file of a design, after a check that the axis can be built from it."""
     request = result.request
     words = [f"--controller {request.controller}"]
     for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
@@ -430,7 +429,7 @@ def _hertz(value: float) -> str:
 
 
 def design_lines(result: AxisDesign) -> list[str]:
-    """Return the table that the command prints: gains, margins, bandwidth, poles, doubts."""
+    """Return the printed table: gains, margins, bandwidth, poles, warnings."""
     found, own = result.margins, result.parameters.before_damping(result.sample_time)
     rows = list(own.law.rows(own, result.sample_time))
     if result.tuned is not None:
@@ -468,7 +467,7 @@ def design_lines(result: AxisDesign) -> list[str]:
 
 
 def _range_words(given: Uncertainty) -> list[str]:
-    """Return the options by which a command has these plants."""
+    """Return the command-line options for these plants."""
     return [f"--{OPTIONS[item.name]} {getattr(given, item.name):g}" for item in fields(given)]
 
 
@@ -492,7 +491,7 @@ def _pole(value: complex) -> str:
 
 
 def doubts(result: AxisDesign) -> list[str]:
-    """Return sentences about what a user should know of a design."""
+    """Return warnings about a design."""
     parameters = result.parameters
     found = list(parameters.warnings())
     if not parameters.model.dynamics.order:
@@ -500,13 +499,13 @@ def doubts(result: AxisDesign) -> list[str]:
     misses = result.misses()
     if misses:
         found.append(
-            f"marked, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong model or delay, "
-            "ask for another bandwidth or q"
+            f"requirements not met, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong "
+            "model or delay, choose another bandwidth or q"
         )
     if result.limited is not None:
         rests = result.limited.assumption(result.sample_time) or "the recording leaves the response open"
         found.append(
-            f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}, to be stable for every plant that the "
+            f"bandwidth reduced to {_hertz(result.margins.bandwidth)}, for stability with every plant that the "
             f"recording allows: {rests}; a recording with content there (hysteresis excite --recipe multisine) may "
             "allow a faster one"
         )

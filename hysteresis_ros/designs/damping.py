@@ -7,19 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of a damping from a model, and what it is worth: the filter with which the loop around it may be fastest.
+"""Design of a damping from a model: the filter that permits the fastest loop around it, and its performance.
 
 For every filter the zeros of a PID are put on the slowest poles of the damped model, as its own design does, and its
-largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g, |1 + g X| ≥ 1/M_s at
-one frequency is a quadratic in g. The worst of several plants counts (the model, resonances off to both sides). The
-inner loop alone and the loop cut at the plant, both feedbacks in it, are to have M_s ≤ 2 as well and, where that is
-possible, to bear a sample of delay more. Filters are tried on a grid that is refined around the best one; what is found
-is written in four digits.
+largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g, |1 + g X| ≥ 1/M_s at one
+frequency is a quadratic in g. The worst of several plants counts (the model, resonances off to both sides). The inner
+loop alone and the loop cut at the plant, with both feedbacks, must also have M_s ≤ 2 and, if possible, tolerate one
+more sample of delay. Filters are tried on a grid that is refined around the best one; the result has four digits.
 
 References
 ----------
-.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (integral action around the damped
-   plant measures a damping).
+.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (rates a damping by the
+   integral action around the damped plant).
 """
 
 from __future__ import annotations
@@ -50,29 +49,29 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_me
 from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
 from hysteresis_ros.models.sensor import ForceParameters
 
-#: M_s that a search aims at, of the loop of the law and of that cut at the plant.
+#: Target M_s of a search, for the loop of the law and for the loop cut at the plant.
 SENSITIVITY = 1.9
-#: Part by which resonances may be off, where nothing is asked.
+#: Default uncertainty of resonances.
 RESONANCE = 0.1
-#: Points of the grid in each direction, by the number of directions, and how often it is refined.
+#: Points of the grid in each direction, by the number of directions, and number of refinements.
 POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
-#: Frequencies of the grid, evenly in both scales, and around each resonance.
+#: Frequencies of the grid, in both scales, and around each resonance.
 GRID, AROUND = 120, 41
-#: What an inner loop leaves of any mode: this damping, or so many times that of the plant's.
+#: Smallest damping of any mode of the inner loop, or its smallest ratio to that of the plant.
 WELL, MUCH = 0.02, 5.0
-#: A mode of more damping needs none.
+#: Damping above which a mode needs no damping filter.
 DAMPED = 0.7
 
 
 def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None) -> Mode:
-    """Return the resonance of least damping.
+    """Return the least damped resonance.
 
     Units: ``sample_time`` [s].
     """
     there = [mode for mode in modes(dynamics.matrices.poles.astype(complex), sample_time) if mode[1] < DAMPED]
     if not there:
-        remedy = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
+        remedy = f"has no resonance with damping below {DAMPED:g}: nothing to damp; design without --damping"
         state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
     gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
     return Mode(*there[0], gain, 0.0 if force is None else force.whole * gain)
@@ -81,7 +80,7 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForcePar
 def damping_plants(
     dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the plants on which a damping is judged: the model, and all times shorter and longer.
+    """Return the plants for the evaluation of a damping: the model, and those with all times shorter and longer.
 
     Units: ``sample_time`` [s].
     """
@@ -96,7 +95,7 @@ def design_damping(
     plants: tuple[PossiblePlant, ...],
     force: ForceParameters | None = None,
 ) -> DampingParameters:
-    """Return the damping of a kind for a model.
+    """Return the damping filter of a kind for a model.
 
     Units: ``sample_time`` [s].
     """
@@ -104,15 +103,15 @@ def design_damping(
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
     search = _Search(kind, mode, dynamics, sample_time, plants, force)
-    # first what bears a sample of delay more; where nothing does, what works as modelled
+    # first filters that tolerate one more sample of delay; without any, filters that work as modelled
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
             return found
     found_at = f"{mode.frequency:.4g} Hz"
     remedy = (
-        f"no {kind} damps the resonance at {found_at} on all plants so that a PID in front of it keeps M_s ≤ 2; take "
-        "another kind, a higher sample rate or less delay"
+        f"no {kind} damps the resonance at {found_at} on all plants such that a PID around it keeps M_s ≤ 2; "
+        "choose another kind, a higher sample rate or less delay"
     )
     return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
 
@@ -132,7 +131,7 @@ class _Search:
         return replace(DampingParameters(), type=self.kind.name, **{self.kind.name: self.kind.chosen(point, self.mode)})
 
     def speed(self, point, late: float, least: float) -> float:
-        """Return the integral gain [1/s] of the fastest PID in front of a point's filter.
+        """Return the integral gain [1/s] of the fastest PID around the filter of a point.
 
         Units: ``late`` [samples].
         """
@@ -158,9 +157,9 @@ class _Search:
         return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
 
     def _gain(self, loop: InnerLoop, outer) -> float:
-        """Return the largest gain of an outer controller on all plants, less where both loops would be too lively.
+        """Return the largest gain of an outer controller on all plants, less if the combined loop would be too lively.
 
-        No gain of the outer one makes up for an inner loop whose M_s is too large.
+        No gain of the outer controller compensates an inner loop with too large an M_s.
         """
         filtered = loop.feedback.response(self.z)[:, 0, 0]
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
@@ -177,7 +176,7 @@ class _Search:
         return gain * min(1.0, (SENSITIVITY / whole) ** 2)
 
     def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
-        """Tell whether inner, outer and whole loop are what every design is held to, on all plants."""
+        """Return whether inner, outer and whole loop meet the requirements of every design, on all plants."""
         whole = loop.behind(outer)
         for one in self.plants:
             around = loop.around(one.plant)
@@ -194,12 +193,12 @@ class _Search:
         return True
 
     def _damps(self, poles) -> bool:
-        """Tell whether every mode of an inner loop is damped well, or much better than the plant's."""
+        """Return whether every mode of an inner loop is well damped, or much better damped than that of the plant."""
         left = modes(poles, self.sample_time)
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that bears so many samples of delay more; None where there is none."""
+        """Return the best damping that tolerates this additional delay [samples]; None without one."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)
@@ -251,7 +250,7 @@ def _spread(side, count: int) -> np.ndarray:
 
 
 def _around(box, point):
-    """Return the box of a grid's neighbours of a point, within the box that it was found in."""
+    """Return the box between the grid neighbours of a point, within its present box."""
     found = []
     for side, value in zip(box, point, strict=True):
         grid = _spread(side, POINTS[len(box)])
@@ -260,21 +259,21 @@ def _around(box, point):
     return tuple(found)
 
 
-#: A damping that makes the loop faster by less than this factor is of little use.
+#: Smallest useful increase of the bandwidth by a damping.
 LITTLE = 1.2
-#: A law that passes the reference on: what is left is the inner loop.
+#: A law that passes the reference through, which leaves the inner loop.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
 
 
 @dataclass(frozen=True, eq=False)
 class PlantsAround:
-    """Plants on which a damping is judged."""
+    """Plants for the evaluation of a damping."""
 
-    plants: tuple[PossiblePlant, ...]  #: Without damping, the model first.
-    resonance: float  #: Part by which the resonances of the others are off.
+    plants: tuple[PossiblePlant, ...]  #: Plants without damping, the model first.
+    resonance: float  #: Relative deviation of the resonances of the others.
 
     def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
-        """Return them with the damping of a controller around each.
+        """Return the plants with the damping of a controller around each.
 
         Units: ``sample_time`` [s].
         """
@@ -284,7 +283,7 @@ class PlantsAround:
 
 @dataclass(frozen=True, eq=False)
 class DampedDesign:
-    """A damping with a controller in front of it, on the model and on plants around it."""
+    """A damping with a controller around it, on the model and on plants around the model."""
 
     damping: DampingParameters
     before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
@@ -294,11 +293,11 @@ class DampedDesign:
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
-    resonance: float  #: Part by which the resonances of these plants are off.
-    undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None where there is none.
+    resonance: float  #: Relative deviation of the resonances of these plants.
+    undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if there is no such design.
 
     def misses(self) -> tuple[str, ...]:
-        """Return what is missed by the law's loop or by both loops, on the model or with resonances off."""
+        """Return the unmet requirements of the law's loop or of both loops, on the model or with resonances off."""
         for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
             for number, margins in enumerate(found):
                 said = margins.misses()
@@ -313,7 +312,7 @@ class DampedDesign:
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:
-        """Return that a damping is of little use, where it is."""
+        """Return a warning if the damping is of little use."""
         if self.times >= LITTLE:
             return ()
         return (
@@ -322,7 +321,7 @@ class DampedDesign:
         )
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return (name, text) of what a design prints of it."""
+        """Return (name, text) of its printed rows."""
         kind = self.damping.type
         values = getattr(self.damping, kind).to_mapping()
         given = ", ".join(f"{name} {_numbers(value)}" for name, value in values.items())
@@ -347,7 +346,7 @@ class DampedDesign:
 
 
 def around_model(control: ControllerParameters, sample_time: float, request) -> PlantsAround:
-    """Return the model and what it is with resonances off to both sides.
+    """Return the model, and plants with resonances off to both sides.
 
     Units: ``sample_time`` [s].
     """
@@ -358,18 +357,16 @@ def around_model(control: ControllerParameters, sample_time: float, request) -> 
 
 
 def _require(name: str) -> None:
-    """Refuse a name that no damping has."""
+    """Refuse an unknown name of a damping."""
     if name not in (NONE, *KINDS):
         there = ", ".join((NONE, *KINDS))
-        raise ConfigurationError(
-            f"--damping {name}: there is no such damping; there are {there}{did_you_mean(name, KINDS)}"
-        )
+        raise ConfigurationError(f"--damping {name}: unknown damping; there are {there}{did_you_mean(name, KINDS)}")
 
 
 def with_damping(
     control: ControllerParameters, sample_time: float, around: PlantsAround, request
 ) -> ControllerParameters:
-    """Return the parameters with the damping that is asked for, designed; without any asked those given.
+    """Return the parameters with the requested damping, or unchanged without a request.
 
     Units: ``sample_time`` [s].
     """
@@ -385,7 +382,7 @@ def with_damping(
 def judge_damping(
     parameters: ControllerParameters, sample_time: float, plants: PlantsAround, undamped: float | None
 ) -> DampedDesign:
-    """Return what a controller with damping is worth.
+    """Return the performance of a controller with damping.
 
     Units: ``sample_time`` [s], ``undamped`` [Hz].
     """

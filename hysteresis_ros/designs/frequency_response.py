@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The frequency response of an axis: runs that measure it, and plant, loop and margins from a run or a recording."""
+"""The frequency response of an axis: measurement runs, and plant, loop and margins from a run or a recording."""
 
 from __future__ import annotations
 
@@ -52,25 +52,25 @@ from hysteresis_ros.units import quantity, readable
 
 #: Peak of the excitation by default, as a part of the range.
 AMPLITUDE = 0.05
-#: Seconds at the place where it is excited, before and after: creep fades meanwhile.
+#: Rest at the operating point before and after the excitation, in which creep fades [s].
 WAIT = 1.0
 
 
 @dataclass(frozen=True)
 class ResponseRequest:
-    """What is asked of a run."""
+    """Request of a measurement."""
 
     experiment: Experiment
     loop: str = "open"  #: ``open`` or ``closed``.
-    at: str | None = None  #: Where it is excited: ``voltage``, ``command`` or ``reference``.
-    #: amplitude, offset: Peak of the excitation and the place around which it moves, with units; parts of the range
-    #: without one. By default :data:`AMPLITUDE`, and the middle.
+    at: str | None = None  #: Point of excitation: ``voltage``, ``command`` or ``reference``.
+    #: amplitude, offset: Peak of the excitation and operating point, with units, or as parts of the range without a
+    #: unit. By default :data:`AMPLITUDE`, and the middle.
     amplitude: str | None = None
     offset: str | None = None
 
     @property
     def place(self) -> str:
-        """Where it is excited."""
+        """Point of excitation."""
         chosen = self.at or PLACES[self.loop][0]
         if chosen not in PLACES[self.loop]:
             raise ConfigurationError(f"--at {chosen}: with --loop {self.loop} must be {' or '.join(PLACES[self.loop])}")
@@ -80,7 +80,7 @@ class ResponseRequest:
 def response_run(
     configuration: Configuration, namespace: str | None, asked: ResponseRequest, path
 ) -> tuple[AxisParameters, Plan]:
-    """Return the axis that is excited, and where its excitation will stand in the recording."""
+    """Return the excited axis, and the plan of the excitation in its recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     if axis.inchworm_sequencer is not None:
         raise ConfigurationError(
@@ -120,7 +120,7 @@ def response_run(
 
 
 def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
-    """Return an excitation around a place with the ways from and to rest, and its plan there.
+    """Return an excitation around an operating point with ramps from and to rest, and its plan.
 
     Units: ``peak`` [V], ``middle`` [V], ``rest`` [V], ``rate`` [Hz].
     """
@@ -131,13 +131,13 @@ def around(samples, peak: float, middle: float, rest: float, rate: float, plan: 
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
-    """Return the controller of an axis, its damping in it, and the model that it has of its plant, both linear."""
+    """Return the linear controller of an axis, including its damping, and its linear model of the plant."""
     sample_time = 1.0 / axis.motion_controller.sample_rate
     return whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)
 
 
 def _prefilter(axis: AxisParameters, sample_time: float):
-    """Return how large a reference has to be at each frequency for its part of the command to be of size one."""
+    """Return the amplitude of the reference at each frequency for a command of amplitude 1."""
     controller, _ = measured_loop_parts(axis)
 
     def shape(frequencies):
@@ -164,7 +164,7 @@ def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_r
 
 
 def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
-    """Refuse an excitation that the sensor's noise, where the file states it, hides whatever the plant does."""
+    """Refuse an excitation whose response is below the sensor's noise in the file."""
     noise = axis.plant_simulator.sensor.noise
     if axis.plant_simulator.driver or axis.plant_simulator.external_plant or not noise > 0.0:
         return
@@ -188,7 +188,7 @@ def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
 
 
 def _configured(configuration, loop: str, place: str, path: str, limits, gain: float, rest: float) -> Configuration:
-    """Return the configuration of the run."""
+    """Return the configuration of the measurement."""
     if place == "voltage":
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
         return driven(configuration, limits, gain, waveform)
@@ -196,12 +196,12 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if loop == "open":
         configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
-        # the reference was shaped for the law alone
+        # the reference was shaped for the law without feedforward
         configuration = configuration.override("motion_controller", **UNFED)
     return configuration
 
 
-#: Levels that are said in dB of the response.
+#: Levels that are printed in dB of the response.
 LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
 
@@ -214,13 +214,13 @@ class AxisResponse:
     #: reference − measured.
     plant: Analysis
     loop: MeasuredLoop | None = None  #: Of a closed loop.
-    model: np.ndarray | None = None  #: shape (F,); What the controller's model has for the plant, at the lines.
+    model: np.ndarray | None = None  #: shape (F,); Controller's model of the plant, at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,)
-    margins: Margins | None = None  #: Of the model's loop.
+    margins: Margins | None = None  #: Margins of the loop with the model.
 
     @property
     def figures(self) -> dict:
-        """Figures by names with units; what has no value is left out."""
+        """Figures with a value, by names with units."""
         response = self.plant.response
         found: dict = {
             "excitation": self.plan.kind,
@@ -253,7 +253,7 @@ class AxisResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """What is known at the lines besides the plant's response, by names with units."""
+        """Further columns at the lines besides the plant's response, by names with units."""
         found = {}
         if self.loop is not None:
             responses = {"loop": self.loop.loop, "sensitivity": self.loop.sensitivity}
@@ -312,7 +312,7 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
     else:
         reference = recording["reference"]
         if recording.has("seen"):
-            # the loop is closed over what the controller took, which may come later than it was measured
+            # the loop is closed over the controller's input, which may be later than the measurement
             y = np.where(np.isfinite(recording["seen"]), recording["seen"], y)
         u = recording["command"] if axis is not None else reference - y
         plant = analyse(plan, sample_time, u, y, reference, "m")
@@ -333,18 +333,16 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
 
 def _require_finite(plant: Analysis) -> None:
     if not np.all(np.isfinite(plant.response.single)):
-        raise IdentificationError(
-            "the recording has samples that are no numbers within the excitation; record it again"
-        )
+        raise IdentificationError("the recording has NaN samples within the excitation; record it again")
 
 
 def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
-    """Return the response with what the axis' own model has for it."""
+    """Return the response with the values of the axis' own model."""
     controller, plant = measured_loop_parts(axis)
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # the other way round: the model with the gain that was measured
+    # the reverse: the model with the measured gain
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
@@ -354,7 +352,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the file beside a recording that says how it was excited."""
+    """Return the path of the plan of the excitation beside a recording."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
@@ -389,14 +387,14 @@ def recorded_response(
         plan = replace(plan_of_recording(drive, recording.sample_time, period, kind), loop=loop, at=at)
     elif (loop or plan.loop, at or plan.at) != (plan.loop, plan.at):
         raise ConfigurationError(
-            f"--loop, --at: the recording was made with --loop {plan.loop} --at {plan.at}; leave them out"
+            f"--loop, --at: the recording was made with --loop {plan.loop} --at {plan.at}; omit them"
         )
     known = axis if axis is not None and (plan.loop == "open" or axis.motion_controller.law.feedback) else None
     return axis_response(recording, plan, known)
 
 
 def _axis(recording: Recording) -> AxisParameters | None:
-    """Return the axis of a recording; None where it does not say, or what it says is none."""
+    """Return the axis of a recording; None without a valid configuration."""
     if not recording.configuration:
         return None
     try:

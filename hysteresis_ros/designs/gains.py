@@ -7,18 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned on a simulation.
+"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned in a simulation.
 
-Every law declares the designs it has (:mod:`hysteresis_ros.control.law`); here is what they share.
+Every law declares its designs (:mod:`hysteresis_ros.control.law`); this module has their common part.
 
-All plants are drawn before the design, so equal seeds give equal gains. The search is made on the model and the corners
-of its uncertainty; the plant on which the result misses the requirements most joins them, until none does.
+All plants are drawn before the design, so equal seeds give equal gains. The search uses the model and the corners of
+its uncertainty; the plant with the worst violation of the requirements is added until all plants meet them.
 
-What is tuned on is never the plant, at which a design may not look: the plant of the simulation is made of what the
-controller side believes, the compensator's hysteresis, creep and limits and the dynamics and preload of the
-controller's model, without noise. With a perfect inverse of that hysteresis little but linear dynamics and limits
-remains, and a criterion alone would drive the gains to the edge of stability: gains that miss the margins
-of every design, and a delay margin of 1.3 samples, count as infinitely bad.
+The tuning never uses the plant, which a design must not know: the simulated plant consists of the compensator's
+hysteresis, creep and limits and of the dynamics and preload of the controller's model, without noise. With a perfect
+inverse of that hysteresis hardly more than linear dynamics and limits remains, and a criterion alone would drive the
+gains to the edge of stability. Gains that violate the margins of every design, or a delay margin of 1.3 samples,
+therefore have infinite cost.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ from hysteresis_ros.models.sensor import ForceSensorParameters, SensorParameters
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """A design: parameters with gains, and what they are worth on the model."""
+    """A design: parameters with gains, and their margins on the model."""
 
     parameters: ControllerParameters
     margins: Margins
 
 
 def require_minimal(dynamics) -> None:
-    """Refuse a model with a state that the input does not move or the output does not show."""
+    """Refuse a model that is not controllable or not observable."""
     problems = [replace(problem, name=f"model.dynamics.{problem.name}") for problem in dynamics.check()]
     if problems:
         raise ParameterError(problems)
@@ -96,25 +96,25 @@ def design_gains(
     return Designed(found, margins(found, sample_time))
 
 
-#: Part of M_s that a search aims at, whose grid of frequencies is coarser than that of the margins.
+#: Part of M_s as the target of a search, whose grid of frequencies is coarser than that of the margins.
 COARSE = 0.99
-#: How often a plant may join those of the search.
+#: Most plants that are added to the search.
 ROUNDS = 8
-#: Plants of one job, and about what the margins on one take [s].
+#: Plants per job, and approximate computing time of the margins on one [s].
 TOGETHER, SECONDS = 50, 2e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What a loop is worth on all plants that were drawn."""
+    """Margins of a loop on all drawn plants."""
 
     uncertainty: Uncertainty
     plants: tuple[PossiblePlant, ...]  #: The model first.
-    margins: tuple[Margins, ...]  #: On each of them; the delay margin counts from the delay of the model.
+    margins: tuple[Margins, ...]  #: Margins on each plant; the delay margin counts from the delay of the model.
 
     @property
     def worst(self) -> int:
-        """Place of the plant with the largest M_s, of an unstable one if there is any."""
+        """Index of the plant with the largest M_s, or of an unstable one."""
         sizes = [found.sensitivity_peak if found.stable else float("inf") for found in self.margins]
         return sizes.index(max(sizes))
 
@@ -135,7 +135,7 @@ class Robustness:
         ]
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return what is missed on the worst plant of those that miss something, a few words each."""
+        """Return the unmet requirements on the worst plant."""
         order = [self.worst, *range(len(self.plants))]
         for i in order:
             said = self.margins[i].misses(required)
@@ -146,7 +146,7 @@ class Robustness:
 
 
 def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robustness:
-    """Return what the loop of a controller is worth on all plants that the uncertainty allows.
+    """Return the margins of a controller's loop on all plants within the uncertainty.
 
     Units: ``sample_time`` [s].
     """
@@ -187,7 +187,7 @@ def design_robust(
     *,
     aimed: Requirements = REQUIRED,
 ) -> tuple[Designed, Robustness]:
-    """Return gains that meet the requirements on every plant that was drawn, and what they are worth there.
+    """Return gains that meet the requirements on every drawn plant, with their margins.
 
     Units: ``sample_time`` [s].
     """
@@ -204,7 +204,7 @@ def design_robust(
     return found, judged
 
 
-#: Criteria: integral of absolute, squared, and time-weighted absolute error; time counts from the start of the run.
+#: Criteria: integral of absolute, squared, and time-weighted absolute error, with time from the start of the run.
 CRITERIA = ("iae", "ise", "itae")
 #: Iterations and tolerance of the search.
 ITERATIONS = 200
@@ -215,17 +215,17 @@ TOLERANCE = 1e-3
 class Tuned:
     """Result of :func:`tune`."""
 
-    gains: Parameters  #: The best found, of the law's group.
+    gains: Parameters  #: Best gains, as the law's group of parameters.
     criterion: str  #: ``iae``, ``ise`` or ``itae``.
     before: float  #: before, after: Criterion at the start and at the end [m s, m² s or m s²].
     after: float
     #: shape (iterations + 1, n + 1); The n gains that the law declares and the criterion after each iteration.
     history: np.ndarray
-    converged: bool  #: Without it the iterations ran out, and the gains are still the best found.
+    converged: bool  #: False: the iterations ran out; the gains are the best found.
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:
-    """Return the axis whose plant is what compensator and controller believe of it."""
+    """Return the axis with the models of compensator and controller as plant."""
     compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
     plant = replace(
         parameters.plant_simulator,
@@ -258,12 +258,14 @@ def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -
     """Return the setpoint of every sample of a run [m]."""
     samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
     if samples < 2:
-        raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
+        raise ConfigurationError(
+            "the waveform has no end (samples: 0): give the length of the simulation with --duration S"
+        )
     return np.full(samples, parameters.generator.initial_setpoint)
 
 
 def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
-    """Return the reference, as late as its preview, less the true displacement [m]."""
+    """Return the reference, delayed by its preview, less the true displacement [m]."""
     preview = control.feedforward.preview
     wanted = signals["reference"][: len(signals["reference"]) - preview]
     return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
@@ -323,7 +325,7 @@ def tune(
     begin = np.array([getattr(first, name) for name in names])
     before = cost(begin)
     if not np.isfinite(before):
-        controller_block(with_gains(control, first), sample_time)  # names what is wrong with them
+        controller_block(with_gains(control, first), sample_time)  # raises an error for invalid gains
         raise ConfigurationError(
             f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
             f"{required.delay_margin:g} samples; start from lower ones"
@@ -334,7 +336,7 @@ def tune(
 
 
 def _history(run, initial, tuned) -> np.ndarray:
-    """Return all gains and the cost of each iteration, shape (iterations, gains + 1), from those that were tuned."""
+    """Return all gains and the cost of each iteration, shape (iterations, gains + 1)."""
     history = np.tile([*initial, 0.0], (len(run.costs), 1))
     history[:, tuned] = run.trajectory
     history[:, -1] = run.costs

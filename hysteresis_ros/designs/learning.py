@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of the learned correction of an axis: its closed loop, filters that contract on it, and the file with them."""
+"""Design of the learned correction of an axis: closed loop, contracting filters, and the parameter file."""
 
 from __future__ import annotations
 
@@ -33,42 +33,42 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Plants that are possible: 5 % off, and 3 % more on all times for what an identification misses of them; the slope of
-#: the hysteresis that the inverse leaves; a part of a sample.
+#: Possible plants: 5 % uncertainty, 3 % more for all times because of the identification; the slope of the hysteresis
+#: after the inverse; a part of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and command not carried out from which nothing is learned, as parts of the stroke.
+#: Largest correction, and saturation of the command above which learning pauses, as parts of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Part of what a period shows that is taken, periods after which it falls as 1/n, and how far.
+#: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Samples of a response to one impulse: it is long enough when this part of it, or less, is left at the end.
+#: Samples of an impulse response, and its largest remaining part at the end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
 #: Most frequencies.
 MOST = 2**13
-#: Part of the answer of the closed loop that is left when it has settled.
+#: Remaining part of the response of a settled closed loop.
 SETTLED = 0.02
-#: Samples before an impulse in which flags and counters of the start go by.
+#: Samples before an impulse, for flags and counters of the start.
 BEFORE = 4
-#: Directions in which a relative uncertainty of the response is tried.
+#: Tried directions of a relative uncertainty of the response.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 
 @dataclass(frozen=True)
 class LearningRequest:
-    """What is asked of a design."""
+    """Request of a design."""
 
     kind: str  #: ``inversion``, ``norm_optimal`` or ``repetitive``.
-    period: float | None = None  #: Of the reference [s]; by default that of the configured waveform.
-    bandwidth: float | None = None  #: Of the learning [Hz]; by default the highest that contracts.
+    period: float | None = None  #: Period of the reference [s]; by default that of the configured waveform.
+    bandwidth: float | None = None  #: Bandwidth of the learning [Hz]; by default the highest that contracts.
     maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
-    possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters have to contract.
+    possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
 
-#: Options of the command that a design of the learning takes besides those of the ranges, and those that come with it.
+#: Command-line options for a design of the learning besides those of the ranges, and further ones that require it.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
 def asked(options: dict) -> LearningRequest | None:
-    """Return what the options of the command ask of the learning; None where they ask for a controller."""
+    """Return the request for learning of the command-line options; None if they request a controller."""
     given = {name: value for name, value in options.items() if value is not None and value is not False}
     ranges = {
         name: given.pop(option.replace("-", "_"))
@@ -80,7 +80,7 @@ def asked(options: dict) -> LearningRequest | None:
     kind = given.get("learning")
     if kind is None:
         if "controller" not in given:
-            raise ConfigurationError("what to design is missing: give --controller NAME or --learning NAME")
+            raise ConfigurationError("the design is missing: give --controller NAME or --learning NAME")
         for name in OWN:
             if name in given:
                 raise ConfigurationError(f"--{name} belongs to --learning; give both")
@@ -92,9 +92,7 @@ def asked(options: dict) -> LearningRequest | None:
             )
     if kind not in KINDS:
         known = ", ".join(sorted(KINDS))
-        raise ConfigurationError(
-            f"--learning {kind}: there is no such design; there are {known}{did_you_mean(kind, KINDS)}"
-        )
+        raise ConfigurationError(f"--learning {kind}: unknown design; there are {known}{did_you_mean(kind, KINDS)}")
     maximum = given.get("maximum")
     if maximum is not None and not 0.0 < maximum <= 1.0:
         raise ConfigurationError(f"--maximum {maximum:g}: must be a correction in metres above 0")
@@ -114,11 +112,11 @@ class LearningDesign:
     request: LearningRequest
     parameters: LearningParameters
     filters: Filters
-    response: Response  #: The closed loop they are for.
+    response: Response  #: The closed loop of the design.
     sample_time: float  #: [s]
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return by how much the worst part of the error falls from one period to the next, at the first gain."""
+        """Return the factor by which the worst part of the error falls per period, at the initial gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -126,10 +124,10 @@ class LearningDesign:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """What a plant measured to be, over what its model says."""
+    """Measured response of a plant over that of its model."""
 
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
-    ratio: np.ndarray  #: shape (F,); Response measured over that of the model; beyond the lines the nearest one counts.
+    ratio: np.ndarray  #: shape (F,); Measured response over that of the model; beyond the lines the nearest one counts.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
@@ -144,10 +142,10 @@ class MeasuredPlant:
 def closed_loop(
     node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> Response:
-    """Return the closed loop from reference to displacement on the model and on plants that are possible.
+    """Return the closed loop from reference to displacement on the model and on possible plants.
 
-    Feedforward, law and whatever else stands in the loop answer one impulse of the reference and one of the
-    measurement: u_r and u_d. On another plant P' then T' = P' u_r / (1 − u_d (P' − P)).
+    The responses of feedforward, law and other blocks of the loop to an impulse of the reference and of the measurement
+    are u_r and u_d. On another plant P' then T' = P' u_r / (1 − u_d (P' − P)).
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
     model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
@@ -159,7 +157,7 @@ def closed_loop(
         count *= 2
         if count > LONGEST:
             raise ConfigurationError(
-                "the closed loop does not come to rest on its own model: nothing can be learned over it; design the "
+                "the closed loop does not settle with its own model, so learning is not possible; design the "
                 "controller first (hysteresis design --controller)"
             )
     every = max(count // (2 * MOST), 1)
@@ -181,7 +179,7 @@ def closed_loop(
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
-    """Return the commands after one impulse, shape (count,), per unit of it; ``model``: with what acts on it."""
+    """Return the commands after one impulse, shape (count,), per unit of it; ``model`` is the linear plant."""
     control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
     resting = resting.law.near_rest(resting)
@@ -195,7 +193,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
     for k in range(count):
         displacement, acting = C @ x
         displacement += measured
-        # what moves the mass elsewhere is what the stack bears less, and its sensor loses what is slow of it
+        # the force in the stack falls with the displacement, and its sensor loses the slow part
         pressed = force.whole * acting - force.stack_stiffness * displacement - slow
         slow += slow_part * pressed
         commands[k] = answer(laws, arrays, displacement, reference, pressed)
@@ -239,15 +237,15 @@ def design_learning(
 
 
 def settling(loop: Response) -> int:
-    """Return the samples in which the closed loop on the model answers a step but for a part."""
+    """Return the settling time of the closed loop with the model after a step [samples]."""
     answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
     return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
 
 
 def knocked(loop: Response) -> int:
-    """Return the samples in which the closed loop on the model answers one wrong sample of its voltage but for a part.
+    """Return the settling time of the closed loop with the model after one wrong sample of the voltage [samples].
 
-    The part is one of the largest answer: what is left is small from then on, however long it lasts.
+    The remaining part is relative to the largest response.
     """
     assert loop.pushed is not None
     answer = np.abs(np.fft.irfft(loop.pushed))
@@ -259,16 +257,16 @@ def waveform_period(axis: AxisParameters) -> float:
     waveform = axis.reference_generator.waveform if axis.reference_generator is not None else None
     if waveform is None or waveform.type not in PERIODIC or not waveform.frequency > 0.0:
         kind = "a sequencer" if waveform is None else f"waveform.type {waveform.type}"
-        raise ConfigurationError(f"--period is missing: {kind} has no period of its own; give the reference's [s]")
+        raise ConfigurationError(f"--period is missing: {kind} has no period; give that of the reference [s]")
     return 1.0 / waveform.frequency
 
 
-#: Waveforms that repeat with their ``frequency``.
+#: Waveforms with the period of their ``frequency``.
 PERIODIC = ("sine", "triangle", "square")
 
 
 def learning_lines(result: LearningDesign) -> list[str]:
-    """Return the table that the command prints."""
+    """Return the printed table."""
     filters, given, ranges = result.filters, result.parameters, result.request.possible
     rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
     nominal = result.rate(result.response.model[np.newaxis])
@@ -290,7 +288,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
 
 
 def periods_to(rate: float, part_left: float = 0.1) -> int:
-    """Return the periods after which an error that falls by a factor each has fallen to a part."""
+    """Return the number of periods in which an error falls to a tenth, for a factor per period."""
     return math.ceil(math.log(part_left) / math.log(rate))
 
 
@@ -302,7 +300,7 @@ def _ranges(ranges: Uncertainty) -> str:
 
 
 def learning_file(configuration: Configuration, result: LearningDesign, namespace: str) -> str:
-    """Return the text of the parameter file with a designed correction, checked: the axis can be built from it."""
+    """Return the text of the parameter file with a designed correction, after a check that the axis can be built."""
     rate, filters = 1.0 / result.sample_time, result.filters
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     words = (

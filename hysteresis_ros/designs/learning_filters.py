@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Filters of the learned correction from the closed loop it acts on: three designs, and whether they contract.
+"""Filters of the learned correction for a closed loop: three designs, and their contraction.
 
-T is the closed loop from reference to measured displacement on the model, T_p on plants that are possible besides. From
-period to period the error goes with Q − G T: every design takes the highest bandwidth at which that stays below
-1 − :data:`MARGIN` at all frequencies and on all of the plants, with the filters as they are run.
+T is the closed loop from reference to measured displacement on the model, T_p that on other possible plants. From one
+period to the next the error is multiplied by Q − G T: every design chooses the highest bandwidth at which |Q − G T_p|
+stays below 1 − :data:`MARGIN` at all frequencies and on all plants, with the truncated filters.
 
 - *inversion*: G = Q L, where L makes the largest |1 − L T_p| of all plants least at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -42,15 +42,15 @@ from hysteresis_ros.models.linear_algebra import rounded
 
 #: Distance of the contraction from one.
 MARGIN = 0.1
-#: ε: what a recording leaves unknown of the closed loop, as a part of its gain at rest (assumed).
+#: ε: unknown part of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15
-#: Taps beside the middle of Q, where the period is long enough; G has as many in all.
+#: Taps on each side of the middle of Q, if the period is long enough; G has as many in total.
 HALF = 64
-#: Bandwidths that are tried, as parts of the sample rate, from the highest on, and the lowest.
+#: Tried bandwidths, as parts of the sample rate: highest, factor, and lowest.
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
-#: Width of the fall of Q, as a part of the bandwidth, and least [parts of the sample rate].
+#: Width of the roll-off of Q, as a part of the bandwidth, and its minimum [parts of the sample rate].
 FALL, LEAST_FALL = 0.15, 0.02
-#: Distance of the contraction from one that dips of Q aim at: filters of so many taps miss some of it.
+#: Target distance of the contraction from one in the notches of Q, because truncated filters lose some of it.
 DIP = 0.15
 #: Iterations of Lawson.
 ITERATIONS = 60
@@ -58,31 +58,31 @@ ITERATIONS = 60
 CHANGE, STEEPNESS = 0.2, 16
 #: Repetitive: gains, and the longest phase lead [samples].
 GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
-#: Points on which they are chosen.
+#: Frequencies for their choice.
 COARSE = 400
 
 
 class Response(NamedTuple):
-    """Closed loop at angles 0 … π that are evenly apart."""
+    """Closed loop at equidistant angles 0 … π."""
 
     model: np.ndarray  #: shape (m,); T on the model.
-    possible: np.ndarray  #: shape (p, m); T_p on all plants that are possible, the model among them.
+    possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
     #: shape (m,); From the input of the plant to the displacement, in closed loop, on the model.
     pushed: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Filters:
-    """Filters and what they are worth."""
+    """Filters with their contraction."""
 
     kind: str  #: Design.
-    error: np.ndarray  #: Taps of G, from the furthest look ahead on.
-    lead: int  #: That of the first one [samples].
+    error: np.ndarray  #: Taps of G, from the largest lead on.
+    lead: int  #: Lead of the first tap [samples].
     robustness: np.ndarray  #: Taps of Q: the middle, then those on both sides.
-    bandwidth: float  #: Where Q has fallen by 3 dB, as a part of the sample rate.
+    bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a part of the sample rate.
     contraction: float  #: Largest |Q − G T_p| of all frequencies and plants.
-    nominal: float  #: The same of the model alone.
-    worst: float  #: Where the contraction is worst, as a part of the sample rate.
+    nominal: float  #: The same for the model alone.
+    worst: float  #: Frequency of the worst contraction, as a part of the sample rate.
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
         """Return Q and G at angles, shape (m,) each."""
@@ -109,7 +109,7 @@ def contraction(low_pass, learning, possible, gain: float = 1.0) -> np.ndarray:
 def design_filters(
     kind: str, response: Response, period: int, bandwidth: float | None = None, sample_rate: float = 1.0
 ) -> Filters:
-    """Return the filters of the highest bandwidth that contract, or those of the bandwidth that is asked.
+    """Return the contracting filters of the highest or of the requested bandwidth.
 
     Units: ``period`` [samples], ``sample_rate`` [Hz].
     """
@@ -121,8 +121,8 @@ def design_filters(
             return found
     asked = "no bandwidth" if bandwidth is None else f"a bandwidth of {bandwidth * sample_rate:.4g} Hz does not"
     raise ConfigurationError(
-        f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all plants that are "
-        f"possible: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, allowed "
+        f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all possible "
+        f"plants: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, allowed "
         f"is {1.0 - MARGIN:g}; ask for a lower --bandwidth, narrow the ranges (--resonance-range, --gain-range), or "
         "take a controller that damps the resonance"
     )
@@ -154,7 +154,7 @@ def symmetric_taps(response, half: int) -> np.ndarray:
 
 
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
-    """Return the 2 n + 1 taps of a complex response that hold most of it, and the look ahead of the first.
+    """Return the 2 n + 1 taps with the largest part of a complex response, and the lead of the first.
 
     Units: ``half`` [samples].
     """
@@ -173,10 +173,10 @@ def _inversion(response: Response, period: int):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
         largest = np.max(weights, axis=0)
-        # where the inverse is exact for all plants there is nothing left to weigh
+        # if the inverse is exact for all plants, the weights are irrelevant
         weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
-    # where plants differ much Q dips just as far as contraction needs it
+    # where plants differ much, Q has a notch just deep enough for contraction
     allowed = np.minimum(1.0, (1.0 - DIP) / contraction(1.0, inverse, possible))
 
     half = min(HALF, period - 1)
@@ -196,7 +196,7 @@ def _norm_optimal(response: Response, period: int):
     half = min(HALF, period - 1)
 
     def design(cutoff: float) -> Filters:
-        # λ = E|T|² + μ at the cutoff: the correction is halved there
+        # λ = E|T|² + μ at the cutoff, where the correction is halved
         level = np.interp(cutoff, places, square) + CHANGE
         effort = level * (places / cutoff) ** STEEPNESS
         whole = effort + CHANGE + square
@@ -207,7 +207,7 @@ def _norm_optimal(response: Response, period: int):
 
 
 def _repetitive(response: Response, period: int):
-    # lead and filter together look ahead by less than a period
+    # the total lead of phase lead and filter is less than a period
     half = min(HALF, period // 2)
     leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
     thin = slice(None, None, max(len(response.model) // COARSE, 1))
@@ -224,5 +224,5 @@ def _repetitive(response: Response, period: int):
     return design
 
 
-#: Designs by name: ``design(response, period)`` returns a function of the bandwidth.
+#: Designs by name: ``design(response, period)`` returns the filters as a function of the bandwidth.
 KINDS: dict[str, Callable] = {"inversion": _inversion, "norm_optimal": _norm_optimal, "repetitive": _repetitive}

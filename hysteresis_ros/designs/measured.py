@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A measured frequency response beside the model of an axis: for a design, and as dynamics of a parameter file."""
+"""Use of a measured frequency response with the model of an axis: in a design, and as dynamics of a parameter file."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from hysteresis_ros.models.linear import LinearParameters
 
 _HEADER = """\
 # Dynamics identified by `hysteresis identify` from a measured frequency response; a ROS 2 parameter file. SI units.
-# The hysteresis is that of the file they were put into; /identification says where the numbers come from.
+# The hysteresis is that of the original file; /identification says where the numbers come from.
 """
 
 
 def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncertainty:
-    """Return how far the model in an axis' controller may be off, as a response says."""
+    """Return the uncertainty of the model in an axis' controller by a measured response."""
     plant, model = _beside(axis.motion_controller.model.dynamics, axis, found)
     return plant.uncertainty(model, found.response.sample_time)
 
 
 def measured_margins(axis: AxisParameters, parameters: ControllerParameters, found: Analysis) -> MeasuredLoop:
-    """Return the loop of a controller, and of its damping, around the plant as it was measured."""
+    """Return the loop of a controller, with its damping, around the measured plant."""
     plant, _ = _beside(parameters.model.dynamics, axis, found)
     sample_time = found.response.sample_time
     controller, model = whole_loop(parameters, sample_time)
@@ -52,9 +52,9 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
 
 
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:
-    """Return what a design prints of its margins on the plant as it was measured."""
+    """Return the printed margins of a design on the measured plant."""
     loop = measured_margins(axis, result.parameters, found)
-    # both cut at the command: a damping is part of the controller
+    # both loops are cut at the command: a damping is part of the controller
     model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
     rows = loop.rows(model)
     width = max(len(name) for name, _ in rows)
@@ -62,7 +62,7 @@ def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) ->
     if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak or loop.delay_margin.high < REQUIRED.delay_margin:
         lines.append(
             f"note: on the measured plant M_s ≤ {REQUIRED.sensitivity_peak:g} or a delay margin of "
-            f"{REQUIRED.delay_margin:g} sample is missed: the model is another plant; put what was measured into it "
+            f"{REQUIRED.delay_margin:g} sample is not met: the model differs from the plant; update its dynamics "
             "(hysteresis identify RESPONSE --into CONFIG) and design again"
         )
     return lines
@@ -70,10 +70,10 @@ def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) ->
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDynamics:
-    """A parameter file whose dynamics were measured."""
+    """A parameter file with dynamics from a measurement."""
 
     text: str
-    figures: dict  #: Of the fit, by names with units.
+    figures: dict  #: Figures of the fit, by names with units.
     warnings: tuple[str, ...]
 
 
@@ -110,7 +110,7 @@ def with_measured_dynamics(
 
 
 def entries(found: ResponseUncertainty) -> dict:
-    """Return what a parameter file keeps of an uncertainty, for a design."""
+    """Return the values of an uncertainty for a parameter file, for a later design."""
     known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
     return {
         "response.frequencies": tuple(float(f"{value:.6g}") for value in found.frequencies),
@@ -124,7 +124,7 @@ def _plain(values: dict) -> dict:
 
 
 def _beside(dynamics: LinearParameters, axis: AxisParameters, found: Analysis) -> tuple[MeasuredPlant, np.ndarray]:
-    """Return the measured plant and what dynamics have at its lines."""
+    """Return the measured plant, and the response of dynamics at its lines."""
     sample_time, own = found.response.sample_time, 1.0 / axis.motion_controller.sample_rate
     if abs(sample_time / own - 1.0) > 1e-6:
         raise ConfigurationError(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a step to the farthest setpoint asks of the voltage, as a user gives one: through the approach of the axis."""
+"""The voltage for a step to the farthest setpoint, through the approach of the axis."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hysteresis_ros.references.generator import ReferenceGenerator, ReferencePar
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Samples before the step, and after the arrival of the reference, besides those of the preview.
+#: Samples before the step and after the arrival of the reference, in addition to the preview.
 BEFORE, AFTER = 20, 400
-#: Longest part of the way after the arrival [s], and most samples of all.
+#: Longest time after the arrival [s], and most samples of the whole run.
 SETTLING, MOST = 0.2, 400_000
 
 
@@ -37,20 +37,20 @@ class SetpointStep:
     """A step to the farthest setpoint in the simulation."""
 
     size: float  #: [m]
-    #: Part of the size by which the displacement passes the setpoint or, after it, where it comes to rest.
+    #: Overshoot as a part of the size, beyond the setpoint or the final displacement.
     overshoot: float
     largest: float  #: Largest change of the voltage in a sample [V].
-    asked: float  #: What it would be without a slew rate [V].
-    allowed: float  #: What the slew rate allows in a sample [V]; inf: the file states none.
+    asked: float  #: The same without a slew rate [V].
+    allowed: float  #: Largest change in a sample by the slew rate [V]; inf: the file has none.
     feedforward: bool  #: Whether the dynamics are inverted.
 
     @property
     def share(self) -> float:
-        """What is asked as a part of the slew rate; above 1 it is cut."""
+        """Requested change over the allowed one; above 1 the slew rate limits it."""
         return self.asked / self.allowed
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what a design prints."""
+        """Return the printed rows."""
         share = "the file states no slew rate" if math.isinf(self.allowed) else f"{100.0 * self.share:.3g} %"
         return [
             ("setpoint step", f"{readable(self.size, 'm')} through the approach"),
@@ -61,7 +61,7 @@ class SetpointStep:
 
 
 def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
-    """Return a step of an axis from where it starts to its farthest setpoint; None for one that walks."""
+    """Return a step of an axis from its start to its farthest setpoint; None for an inchworm motor."""
     if axis.reference_generator is None:
         return None
     own = replace(axis.reference_generator, waveform=WaveformParameters())
@@ -93,7 +93,7 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
 
 
 def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
-    """Return what a design prints of the step of its file."""
+    """Return the printed lines about the step of a designed file."""
     step = setpoint_step(single_axis(parse_configuration(text, "the designed file"), namespace))
     if step is None:
         return []
@@ -105,7 +105,7 @@ def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
 
 
 def require_gentle(step: SetpointStep | None) -> None:
-    """Refuse a feedforward that a step to a setpoint drives beyond the slew limit."""
+    """Refuse a feedforward whose voltage exceeds the slew limit in a step to a setpoint."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
             f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away asks for {step.asked:.3g} V in "

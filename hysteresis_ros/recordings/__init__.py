@@ -10,7 +10,7 @@
 """Recordings: bags, CSV and NPZ, all read into and written from one dataset type (time, named signals, units).
 
 Read ``dataset`` and ``files`` first; a bag goes through ``bag_reader`` and ``align``, and is written by ``bag_writer``
-and ``run_bag``. Tables of other programs: ``foreign_tables``. Bags that were cut off: ``repair``.
+and ``run_bag``. ``foreign_tables`` reads tables of other programs, ``repair`` repairs bags that were cut off.
 """
 
 from hysteresis_ros.recordings.dataset import Recording

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From the messages of a bag, its log of changes included, to the columns of a run, aligned by stamp."""
+"""Alignment of the messages of a bag by their stamps, into the columns of a run and its log of changes."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ from hysteresis_ros.signals import (
 
 @dataclass
 class ChangeLog:
-    """What stands in the log of an axis."""
+    """Content of the log of an axis."""
 
-    changes: list[dict] = field(default_factory=list)  #: What was changed, in order: sample, node, action, parameters.
+    changes: list[dict] = field(default_factory=list)  #: Changes in order: sample, node, action, parameters.
     #: Flat dotted parameters that each node was configured with, by its name.
     parameters: dict[str, dict] = field(default_factory=dict)
-    lacking: int = 0  #: Entries that are missing between others, by their numbers.
-    #: Whether the nodes have kept a log that does not end with the end of the run: somebody has stopped them.
+    lacking: int = 0  #: Number of missing entries, by the numbering.
+    #: Whether the log does not end with the end of the run, because the nodes were stopped.
     stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
 
     def take(self, entry: dict) -> None:
-        """Take an entry."""
+        """Add an entry."""
         node, action, number = str(entry.get("node")), entry.get("action"), entry.get("number")
         if isinstance(number, int):
-            # a node that is configured anew begins with 1 again
+            # a newly configured node begins with 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
         self.stopped = action != ENDED or entry.get("stopped") is True
@@ -63,16 +63,16 @@ class ChangeLog:
             self.changes.append(entry)
 
     def _configure(self, node: str, parameters) -> None:
-        """Take the parameters of a node, as long as it has not been at work."""
+        """Take the parameters of a node before its first sample."""
         own = [entry for entry in self.changes if entry.get("node") == node]
         if isinstance(parameters, dict) and not any(entry.get("sample") for entry in own):
             self.parameters[node] = parameters
-            # what was set before is in them
+            # they include earlier changes
             self.changes = [entry for entry in self.changes if entry.get("node") != node]
 
 
 def read_log(bag: Bag, prefix: str) -> ChangeLog:
-    """Return the log of an axis; what cannot be read is left out."""
+    """Return the log of an axis, without unreadable entries."""
     topic = bag.of_type(f"{prefix}/changes", cdr.STRING)
     log = ChangeLog()
     for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
@@ -83,9 +83,9 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
     return log
 
 
-#: Times [ns] after this, September 2001, are those of a clock, before it seconds since something.
+#: Times [ns] after this, September 2001, are those of a clock; smaller ones count from a start.
 CLOCK = 10**18
-#: Samples at the end of which the last messages may not have reached the recorder when it was stopped.
+#: Last samples whose messages may not have reached the recorder before its stop.
 TAIL = 100
 
 
@@ -99,7 +99,7 @@ def read_recording(path, namespace: str | None = None, *, further: bool = False)
 
 
 def namespaces(bag: Bag) -> tuple[str, ...]:
-    """Return the namespaces in which the bag holds an axis, sorted; the root namespace is the empty string."""
+    """Return the sorted namespaces of the axes in the bag; the root namespace is the empty string."""
     endings = ["/joint_states", *(f"/{node}/state" for node in WRITERS)]
     found = set()
     for name in bag.topics:
@@ -119,7 +119,7 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
         reasons = "; ".join(bag.notes) or "there are no messages in it"
         raise RecordingError(
             f"{bag.path}: damaged, or nothing was recorded ({reasons}): no joint_states and no ~/state messages "
-            "are left; use a copy that is whole, or record again"
+            "are left; use an undamaged copy, or record again"
         )
     if not found:
         topics = ", ".join(sorted(bag.topics)[:8]) or "none"
@@ -138,12 +138,12 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
 
 
 def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> Recording:
-    """Put all signals of one axis into the columns of a run.
+    """Return all signals of one axis as the columns of a run.
 
-    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages carry that stamp and are matched by
-    it. Where there are none, ``joint_states`` and the Float64 topics serve: by count when a topic has one message a
-    sample, otherwise the last message before the next sample. Without a simulated plant nobody knows the true
-    displacement: that column is then the measured one, and a note says so.
+    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages have that stamp and are matched by
+    it. Without them, ``joint_states`` and the Float64 topics are used: by count if a topic has one message per sample,
+    otherwise the last message before the next sample. Without a simulated plant the true displacement is unknown: that
+    column is then the measured one, with a note.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)
@@ -167,13 +167,13 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     columns |= motor
     recorded = stamps.size
     stamps, columns = _without_tail(stamps, columns, present, notes)
-    # a device may have nothing to say at a sample, or fail: that sample is not missing
+    # a device may have no measurement at a sample, or fail: that sample is not missing
     device = configured(configuration, "plant_simulator", prefix).get("driver")
     wanted = [name for name in present if not (device and name in ("measured", "displacement"))]
     missing, per_signal = _missing(stamps, columns, wanted, notes)
     log = read_log(bag, prefix)
     if bag.complete:
-        # a bag that was closed properly has no excuse for an incomplete end, but for the sample that a stop cut off
+        # a properly closed bag is complete except for the sample that the stop interrupted
         missing += max(recorded - stamps.size - log.stopped, 0)
     metadata = {"configuration": configuration, "missing_samples": missing, "missing": per_signal}
     metadata |= _told(bag, prefix, log, notes)
@@ -193,17 +193,17 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
 
 
 def _tolerance(configuration: str, log: ChangeLog, prefix: str) -> float:
-    """Return by how much what was asked and what was put out differ by rounding [V]; infinite: nobody knows."""
+    """Return the rounding between requested and output voltage [V]; infinite: unknown."""
     given = [log.parameters.get(node) or configured(configuration, node, prefix) for node in (PLANT, COMPENSATOR)]
     return output_tolerance(*given)
 
 
 def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
-    """Return what a bag says of an axis besides its signals; what is to be noted is added to ``notes``."""
+    """Return the metadata of an axis, and add its notes to ``notes``."""
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
-            f"{late} voltages came late, the plant held the one before: this machine was too busy for the rate"
+            f"{late} voltages came late, the plant held the previous one: this machine was too busy for the rate"
         )
     if log.lacking:
         notes.append(f"{log.lacking} entries of the log of changes are missing: the run cannot be repeated")
@@ -224,7 +224,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
 
 
 def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
-    """Return the signals beyond the columns of a run: all there are with ``further``, else those that are not empty."""
+    """Return the signals beyond the columns of a run: with ``further`` all, otherwise those that are not empty."""
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
@@ -238,18 +238,18 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
 
 
 def _within_run(stamps, columns: dict, notes: list[str]):
-    """Return the samples from the first reference to the last: a plant of somebody else measures before and after."""
+    """Return the samples from the first reference to the last; an external plant also measures before and after."""
     there = np.flatnonzero(np.isfinite(columns["reference"])) if "reference" in columns else np.zeros(0, dtype=int)
     if not there.size:
         return stamps, columns
     run = slice(there[0], there[-1] + 1)
     if run.stop - run.start < stamps.size:
-        notes.append(f"{stamps.size - run.stop + run.start} measurements before or after the run are left out")
+        notes.append(f"{stamps.size - run.stop + run.start} measurements before or after the run are omitted")
     return stamps[run], {name: values[run] for name, values in columns.items()}
 
 
 def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:
-    """Return the columns of a run that ``~/state`` messages hold, each from the first node that has it."""
+    """Return the columns of a run in ``~/state`` messages, each from the first node that has it."""
     columns = {}
     for name in COLUMNS:
         for node, signal in sources(name):
@@ -261,7 +261,7 @@ def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
-    """Fill in the columns that nobody recorded, note them, and return the names of those that are there."""
+    """Fill in and note the columns that were not recorded, and return the names of the recorded ones."""
     if "displacement" not in columns and "measured" in columns:
         columns["displacement"] = columns["measured"].copy()
         notes.append("no true displacement in the bag: the column displacement is the measured one")
@@ -276,7 +276,7 @@ def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
 def setpoints_per_sample(recording: Recording) -> np.ndarray:
     """Return the setpoint applied at each sample from the first on, shape (M,), for replay by the simulation.
 
-    Samples that the recording misses get the setpoint before them: a setpoint holds until the next.
+    Samples missing in the recording get the setpoint before them, which holds until the next one.
     """
     setpoint = recording["setpoint"]
     if not recording.has("setpoint"):
@@ -290,7 +290,7 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
 
 
 def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
-    """Return the further columns of an inchworm's run; of real hardware those that are known."""
+    """Return the additional columns of an inchworm motor's run; for hardware the known ones."""
     if states[MOTOR_SOURCE] is None:
         return {}
     found = _further(states, stamps)
@@ -300,13 +300,13 @@ def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
 
 
 def _of_plant(plant, stamps, name: str) -> np.ndarray:
-    """Return a signal of the plant's state that not every run has, NaN where nothing is known of it."""
+    """Return an optional signal of the plant's state, NaN where it is unknown."""
     values = plant.signal(name) if plant is not None else None
     return np.full(stamps.size, np.nan) if values is None else _by_stamp(stamps, plant.stamps, values)
 
 
 def _further(states: dict, stamps) -> dict[str, np.ndarray]:
-    """Return the signals of ``~/state`` messages that are no columns of every run."""
+    """Return the signals of ``~/state`` messages that are not columns of every run."""
     found = {}
     for node in WRITERS:
         for name, signal in state_signals(node).items():
@@ -317,7 +317,7 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
-    """Return the last configuration that can be read: anybody may publish on its topic."""
+    """Return the last readable configuration, because any node may publish on its topic."""
     name = f"{prefix}/configuration"
     topic = bag.of_type(name, cdr.STRING)
     messages = topic.data if topic else ()
@@ -325,16 +325,16 @@ def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
         try:
             text = cdr.decode_strings([data], name)[0]
         except RecordingError as error:
-            notes.append(f"a message is left out: {error}")
+            notes.append(f"a message is ignored: {error}")
             continue
         if number:
-            notes.append(f"{name}: the one before is used, {number} of {len(messages)} messages cannot be decoded")
+            notes.append(f"{name}: the previous one is used, {number} of {len(messages)} messages cannot be decoded")
         return text
     return ""
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
-    """Return the messages of a topic and their rows; of several runs in one bag (stamps went back) the longest."""
+    """Return the messages of a topic and their rows; of several runs in one bag (decreasing stamps) the longest."""
     topic = bag.of_type(name, cdr.JOINT_STATE)
     if topic is None:
         return None, np.zeros(0, dtype=np.int64)
@@ -348,7 +348,7 @@ def _one_run(bag: Bag, name: str, notes: list[str]):
 
 
 def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
-    """Return ``values`` on the grid ``stamps``, NaN where the source has no message; of repeats the last one."""
+    """Return ``values`` on the grid ``stamps``, NaN without a message; of repeated messages the last one counts."""
     found = np.full(stamps.size, np.nan)
     place = np.searchsorted(stamps, source_stamps)
     inside = place < stamps.size
@@ -391,7 +391,7 @@ def _held(values: np.ndarray, topic: Topic, until: np.ndarray) -> np.ndarray:
 
 
 def _without_tail(stamps, columns, present, notes):
-    """Leave out the last samples whose messages the recorder did not live to see."""
+    """Remove the last samples whose messages the recorder has not received."""
     whole = np.ones(stamps.size, dtype=bool)
     for name in present:
         if np.any(np.isfinite(columns[name])):
@@ -401,7 +401,7 @@ def _without_tail(stamps, columns, present, notes):
     last = int(np.flatnonzero(whole)[-1]) + 1
     if stamps.size - last > TAIL:
         return stamps, columns
-    notes.append(f"the last {stamps.size - last} samples are incomplete and left out")
+    notes.append(f"the last {stamps.size - last} samples are incomplete and omitted")
     return stamps[:last], {name: values[:last] for name, values in columns.items()}
 
 
@@ -433,14 +433,14 @@ def _missing(stamps, columns, present, notes):
 
 
 def _recorded(bag: Bag, prefix: str) -> int:
-    """Return when the first sample was received [ns of the clock]; 0 where times are no clock's."""
+    """Return the time of reception of the first sample [ns of the clock]; 0 without a clock."""
     topic = bag.of_type(f"{prefix}/joint_states", cdr.JOINT_STATE)
     first = topic.times[0] if topic and topic.times else 0
     return first if first > CLOCK else 0
 
 
 def _late_commands(bag: Bag, prefix: str) -> int:
-    """Return how many voltages came late, by the plant's last diagnostics; 0 when nothing is known."""
+    """Return the number of late voltages from the plant's last diagnostics; 0 if unknown."""
     topic = bag.of_type("/diagnostics", cdr.DIAGNOSTICS)
     count = 0
     for _, name, _, _, values in cdr.decode_diagnostics(topic.data, "/diagnostics") if topic else ():
@@ -451,24 +451,24 @@ def _late_commands(bag: Bag, prefix: str) -> int:
 
 
 def _is_paced(configuration: str, prefix: str) -> bool:
-    """Tell whether samples began by the wall clock: fused, and not slower or faster than real time."""
+    """Return whether samples began by the wall clock: fused, and with real-time factor 1."""
     plant = configured(configuration, "plant_simulator", prefix)
     slowed = plant.get("real_time_factor", 1.0) != 1.0 or plant.get("publish_clock", False)
     return plant.get("time_mode") == "fused" and not slowed
 
 
 def _received(bag: Bag, prefix: str, joints, rows: np.ndarray) -> np.ndarray | None:
-    """Return when each sample of ``joint_states`` was received [ns]; None where nobody recorded a clock."""
+    """Return the times of reception of ``joint_states`` [ns]; None without a recorded clock."""
     if joints is None or rows.size < 3:
         return None
     received = bag.topics[f"{prefix}/joint_states"].received()[rows]
-    # the stamps themselves stand in its place in a simulated run
+    # in a simulated run the stamps take its place
     simulated = np.array_equal(received - received[0], joints.stamps - joints.stamps[0])
     return None if received[-1] <= received[0] or simulated else received
 
 
 def _timing(received: np.ndarray | None, late: np.ndarray) -> dict:
-    """Rate and jitter of ``joint_states`` from the times of reception; of a paced run how late samples began."""
+    """Return rate and jitter of ``joint_states`` from the times of reception, and for a paced run the lateness."""
     if received is None:
         return {}
     steps = np.diff(received) / 1e9

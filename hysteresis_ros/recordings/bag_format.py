@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the files of a bag say about their content: index and footer of MCAP, and ``metadata.yaml`` (version 9)."""
+"""Descriptions of the content of a bag: index and footer of MCAP, and ``metadata.yaml`` (version 9)."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 MAGIC = b"\x89MCAP0\r\n"
 
-#: Of a record: opcode and length, then the content (https://mcap.dev/spec).
+#: Header of a record: opcode and length; the content follows (https://mcap.dev/spec).
 RECORD = struct.Struct("<BQ")
-#: Of a message: channel, sequence number, log time, publish time.
+#: Header of a message: channel, sequence number, log time, publish time.
 MESSAGE = struct.Struct("<HIQQ")
-#: Of a chunk: first and last log time, size, checksum (0: none), length of the name of the compression.
+#: Header of a chunk: first and last log time, size, checksum (0: none), length of the name of the compression.
 CHUNK = struct.Struct("<QQQII")
-#: Of a message index: channel, bytes of entries. An entry is log time and place in the chunk.
+#: Header of a message index: channel, bytes of entries. An entry is log time and position in the chunk.
 INDEX = struct.Struct("<HI")
 ENTRY = 16
 
-#: Log time after all others: that of the first of no messages.
+#: Log time after all others, the first log time without messages.
 NEVER = 2**63 - 1
 
 
@@ -75,7 +75,7 @@ def records_in(data) -> Iterator[tuple[int, int, int]]:
 
 
 def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and length of the content of each whole record from the stream's place on; it may be read."""
+    """Yield opcode, begin and length of the content of each whole record from the stream's position on."""
     cursor = stream.tell()
     while cursor + RECORD.size <= size:
         stream.seek(cursor)
@@ -89,11 +89,11 @@ def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 @dataclass
 class McapIndex:
-    """The summary of a file in the making."""
+    """The summary of a file that is being written."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)  #: schemas, channels: Records by their number.
     channels: dict[int, Channel] = field(default_factory=dict)
-    #: Chunk index records: packed, because a long recording has very many.
+    #: Chunk index records, packed because a long recording has very many.
     chunks: list[bytes] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)  #: attachments, metadata: Index records.
     metadata: list[MetadataIndex] = field(default_factory=list)
@@ -107,7 +107,7 @@ class McapIndex:
         return sum(self.counts.values())
 
     def chunk(self, begin: int, pieces: list, size: int, entries: dict[int, np.ndarray], compression: str = "") -> list:
-        """Note a chunk and return the pieces of its record and of the message indices behind it."""
+        """Add a chunk, and return the pieces of its record and of its message indices."""
         times = [column[:, 0] for column in entries.values()]
         start = min((int(column.min()) for column in times), default=0)
         end = max((int(column.max()) for column in times), default=0)
@@ -124,11 +124,11 @@ class McapIndex:
         return [RECORD.pack(Opcode.CHUNK, len(head) + stored) + head, *pieces, index]
 
     def noted(self) -> tuple:
-        """Return what :meth:`forget` needs to take back what is noted after this."""
+        """Return the state for :meth:`forget`."""
         return dict(self.counts), len(self.chunks), self.start, self.end
 
     def forget(self, noted: tuple) -> None:
-        """Take back what was noted since: it could not be written."""
+        """Remove the entries since a state, because they could not be written."""
         self.counts, chunks, self.start, self.end = noted
         del self.chunks[chunks:]
 
@@ -143,7 +143,7 @@ class McapIndex:
         return places, bytes(index)
 
     def tail(self, begin: int) -> bytes:
-        """Return the end of the file, from the end of the data at ``begin`` on."""
+        """Return the end of the file after the data, which end at ``begin``."""
         head = packed(DataEnd(0))
         groups = [
             (Opcode.SCHEMA, [packed(record) for record in self.schemas.values()]),
@@ -182,7 +182,7 @@ class McapIndex:
 
 METADATA = "metadata.yaml"
 
-#: Key under which everything stands.
+#: Top-level key.
 INFORMATION = "rosbag2_bagfile_information"
 
 VERSION = 9
@@ -190,21 +190,20 @@ VERSION = 9
 
 @dataclass
 class TopicInformation:
-    """What a bag says about a topic."""
+    """Description of a topic in a bag."""
 
-    #: name, type_name, encoding, digest: Topic, message type, how messages are serialised, and the hash of the type;
-    #: empty where it is not known.
+    #: name, type_name, encoding, digest: Topic, message type, serialisation, and hash of the type; empty if unknown.
     name: str
     type_name: str
     encoding: str = "cdr"
     digest: str = ""
-    qos: Sequence[Qos] = ()  #: What its publishers offer.
+    qos: Sequence[Qos] = ()  #: QoS that its publishers offer.
     count: int = 0  #: Messages.
 
 
 @dataclass
 class FileInformation:
-    """What stands in one file of a bag."""
+    """Description of one file of a bag."""
 
     name: str  #: Its name in the folder.
     start: int = NEVER  #: start, end: Times of the first and the last message [ns].
@@ -218,7 +217,7 @@ class FileInformation:
 
 
 def mcap_file(name: str, index: McapIndex) -> FileInformation:
-    """Return what stands in an MCAP file, by its index."""
+    """Return the description of an MCAP file from its index."""
     found = FileInformation(name, index.start, index.end)
     for number, channel in index.channels.items():
         schema = index.schemas.get(channel.schema_id)
@@ -236,7 +235,7 @@ def mcap_file(name: str, index: McapIndex) -> FileInformation:
 
 
 def information(files: Sequence[FileInformation], storage: str, custom: dict[str, str] | None = None) -> dict:
-    """Return what ``metadata.yaml`` says about a bag."""
+    """Return the content of ``metadata.yaml`` of a bag."""
     return {
         "version": VERSION,
         "storage_identifier": storage,
@@ -274,12 +273,12 @@ def information(files: Sequence[FileInformation], storage: str, custom: dict[str
 
 
 def text_of(described: dict) -> str:
-    """Return what :func:`information` gave as YAML."""
+    """Return the content of :func:`information` as YAML."""
     return yaml.safe_dump(described, sort_keys=False, allow_unicode=True)
 
 
 def write_metadata(folder: pathlib.Path, described: dict) -> None:
-    """Write ``metadata.yaml``: the whole file or none."""
+    """Write ``metadata.yaml`` atomically."""
     path = folder / METADATA
     draft = path.with_suffix(".yaml.tmp")
     with draft.open("w", encoding="utf-8") as stream:
@@ -290,10 +289,10 @@ def write_metadata(folder: pathlib.Path, described: dict) -> None:
 
 
 def _qos(text: str) -> list[Qos]:
-    """Return what the publishers of a topic offer; nothing where it is not written as ``ros2 bag`` does."""
+    """Return the QoS of a topic's publishers; empty if it is not in the format of ``ros2 bag``."""
     try:
         return parse_qos(text)
-    except Exception:  # rosbags lets errors of YAML, of types and of keys through
+    except Exception:  # rosbags raises errors of YAML, of types and of keys
         return []
 
 

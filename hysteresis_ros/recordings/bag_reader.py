@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags of every make as messages by topic: rosbags, ``ros2 bag record`` (MCAP, sqlite3), bare and cut-off files."""
+"""Messages by topic from any bag: rosbags, ``ros2 bag record`` (MCAP, sqlite3), bare and cut-off files."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ from hysteresis_ros.recordings.bag_format import (
     records_in,
 )
 
-#: What a chunk may unpack to in any case [bytes], and else in parts of its own size; how much is unpacked at a time.
+#: Size to which any chunk may unpack [bytes], and largest ratio above it; bytes unpacked at a time.
 SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
 
 
 @dataclass
 class StreamResult:
-    """How reading ended."""
+    """Result of reading a file."""
 
-    complete: bool = False  #: The end of the data section was reached.
+    complete: bool = False  #: Whether the end of the data section was reached.
     size: int = 0  #: size, whole: Bytes of the file, and bytes up to the last whole record.
     whole: int = 0
-    salvaged: int = 0  #: Messages taken from a chunk that was cut off.
+    salvaged: int = 0  #: Messages from a chunk that was cut off.
     damaged_chunks: int = 0  #: Chunks inside the file that could not be unpacked.
-    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: What metadata records say, by their names.
+    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of metadata records, by their names.
 
 
 @dataclass
 class _Records:
-    """Follows schemas and channels and hands every message on."""
+    """Tracks schemas and channels, and passes every message on."""
 
     sink: Callable[..., object]
     schemas: dict = field(default_factory=dict)
@@ -84,7 +84,7 @@ class _Records:
             self.count += 1
 
     def walk(self, data: bytes) -> None:
-        """Go through the records of a chunk, up to the last whole one."""
+        """Process the records of a chunk, up to the last whole one."""
         for opcode, begin, end in records_in(data):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel_id, _, time_ns, _ = MESSAGE.unpack_from(data, begin)
@@ -96,10 +96,10 @@ class _Records:
 
 
 def read_stream(path, sink) -> StreamResult:
-    """Hand every whole message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
+    """Pass every whole message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
 
-    Neither index nor footer is needed. A file that ends anywhere gives everything before that point, messages inside
-    a chunk that was cut off included.
+    Neither index nor footer is needed. A truncated file gives all messages before its end, including those in a chunk
+    that was cut off.
     """
     path = pathlib.Path(path)
     result, records = StreamResult(), _Records(sink)
@@ -115,7 +115,7 @@ def read_stream(path, sink) -> StreamResult:
             raise RecordingError(f"{path}: not an MCAP file (it begins with {head!r}); give a recorded bag")
         stream.seek(0)
         result.whole = len(head)
-        # A damaged file makes the parser fail in any way (struct, UTF-8, decompression …); all of them mean "ends here"
+        # a damaged file raises any exception (struct, UTF-8, decompression …); all of them mean "ends here"
         try:
             for record in StreamReader(stream, emit_chunks=True, record_size_limit=result.size).records:
                 _take(record, records, result)
@@ -131,7 +131,7 @@ def read_stream(path, sink) -> StreamResult:
 
 
 def words_of(path: pathlib.Path) -> dict[str, dict[str, str]]:
-    """Return what the metadata records of an MCAP file with an index say, by their names; nothing of other files."""
+    """Return the metadata records of an MCAP file with an index, by their names; empty for other files."""
     try:
         with path.open("rb") as stream:
             reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
@@ -144,7 +144,7 @@ def _take(record, records: _Records, result: StreamResult) -> None:
     if isinstance(record, Chunk):
         try:
             records.walk(_content(record))
-        except Exception:  # see read_stream; the next chunk may be sound
+        except Exception:  # see read_stream; the next chunk may be intact
             result.damaged_chunks += 1
     elif isinstance(record, Schema):
         records.schema(record)
@@ -159,12 +159,12 @@ def _take(record, records: _Records, result: StreamResult) -> None:
 
 
 def chunk_content(record: bytes) -> bytes:
-    """Return what stands in a chunk, unpacked."""
+    """Return the unpacked content of a chunk."""
     return _content(Chunk.read(ReadDataStream(io.BytesIO(record))))
 
 
 def _content(chunk: Chunk) -> bytes:
-    """Return what stands in a chunk, unpacked; any exception when it is damaged."""
+    """Return the unpacked content of a chunk; any exception if it is damaged."""
     data = _unpacked(chunk.data, chunk.compression.encode(), most(len(chunk.data)))
     if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("a damaged chunk")
@@ -172,12 +172,12 @@ def _content(chunk: Chunk) -> bytes:
 
 
 def most(size: int) -> int:
-    """Return to how many bytes a chunk of so many may unpack; what says more is no recording."""
+    """Return the largest plausible unpacked size of a chunk [bytes]."""
     return max(SMALL, RATIO * size)
 
 
 def salvaged(tail: bytes) -> bytes:
-    """Return the records of a chunk whose end is missing, as far as they can be unpacked."""
+    """Return the records of a truncated chunk, as far as they can be unpacked."""
     if len(tail) < RECORD.size + CHUNK.size or tail[0] != Opcode.CHUNK:
         return b""
     name_length = CHUNK.unpack_from(tail, RECORD.size)[4]
@@ -191,7 +191,7 @@ def salvaged(tail: bytes) -> bytes:
 
 
 def _unpacked(data: bytes, compression: bytes, most: int) -> bytes:
-    """Return what was packed, at most so much of it, as far as it goes."""
+    """Return the unpacked bytes, up to a limit or to the first error."""
     if compression == b"zstd":
         import zstandard
 
@@ -208,13 +208,13 @@ def _unpacked(data: bytes, compression: bytes, most: int) -> bytes:
     return data if compression == b"" else b""
 
 
-#: Tables of a bag of ``ros2 bag``; older ones have fewer.
+#: Tables in a bag of ``ros2 bag``; older versions have fewer.
 TABLES = ("schema", "metadata", "message_definitions", "topics", "messages")
 
 
 @contextlib.contextmanager
 def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
-    """Open a database to read it, also one that is shorter than its header says."""
+    """Open a database for reading, also a truncated one."""
     beside = any(path.with_name(f"{path.name}-{end}").exists() for end in ("wal", "journal"))
     with contextlib.ExitStack() as stack:
         try:
@@ -223,7 +223,7 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
             connection = stack.enter_context(
                 contextlib.closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True))
             )
-            # without it a database that has fewer pages than it should is not read at all
+            # otherwise sqlite refuses a database with missing pages
             connection.execute("PRAGMA writable_schema=ON")
             names = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         except OSError as error:
@@ -237,7 +237,7 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
 
 @contextlib.contextmanager
 def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield the file, or a copy without the part of a page at its end, which sqlite would fill up with zeros."""
+    """Yield the file, or a copy without a partial page at its end, which sqlite would fill with zeros."""
     with path.open("rb") as stream:
         head = stream.read(18)
         size = stream.seek(0, os.SEEK_END)
@@ -253,7 +253,7 @@ def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 class Rows:
-    """The rows of a table in their order, up to the first that cannot be read."""
+    """The rows of a table in order, up to the first unreadable one."""
 
     def __init__(self, connection: sqlite3.Connection, statement: str):
         self._connection, self._statement = connection, statement
@@ -267,7 +267,7 @@ class Rows:
 
 
 def read_database(path: pathlib.Path, sink) -> bool:
-    """Hand every message that can be read to ``sink(topic, type_name, time_ns, data)``, in the order of writing."""
+    """Pass every readable message to ``sink(topic, type_name, time_ns, data)``, in the order of writing."""
     with opened(path) as connection:
         topics = {number: words for number, *words in Rows(connection, "SELECT id, name, type FROM topics")}
         rows = Rows(connection, "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
@@ -278,7 +278,7 @@ def read_database(path: pathlib.Path, sink) -> bool:
 
 
 def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
-    """Write what can be read of a bag in sqlite3 as a whole database."""
+    """Write the readable part of an sqlite3 bag as an intact database."""
     with opened(source) as old, contextlib.closing(sqlite3.connect(target)) as new:
         try:
             with new:
@@ -294,7 +294,7 @@ def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformati
 
 
 def whole_database(path: pathlib.Path) -> FileInformation | None:
-    """Return what stands in a database in which every page is there and sound; None otherwise."""
+    """Return the description of an intact database; None for a damaged one."""
     try:
         with opened(path) as connection:
             if next(connection.execute("PRAGMA quick_check(1)")) != ("ok",):
@@ -334,12 +334,12 @@ def _described(name: str, connection: sqlite3.Connection) -> FileInformation:
     return found
 
 
-#: How the files of a bag end, and what ``ros2 bag record`` puts behind that where it compresses whole files.
+#: Suffixes of bag files, and the suffix that ``ros2 bag record`` adds to compressed files.
 ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"
 #: Bytes that are decompressed at a time.
 PIECE = 1 << 20
 
-#: Types whose messages are kept; of others (images …) only the topic is remembered.
+#: Message types that are kept; of others (images …) only the topic is noted.
 KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
 
 
@@ -350,31 +350,31 @@ class Topic:
     type_name: str  #: Message type.
     data: list[bytes] = field(default_factory=list)  #: Serialised messages.
     times: list[int] = field(default_factory=list)  #: Times of reception [ns].
-    order: list[int] = field(default_factory=list)  #: Place of each message among all messages of the bag.
+    order: list[int] = field(default_factory=list)  #: Index of each message among all messages of the bag.
 
     def received(self) -> np.ndarray:
         """Return the times of reception [ns], shape (N,), int64."""
         try:
             return np.array(self.times, dtype=np.int64)
         except OverflowError:
-            raise RecordingError("a message was received at a time that no clock says; the bag is damaged") from None
+            raise RecordingError("a message has an impossible time of reception; the bag is damaged") from None
 
 
 @dataclass
 class Bag:
-    """Everything this package can use of a bag."""
+    """The content of a bag that this package can use."""
 
-    path: pathlib.Path  #: Where it was read from.
-    topics: dict[str, Topic] = field(default_factory=dict)  #: By full topic name.
-    complete: bool = True  #: False when the bag was cut off or is damaged.
-    notes: list[str] = field(default_factory=list)  #: What a reader must know about it.
+    path: pathlib.Path  #: Path of the bag.
+    topics: dict[str, Topic] = field(default_factory=dict)  #: Topics by full name.
+    complete: bool = True  #: False if the bag was cut off or is damaged.
+    notes: list[str] = field(default_factory=list)  #: Notes for the user.
     words: dict[str, dict[str, str]] = field(default_factory=dict)  #: What its metadata records say, by their names.
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
         """Append one message."""
         if not (isinstance(time_ns, int) and isinstance(data, (bytes, bytearray, memoryview))):
-            raise RecordingError(f"{self.path}: a message on {name} is none, or has no time; the bag is damaged")
+            raise RecordingError(f"{self.path}: a message on {name} is invalid or has no time; the bag is damaged")
         topic = self.topics.get(name)
         if topic is None:
             topic = self.topics[name] = Topic(type_name)
@@ -389,7 +389,7 @@ class Bag:
         return self._count
 
     def of_type(self, name: str, type_name: str) -> Topic | None:
-        """Return a topic that holds messages of the given type, or None."""
+        """Return a topic with messages of the given type, or None."""
         topic = self.topics.get(name)
         return topic if topic is not None and topic.type_name == type_name and topic.data else None
 
@@ -415,13 +415,13 @@ def read_bag(path) -> Bag:
 
 
 def files_of(path: pathlib.Path) -> list[pathlib.Path]:
-    """Return the files in which the messages of a bag stand, in their order."""
+    """Return the files with the messages of a bag, in order."""
     if path.is_dir():
         files = _files_in(path, ".mcap") or _files_in(path, ".db3")
         within = _recordings_within(path, files)
         if within:
             listed = ", ".join(map(str, within))
-            raise RecordingError(f"{path}: no bag itself, give one of the recordings in it: {listed}")
+            raise RecordingError(f"{path}: not itself a bag; give one of the recordings in it: {listed}")
         if not files and not (path / "metadata.yaml").exists():
             raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
         return files
@@ -433,14 +433,14 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
 
 
 def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
-    """Return the files of a folder that end so; of one that is there twice, the one that is not compressed."""
+    """Return the files of a folder with a suffix; if a file exists twice, the uncompressed one."""
     plain = list(folder.glob(f"*{ending}"))
     packed = [file for file in folder.glob(f"*{ending}{COMPRESSED}") if file.with_suffix("") not in plain]
     return sorted(plain + packed, key=_natural)
 
 
 def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
-    """Return the recordings in a folder that is no bag itself; none where its files are parts of one (run_0, run_1)."""
+    """Return the recordings in a folder that is not itself a bag; none if its files are parts of one (run_0, run_1)."""
     if (path / "metadata.yaml").exists() or len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
         return []
     bags = [child for child in path.iterdir() if (child / "metadata.yaml").exists() or any(child.glob("*.mcap"))]
@@ -459,13 +459,13 @@ def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:
                 return
             for connection, time_ns, data in reader.messages(wanted):
                 bag.add(connection.topic, connection.msgtype, time_ns, data)
-    except Exception as error:  # rosbags lets errors of sqlite, YAML, zstd and struct through
+    except Exception as error:  # rosbags raises errors of sqlite, YAML, zstd and struct
         detail = " ".join(str(error).split()) or type(error).__name__
         raise RecordingError(f"{path}: not a readable bag: {detail}") from None
 
 
 def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str]) -> Bag:
-    """Read files one after the other, as far as each goes."""
+    """Read files one after the other, each as far as possible."""
     if not files:
         raise RecordingError(f"{path}: not a readable bag: {'; '.join(notes)}")
     bag = Bag(path, notes=notes)
@@ -473,7 +473,9 @@ def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str])
         with _decompressed(file) as (plain, whole):
             if not whole:
                 bag.complete = False
-                bag.notes.append(f"{file.name} was cut off or is damaged: read as far as it can be decompressed")
+                bag.notes.append(
+                    f"{file.name} was cut off or is damaged: read up to the end of its decompressible part"
+                )
             if plain.suffix == ".mcap":
                 result = read_stream(plain, bag.add)
                 bag.complete &= result.complete and not result.damaged_chunks
@@ -481,13 +483,13 @@ def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str])
                 bag.words = result.words | bag.words
             elif not read_database(plain, bag.add):
                 bag.complete = False
-                bag.notes.append(f"{plain.name} was cut off or is damaged: read up to the first page that is missing")
+                bag.notes.append(f"{plain.name} was cut off or is damaged: read up to the first missing page")
     return bag
 
 
 @contextlib.contextmanager
 def _decompressed(file: pathlib.Path) -> Iterator[tuple[pathlib.Path, bool]]:
-    """Yield a file without its compression, and whether all of it could be decompressed."""
+    """Yield the decompressed file, and whether it could be decompressed completely."""
     if file.suffix != COMPRESSED:
         yield file, True
         return
@@ -510,11 +512,11 @@ def _decompressed(file: pathlib.Path) -> Iterator[tuple[pathlib.Path, bool]]:
 def _stream_notes(file: pathlib.Path, result: StreamResult) -> list[str]:
     notes = []
     if result.damaged_chunks:
-        notes.append(f"{file.name}: {result.damaged_chunks} chunks are damaged and left out")
+        notes.append(f"{file.name}: {result.damaged_chunks} chunks are damaged and omitted")
     if not result.complete:
         notes.append(
-            f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records, "
-            f"{result.salvaged} messages were taken from the chunk that was open"
+            f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records, {result.salvaged} "
+            "messages were recovered from the open chunk"
         )
     return notes
 

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags written through ``rosbags`` as MCAP, in chunks that survive a kill, and ended in order when the disk is full.
+"""Writer of MCAP bags through ``rosbags``, in chunks that survive a kill, with a valid end when the disk is full.
 
-A chunk goes to the operating system in one piece. When that fails (a full disk) the file is cut back to the chunk
-before, so that it never ends in the middle of a record, and nothing of the chunk counts as written.
+A chunk goes to the operating system in one piece. If that fails (full disk), the file is truncated to the end of the
+previous chunk, so that it never ends inside a record, and the chunk counts as not written.
 """
 
 from __future__ import annotations
@@ -59,15 +59,15 @@ from hysteresis_ros.recordings.bag_format import (
 )
 from hysteresis_ros.recordings.cdr import MessageForm
 
-#: Metadata record of an MCAP file in which ``ros2 bag`` keeps what else stands in metadata.yaml, and its key.
+#: Metadata record of an MCAP file with a copy of metadata.yaml, as by ``ros2 bag``, and its key.
 ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
 class Frames:
-    """The messages of one sample after another: a *frame* a sample, all of one size, as the bytes of a chunk."""
+    """The messages of consecutive samples as the bytes of a chunk, with one *frame* of constant size per sample."""
 
     def __init__(self, messages: list[tuple[int, MessageForm]], rows: int):
-        """Write what is the same in all frames."""
+        """Write the constant part of all frames."""
         frame, self.starts = bytearray(), []
         layout: list[tuple[str, Any, int]] = []
         self._values: list[list[str]] = []
@@ -97,7 +97,7 @@ class Frames:
         self._times = np.zeros(rows, np.uint64)
 
     def add(self, stamps, times, values) -> None:
-        """Append samples, as many as there is room for at most."""
+        """Append samples as far as there is room."""
         rows = slice(self.count, self.count + len(stamps))
         fields = self._fields[rows]
         self._times[rows] = times
@@ -123,7 +123,7 @@ class Frames:
 
     @property
     def times(self) -> np.ndarray:
-        """When the samples were made [ns], shape (n,)."""
+        """Log times of the samples [ns], shape (n,)."""
         return self._times[: self.count]
 
     def entries(self, base: int) -> np.ndarray:
@@ -140,16 +140,16 @@ class ChunkStorage(McapWriter):
     def __init__(self, path, compression):
         """Create the file."""
         super().__init__(path, compression)
-        self.bio: Any = self.bio.detach()  # nothing waits in a buffer
+        self.bio: Any = self.bio.detach()  # unbuffered
         self.index = McapIndex()
 
     def rename(self, name: str) -> None:
-        """Give the file another name in its folder."""
+        """Rename the file in its folder."""
         self.path = self.path.rename(self.path.with_name(name))
 
     @property
     def size(self) -> int:
-        """Bytes that the file will have when the messages that came one by one are written."""
+        """Size of the file including the pending single messages [bytes]."""
         return self.bio.tell() + self.chunk.bio.tell()
 
     def add_msgtype(self, connection: Connection) -> None:
@@ -170,7 +170,7 @@ class ChunkStorage(McapWriter):
         self.channel_stats[channel.id] = 0
 
     def continue_from(self, before: ChunkStorage) -> None:
-        """Announce the topics of the file before, and take over the messages that it has not written yet."""
+        """Add the topics of the previous file, and take over its pending messages."""
         schemas, channels = before.index.schemas, before.index.channels
         self._append([packed(*schemas.values(), *channels.values())])
         self.index.schemas, self.index.channels = dict(schemas), dict(channels)
@@ -185,11 +185,11 @@ class ChunkStorage(McapWriter):
         self.index.metadata.append(place)
 
     def close_chunk(self) -> None:
-        """Write the messages that came one by one."""
+        """Write the pending single messages."""
         self._write_chunk([self.chunk.bio.getvalue()], self._pending())
 
     def write_frames(self, frames: Frames) -> None:
-        """Write samples, after the messages that came one by one before."""
+        """Write samples, after the pending single messages."""
         before = self.chunk.bio.getvalue()
         entries = self._pending()
         for channel, own in zip(frames.channels, frames.entries(len(before)), strict=True):
@@ -212,11 +212,11 @@ class ChunkStorage(McapWriter):
         self.drop()
 
     def drop(self) -> None:
-        """Forget the messages that came one by one and are not in the file."""
+        """Discard the pending single messages."""
         self.chunk = PendingChunk(NEVER, 0, io.BytesIO(), defaultdict(list))
 
     def _append(self, pieces) -> None:
-        """Write pieces at the end of the file, all or none."""
+        """Append pieces to the file, all or none."""
         whole = self.bio.tell()
         left = [memoryview(piece) for piece in pieces if len(piece)]
         try:
@@ -227,18 +227,18 @@ class ChunkStorage(McapWriter):
                 if left:
                     left[0] = left[0][written:]
         except BaseException:
-            # a record that breaks off would hide all that is written later
+            # a truncated record would hide all later ones
             with contextlib.suppress(OSError):
                 self.bio.seek(whole)
                 self.bio.truncate()
             raise
 
     def information(self) -> FileInformation:
-        """Return what stands in the file."""
+        """Return the description of the file."""
         return mcap_file(self.path.name, self.index)
 
     def close(self, version: int, metadata: str) -> None:
-        """Write what waits, and the summary; without room for it the file stays readable in its order."""
+        """Write pending messages and the summary; without room for it the file stays readable sequentially."""
         with self.bio:
             if self.chunk.msgs:
                 self.close_chunk()
@@ -249,7 +249,7 @@ class ChunkStorage(McapWriter):
 
 
 class ChunkedWriter(Writer):
-    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, in one file or, one after the other, in several."""
+    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, with one file or several consecutive ones."""
 
     STORAGE_PLUGINS = MappingProxyType({**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChunkStorage})
 
@@ -271,7 +271,7 @@ class ChunkedWriter(Writer):
         return storage
 
     def next_file(self) -> None:
-        """Finish the file; what is not written yet comes into the next one."""
+        """Finish the file; pending messages go to the next one."""
         before = self.file
         after = ChunkStorage(self.path, CompressionMode.NONE)
         try:
@@ -291,7 +291,7 @@ class ChunkedWriter(Writer):
         file.close(self.version, text_of(information(self.files[-1:], "mcap", self.custom_data)))
 
     def close(self) -> None:
-        """Write what waits, the index and ``metadata.yaml``."""
+        """Write pending messages, the index and ``metadata.yaml``."""
         file, self.storage = self.file, None
         try:
             self._finish(file)
@@ -305,15 +305,15 @@ class ChunkedWriter(Writer):
             self.file.write_frames(frames)
 
 
-#: Bytes of messages after which a chunk is closed and handed to the operating system.
+#: Bytes of messages after which a chunk is closed and passed to the operating system.
 CHUNK_BYTES = 256 * 1024
 
-#: No limit, as ROS 2 Jazzy writes it.
+#: Infinite duration in the format of ROS 2 Jazzy.
 _FOREVER = QosTime(9223372036, 854775807)
 
 
 def offered_qos(durability: str = "volatile", depth: int = 1000) -> tuple[Qos, ...]:
-    """Return what a bag says about a topic's publisher: reliable, keep last ``depth``, volatile or transient_local."""
+    """Return the QoS of a topic's publisher for a bag: reliable, keep last ``depth``, volatile or transient_local."""
     kinds = {"volatile": QosDurability.VOLATILE, "transient_local": QosDurability.TRANSIENT_LOCAL}
     if durability not in kinds:
         raise RecordingError(f"durability = {durability!r}: must be one of {', '.join(kinds)}")
@@ -336,8 +336,8 @@ class BagWriter:
     """Writes one bag folder (``NAME/NAME.mcap`` and ``NAME/metadata.yaml``) that ``ros2 bag`` and MCAP tools open.
 
     Messages collect in a chunk; a full chunk goes to the file at once, so a SIGKILL loses at most the open one. Call
-    :meth:`flush` now and then (the recorder does, every ``chunk_time``) so that a slow axis does not fill a chunk for
-    minutes. Once a write has failed (a full disk) nothing more is taken; what was written before stays readable.
+    :meth:`flush` regularly (the recorder does, every ``chunk_time``), because a slow axis would take minutes to fill a
+    chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay readable.
 
     With ``max_bag_size`` or ``max_bag_duration`` the folder holds ``NAME_0.mcap``, ``NAME_1.mcap`` …, as ``ros2 bag
     record`` splits: each is a whole file by itself, and the folder is read as one recording.
@@ -371,7 +371,7 @@ class BagWriter:
         return self
 
     def __exit__(self, *exception) -> None:
-        """Close the bag, also after an error: what was recorded is kept."""
+        """Close the bag, also after an error, and keep the recorded messages."""
         self.close()
 
     @property
@@ -380,7 +380,7 @@ class BagWriter:
         return self._writer is None
 
     def add_topic(self, topic: str, type_name: str, durability: str = "volatile") -> None:
-        """Announce a topic; :meth:`write` does it by itself where volatile is right. A second time does nothing."""
+        """Add a topic, unless it exists; :meth:`write` adds topics with volatile durability automatically."""
         if topic in self._connections:
             known = self._connections[topic][0]
             if known != type_name:
@@ -398,7 +398,7 @@ class BagWriter:
         self._connections[topic] = type_name, made
 
     def describe(self, name: str, words: dict[str, str]) -> None:
-        """Write words about the recording into each of its files, as a metadata record of MCAP."""
+        """Write texts about the recording into each of its files, as a metadata record of MCAP."""
         self._words[name] = words
         try:
             self._alive().file.write_words(name, words)
@@ -406,7 +406,7 @@ class BagWriter:
             raise self._failed(error) from None
 
     def write(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
-        """Write one message that is serialised already."""
+        """Write one serialised message."""
         connection = self._connections.get(topic)
         if connection is None or connection[0] != type_name:
             self.add_topic(topic, type_name)
@@ -424,15 +424,15 @@ class BagWriter:
             self.flush()
 
     def channel(self, topic: str) -> int:
-        """Return the channel of a topic that was added."""
+        """Return the channel of an added topic."""
         return self._connections[topic][1].id
 
     def on_flush(self, write: Callable[[], None]) -> None:
-        """Let ``write`` put what waits elsewhere into the bag at each flush and at the end."""
+        """Call ``write``, which writes further pending messages, at each flush and at the end."""
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:
-        """Write the messages of many samples, and those that came one by one before, as a chunk of its own."""
+        """Write the messages of many samples as one chunk, after the pending single messages."""
         try:
             writer = self._alive()
             if self._is_over(int(frames.times[0])) or self._is_full(frames.size * frames.count):
@@ -452,7 +452,7 @@ class BagWriter:
         self.write(topic, cdr.STRING, cdr.encode_string(text), time_ns)
 
     def write_joint_state(self, topic: str, stamp_ns: int, names, positions, time_ns: int | None = None) -> None:
-        """Write a sensor_msgs/JointState with ``names`` and ``position``; received at its stamp unless told."""
+        """Write a sensor_msgs/JointState with ``names`` and ``position``; received at its stamp by default."""
         key = (topic, tuple(names))
         encoder = self._encoders.get(key)
         if encoder is None:
@@ -461,12 +461,12 @@ class BagWriter:
         self.write(topic, cdr.JOINT_STATE, encoder.encode(stamp_ns, positions), received)
 
     def flush(self) -> None:
-        """Close the open chunk and hand it to the operating system: a kill of this process no longer loses it."""
+        """Close the open chunk and pass it to the operating system, so that a kill of this process does not lose it."""
         for write in self._waiting:
             write()
         writer = self._alive()
         try:
-            # an empty chunk would carry no times and confuse readers
+            # an empty chunk has no times and would confuse readers
             if self._open_bytes:
                 if self._is_full(0):
                     self._next_file()
@@ -476,7 +476,7 @@ class BagWriter:
         self._open_bytes = 0
 
     def close(self) -> None:
-        """Write everything, the index and ``metadata.yaml``; doing it twice does nothing."""
+        """Write pending messages, the index and ``metadata.yaml``; idempotent."""
         if self._writer is None:
             return
         try:
@@ -491,13 +491,13 @@ class BagWriter:
                 raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
 
     def _is_over(self, time_ns: int) -> bool:
-        """Tell whether a message of this time belongs into the next file."""
+        """Return whether a message of this time belongs to the next file."""
         if self._first_ns < 0:
             self._first_ns = time_ns
         return 0 < self._max_nanoseconds <= time_ns - self._first_ns
 
     def _is_full(self, more: int) -> bool:
-        """Tell whether a chunk of what waits, and of so many bytes more, makes the file too large."""
+        """Return whether a chunk of pending messages and ``more`` bytes would make the file too large."""
         file = self._alive().file
         return self._max_bytes > 0 and bool(file.index.chunks) and file.size + more > self._max_bytes
 
@@ -509,10 +509,10 @@ class BagWriter:
             writer.file.write_words(name, words)
 
     def _failed(self, error: OSError) -> RecordingError:
-        """Return the error that says so, now and at every later write."""
+        """Return the error of a failed write, also for every later write."""
         self._failure = f"{self.path}: cannot be written: {error.strerror}"
         if self._writer is not None:
-            self._writer.file.drop()  # without it there may be room for the end of the file
+            self._writer.file.drop()  # leaves more room for the end of the file
         return RecordingError(self._failure)
 
     def _alive(self) -> ChunkedWriter:
@@ -523,12 +523,12 @@ class BagWriter:
         return self._writer
 
 
-#: Seconds between two looks at the disk.
+#: Interval of checks of the disk [s].
 LOOK = 1.0
 
 
 class GuardedBag:
-    """Writes into a bag as long as that can be done, and hands what it has to the operating system in time."""
+    """Writes into a bag as long as possible, and flushes it regularly."""
 
     def __init__(self, bag: BagWriter, flush_time: float):
         self.bag: BagWriter | None = bag
@@ -540,7 +540,7 @@ class GuardedBag:
         self.free = free_space(self.path)
 
     def attempt(self, write) -> None:
-        """Call ``write(bag)`` unless the recording is over; what cannot be written ends it."""
+        """Call ``write(bag)`` unless the recording has ended; a failed write ends it."""
         if self.bag is None:
             return
         try:
@@ -549,7 +549,7 @@ class GuardedBag:
             self.stop(str(error))
 
     def tend(self, min_space: int) -> None:
-        """Hand on what was written, when it is time, and look at the disk."""
+        """Flush the bag and check the disk when it is time."""
         now = time.monotonic()
         if now - self._flushed >= self._flush_time:
             self._flushed = now
@@ -559,11 +559,11 @@ class GuardedBag:
             if self.free < min_space:
                 self.stop(
                     f"{self.path}: {self.free / 1e6:.4g} MB are free on the disk, less than min_space = "
-                    f"{min_space / 1e6:.4g} MB; make room and record into another folder"
+                    f"{min_space / 1e6:.4g} MB; free some space and record into another folder"
                 )
 
     def stop(self, reason: str) -> None:
-        """End the recording for a reason; the bag is whole up to here where there is room for its end."""
+        """End the recording for a reason; the bag is complete up to here if there is room for its end."""
         self.stopped = reason
         try:
             self.finish()
@@ -586,18 +586,18 @@ class GuardedBag:
 
 
 def free_space(path: pathlib.Path) -> int:
-    """Return how many bytes a process without privileges may still write beside a file or folder."""
+    """Return the free bytes for an unprivileged process on the disk of a file or folder."""
     found = os.statvfs(path)
     return found.f_bavail * found.f_frsize
 
 
 def require_space(path, least: int) -> None:
-    """Refuse to begin a recording where there is no room for it."""
+    """Refuse to begin a recording without enough room."""
     path = pathlib.Path(path).absolute()
     there = next(parent for parent in path.parents if parent.exists())
     free = free_space(there)
     if free < least:
         raise RecordingError(
-            f"{path}: {free / 1e6:.4g} MB are free on the disk, less than min_space = {least / 1e6:.4g} MB; make room, "
-            "record elsewhere, or lower min_space of the recorder"
+            f"{path}: {free / 1e6:.4g} MB are free on the disk, less than min_space = {least / 1e6:.4g} MB; free "
+            "some space, record elsewhere, or lower min_space of the recorder"
         )

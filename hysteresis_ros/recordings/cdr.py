@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Messages as the bytes bags hold (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
+"""Messages as the bytes in bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
 
-A run of a minute at 3 kHz is two million messages; decoding each on its own takes a minute. All messages of a topic
-share one layout, so the first is decoded by the type store, the layout is read off it, and the numbers of all are
-taken in one go where every significant byte of the layout agrees. Whatever differs is decoded one by one.
+A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
+usually share one layout: the type store decodes the first message, its layout follows, and the numbers of all messages
+are extracted at once if every significant byte of the layout agrees. Other messages are decoded one by one.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ def encode_string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class MessageForm:
-    """A message of fixed size as the form for others that differ in stamp and numbers only."""
+    """A message of fixed size as template for others that differ only in stamp and numbers."""
 
     data: bytes  #: CDR with its four-byte header; stamp and numbers are zero.
-    stamp: int  #: Where the header's stamp begins (int32 seconds, uint32 nanoseconds); -1 where there is none.
-    values: tuple[tuple[int, int], ...]  #: Where each group of float64 numbers begins, and how many it has.
+    stamp: int  #: Position of the header's stamp (int32 seconds, uint32 nanoseconds); -1 without one.
+    values: tuple[tuple[int, int], ...]  #: Position and length of each group of float64 numbers.
 
 
 def float64_form() -> MessageForm:
-    """Return the form of std_msgs/Float64."""
+    """Return the template of std_msgs/Float64."""
     return MessageForm(encode_float64(0.0), -1, ((4, 1),))
 
 
 def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> MessageForm:
-    """Return the form of sensor_msgs/JointState."""
+    """Return the template of sensor_msgs/JointState."""
     types = typestore()
     kinds = types.types
     count = len(names)
@@ -83,7 +83,7 @@ def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> Mess
     data = bytes(types.serialize_cdr(message, JOINT_STATE))
     places = [_joint_state_layout(data).offset]
     while moving and len(places) < 3:
-        # behind the numbers before stands the length; eight-byte numbers are aligned from the end of the header on
+        # a length precedes the numbers; eight-byte numbers are aligned relative to the end of the header
         place = places[-1] + 8 * count + 4
         places.append(place + (4 - place) % 8)
     return MessageForm(data, 4, tuple((place, count) for place in places))
@@ -93,7 +93,7 @@ class JointStateEncoder:
     """Writes JointState messages of fixed names and varying stamp and positions."""
 
     def __init__(self, names, frame_id: str = ""):
-        """Serialise one message as the form for all."""
+        """Serialise one message as template for all."""
         form = joint_state_form(names, frame_id)
         self._buffer = bytearray(form.data)
         self._stamp = form.stamp
@@ -120,7 +120,7 @@ class JointStates:
         return JointStates(self.stamps[rows], self.names, self.positions[rows])
 
     def signal(self, name: str) -> np.ndarray | None:
-        """Return one signal, shape (N,), or None when it is not among the names."""
+        """Return one signal, shape (N,), or None for an unknown name."""
         return self.positions[:, self.names.index(name)] if name in self.names else None
 
 
@@ -183,8 +183,8 @@ def _decode_one_by_one(raws, topic: str) -> JointStates:
 def _decode(raw, kind: str, topic: str):
     try:
         return typestore().deserialize_cdr(raw, kind)
-    except Exception as error:  # the type store answers damaged bytes with whatever its parser stumbles over
-        raise RecordingError(f"a message on {topic} is no {kind}: {type(error).__name__}: {error}") from None
+    except Exception as error:  # the type store raises any exception for damaged bytes
+        raise RecordingError(f"a message on {topic} is not a {kind}: {type(error).__name__}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -223,6 +223,6 @@ def _joint_state_layout(raw: bytes) -> _Layout:
         cursor += -(cursor - 4) % 8
     offset = cursor
     cursor += 8 * count
-    # the lengths of velocity and effort decide the rest; equal sizes with equal lengths mean equal layout
+    # equal sizes with equal lengths of velocity and effort mean equal layout
     length()
     return _Layout(len(raw), offset, count, significant)

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The dataset type that every recording, simulation and analysis shares, and what follows from its columns.
+"""The dataset type of all recordings, simulations and analyses, and quantities derived from its columns.
 
-The output voltage that left for the device, and what was asked of an inchworm.
+Derived are the voltage that the device received, and the requests of an inchworm motor.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
-#: Sample times over which a recording may extend in any case, and else in numbers of its samples.
+#: Duration in sample times that any recording may have, and largest ratio to its number of samples above it.
 SMALL, RATIO = 1_000_000, 100
-#: Figures of the lateness of samples, and in % the part of the samples that are no later.
+#: Figures of the lateness of samples, with their percentiles [%].
 LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals sampled at common instants."""
+    """Signals sampled at common times."""
 
-    time: np.ndarray  #: shape (N,); Instants [s], finite and strictly increasing.
+    time: np.ndarray  #: shape (N,); Times [s], finite and strictly increasing.
     signals: dict[str, np.ndarray]  #: shape (N,); Named signals in SI units; NaN where a sample of a signal is missing.
     #: Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
     units: dict[str, str] = field(default_factory=dict)
@@ -45,9 +45,7 @@ class Recording:
         """Check and convert all columns."""
         time = _column("time", self.time)
         if not np.all(np.isfinite(time)):
-            raise RecordingError(
-                f"time[{_first(~np.isfinite(time))}] is not finite; every sample needs its instant [s]"
-            )
+            raise RecordingError(f"time[{_first(~np.isfinite(time))}] is not finite; every sample needs its time [s]")
         backwards = np.diff(time) <= 0.0
         if np.any(backwards):
             k = _first(backwards) + 1
@@ -73,7 +71,7 @@ class Recording:
             signals[name], units[name] = column, unit
         unused = sorted(set(self.units) - set(signals) - {"time"})
         if unused:
-            raise RecordingError(f"units are given for {', '.join(unused)}, which is no signal of the recording")
+            raise RecordingError(f"units are given for {', '.join(unused)}, which is not a signal of the recording")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "units", units)
@@ -91,7 +89,7 @@ class Recording:
         return self.time.size
 
     def __contains__(self, name: str) -> bool:
-        """Tell whether there is such a signal (or ``time``)."""
+        """Return whether the signal (or ``time``) exists."""
         return name == "time" or name in self.signals
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -105,15 +103,15 @@ class Recording:
             raise RecordingError(f"the recording has no signal '{name}'; it has {there}") from None
 
     def has(self, name: str) -> bool:
-        """Tell whether the signal is there with at least one finite value."""
+        """Return whether the signal has at least one finite value."""
         return name in self and bool(np.any(np.isfinite(self[name])))
 
     @property
     def sample_time(self) -> float:
-        """Distance of two samples [s], missing ones counted; NaN with fewer than two samples.
+        """Sample time [s], with missing samples counted; NaN with fewer than two samples.
 
-        The whole duration is divided: stamps are whole nanoseconds, and over 10⁶ samples the rounding of a single
-        distance would add up to a sample.
+        It is the duration divided by the number of samples: stamps are whole nanoseconds, and over 10⁶ samples the
+        rounding of a single distance would add up to a sample.
         """
         if len(self) < 2:
             return float("nan")
@@ -121,28 +119,28 @@ class Recording:
         return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
 
     def sample_numbers(self) -> np.ndarray:
-        """Return the number of each sample, missing ones counted, shape (N,), int64; the first is 0."""
+        """Return the number of each sample, with missing ones counted, shape (N,), int64; the first is 0."""
         if len(self) < 2:
             return np.zeros(len(self), dtype=np.int64)
         numbers = np.rint((self.time - self.time[0]) / self.sample_time)
         if not numbers[-1] < SMALL + RATIO * len(self):
             raise RecordingError(
-                f"{len(self)} samples lie within {numbers[-1]:.4g} sample times: a time among them is wrong"
+                f"{len(self)} samples lie within {numbers[-1]:.4g} sample times: one of the times is wrong"
             )
         return numbers.astype(np.int64)
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the recording must know (displacement not true, samples missing, bag cut off …)."""
+        """Notes for the user (displacement not true, samples missing, bag cut off …)."""
         return list(self.metadata.get("notes", ()))
 
     @property
     def configuration(self) -> str:
-        """YAML text of the axis; empty when the recording does not hold it."""
+        """YAML text of the axis; empty if the recording does not contain it."""
         return str(self.metadata.get("configuration", ""))
 
     def run_columns(self) -> dict[str, np.ndarray]:
-        """Return ``time`` and the seven columns of a run, all NaN where the recording lacks one."""
+        """Return ``time`` and the seven columns of a run; a missing column is all NaN."""
         absent = np.full(len(self), np.nan)
         return {"time": self.time, **{name: self.signals.get(name, absent) for name in COLUMNS}}
 
@@ -162,9 +160,9 @@ def _first(mask) -> int:
 
 
 def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
-    """Return by how much [V] converters make differ what was asked and what was put out; infinite: nobody knows."""
+    """Return the rounding of converters between requested and output voltage [V]; infinite: unknown."""
     try:
-        # a device rounds by itself, and says what it was given
+        # a device rounds by itself, and reports its input
         own = 0.0 if plant.get("driver") else _step(plant)
         return own + _step(compensator) + LEAST_DIFFERENCE
     except (ArithmeticError, KeyError, TypeError, ValueError):
@@ -172,12 +170,12 @@ def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
 
 
 def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, tolerance: float) -> None:
-    """Let the signals of a run say what has left for the actuator where that is not what was asked.
+    """Replace the requested voltage in the signals of a run by the voltage that the actuator received.
 
-    Row k of the plant's state holds what it put out for the voltage of sample k. Where that differs by more than the
-    converters do, ``voltage`` becomes what left, ``saturated`` 1, and what was asked for is kept as ``asked_voltage``,
-    which a run without such samples does not have. A voltage that did not come in time is no limit: what left is the
-    one before, and ``saturated`` stays.
+    Row k of the plant's state contains its output for the voltage of sample k. If that differs by more than the
+    converters' rounding, ``voltage`` becomes the output, ``saturated`` becomes 1, and ``asked_voltage`` keeps the
+    requested voltage; a run without such samples has no ``asked_voltage``. A late voltage is not a limit: the output is
+    then the previous voltage, and ``saturated`` does not change.
     """
     if "voltage" not in signals:
         return
@@ -194,14 +192,14 @@ def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, toler
 
 
 def _step(parameters: Mapping) -> float:
-    """Return the grid [V] of a converter over its range; 0: there is none."""
+    """Return the resolution of a converter [V]; 0: unlimited."""
     low, high = float(parameters["limits.minimum"]), float(parameters["limits.maximum"])
     bits = int(parameters.get("limits.bits", 0))
     return (high - low) / (2**bits - 1) if bits else 0.0
 
 
 def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:
-    """Return what was asked of an inchworm beside setpoints, for replay by the simulation."""
+    """Return the requests to an inchworm motor besides setpoints, for replay by the simulation."""
     if not all(recording.has(name) for name in REQUESTS):
         return {}
     index = recording.sample_numbers()

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One door for every kind of recording: the path says which format it is. CSV and NPZ come back bit for bit.
+"""Reading and writing of every kind of recording by its path; CSV and NPZ are read back bit for bit.
 
-Bags are imported only where one is opened.
+The modules for bags are imported only when a bag is opened.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 def write_csv(recording: Recording, path) -> None:
     """Write ``time`` and all signals as CSV: one header line such as ``time [s],displacement [m]``, then numbers.
 
-    Numbers are written with as many digits as give the same float64 back. A plain table has no place for metadata:
-    the configuration and the notes stay behind.
+    Numbers have enough digits to read back as the same float64. A plain table has no metadata: the configuration and
+    the notes are lost.
     """
     names = ["time", *recording.signals]
     units = {"time": "s", **recording.units}
@@ -48,7 +48,7 @@ def write_csv(recording: Recording, path) -> None:
 def read_csv(path) -> Recording:
     """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
 
-    SI units and their usual parts (µm, mm, nm, ms, µs, mV) are understood and become SI.
+    SI units and their usual parts (µm, mm, nm, ms, µs, mV) are converted to SI.
     """
     path = _existing(path)
     try:
@@ -94,7 +94,7 @@ def write_npz(recording: Recording, path) -> None:
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
     with (
         replacing(path, RecordingError) as beside,
-        # as numpy.savez_compressed, whose compression takes longer than a simulation and saves little more
+        # like numpy.savez_compressed, whose stronger compression takes longer than a simulation and saves little
         zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
         for name, array in arrays.items():
@@ -115,10 +115,10 @@ def read_npz(path) -> Recording:
 
 
 def _mapping(text, name: str) -> dict:
-    """Return the mapping that an array of one text holds as JSON."""
+    """Return the mapping in an array with one JSON text."""
     found = read_json(str(text))
     if not isinstance(found, dict):
-        raise ValueError(f"its {name} are no mapping")
+        raise ValueError(f"its {name} is not a mapping")
     return found
 
 
@@ -161,14 +161,14 @@ def load_run(path, namespace: str | None = None, *, further: bool = False) -> Re
         return read_npz(path)
     if path.suffix.lower() == ".csv":
         return read_csv(path)
-    # rosbags and mcap take a tenth of a second to import: only those who open a bag pay for it
+    # rosbags and mcap take a tenth of a second to import, so only a bag imports them
     from hysteresis_ros.recordings.align import read_recording
 
     return read_recording(path, namespace, further=further)
 
 
 def save_run(recording: Recording, path, configuration: str | None = None) -> None:
-    """Write a run as ``.npz``, ``.csv`` or ``.mcap``; the suffix decides."""
+    """Write a run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix."""
     path = pathlib.Path(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":

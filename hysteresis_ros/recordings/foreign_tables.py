@@ -7,17 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tables of any origin (text, MATLAB, NumPy): columns of any name, chosen with their units and brought to SI.
+"""Tables of any origin (text, MATLAB, NumPy): columns of any name, selected with their units and converted to SI.
 
-The layout of a text table is found from the first lines: encoding, lines before the table, names and units of the
-columns, delimiter, decimal comma. The numbers are read by NumPy's own reader, block by block, so that only the columns
-that are wanted stand in memory; a block with cells that are no numbers is read again cell by cell.
+The layout of a text table is determined from its first lines: encoding, lines before the table, names and units of the
+columns, delimiter, decimal comma. NumPy reads the numbers block by block, so that only the selected columns are in
+memory; a block with cells that are not numbers is read again cell by cell.
 
-SciPy's reader of MATLAB files takes types, sizes and dimensions as they stand there; of a damaged file it reads memory
-that is none and ends the process. Source: The MathWorks, MAT-File Format, "Level 5 MAT-Files", tables 1-1 and 1-3.
+SciPy's reader of MATLAB files does not check types, sizes and dimensions; with a damaged file it accesses invalid
+memory and ends the process, so they are checked here first. Source: The MathWorks, MAT-File Format, "Level 5
+MAT-Files", tables 1-1 and 1-3.
 
-:mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, where every header names a unit.
-Recordings from elsewhere name their columns ``control_V`` or ``y``; what is missing there, the user gives.
+:mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, where every header names a unit. Other
+recordings name their columns ``control_V`` or ``y``; the user gives the missing units.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _AFTER = re.compile(r"^(?P<name>.+?)(?:\s*/\s*|\s+in\s+|\s*:\s*|,\s*|\s+)(?P<uni
 
 
 def named_column(cell: str) -> tuple[str, str | None]:
-    """Split a cell of a header into the column's name and the unit it declares, None where nothing tells it."""
+    """Split a cell of a header into the column's name and its declared unit, None without one."""
     cell = cell.strip()
     for pattern in (_BRACKETS, _AFTER):
         found = pattern.match(cell)
@@ -56,18 +57,18 @@ def named_column(cell: str) -> tuple[str, str | None]:
 
 
 def column_unit(name: str, header_unit: str | None = None) -> str | None:
-    """Return the unit a column declares: in its header, by a known signal name, or as suffix (``control_V``)."""
+    """Return the declared unit of a column: in its header, by a known signal name, or as suffix (``control_V``)."""
     suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
     return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix[:1].isalpha() and conversion(suffix) else None)
 
 
 def si_unit(unit: str | None) -> str | None:
-    """Return the SI unit of a declared unit; what is unknown stays what it is."""
+    """Return the SI unit of a declared unit; an unknown unit is returned unchanged."""
     return None if unit is None else (conversion(unit) or (unit,))[0]
 
 
 def split_choice(choice: str) -> tuple[str, str | None]:
-    """Split ``name:unit`` into name and unit; the unit is None when there is no colon."""
+    """Split ``name:unit`` into name and unit; the unit is None without a colon."""
     name, colon, unit = choice.rpartition(":")
     if not colon:
         return choice, None
@@ -76,19 +77,19 @@ def split_choice(choice: str) -> tuple[str, str | None]:
 
 
 def known_conversion(name: str, unit: str) -> tuple[str, float]:
-    """Return what :func:`conversion` does, or refuse."""
+    """Return the result of :func:`conversion`; raise RecordingError for an unknown unit."""
     found = conversion(unit)
     if found is None:
         raise RecordingError(f"column '{name}': unknown unit '{unit}'; known are {', '.join(UNITS)}, and 10um/V")
     return found
 
 
-#: Instants may lie this many roundings beside a uniform grid.
+#: Largest deviation of times from a uniform grid, in units of their rounding.
 ROUNDED = 1.01
-#: A larger part of the samples shares the instant of the one before when instants are rounded; where all of those
-#: repeat the values too, rows were written twice, unless it is so many of them.
+#: Part of the samples with the time of the previous one above which times are rounded; if all of these also repeat the
+#: values, rows are duplicated, up to the second part.
 SHARED = 0.05
-#: Time that goes back is taken for jitter while no instant lies farther beside a uniform grid than this part of all.
+#: Decreasing time counts as jitter if no time deviates from a uniform grid by more than this part of the duration.
 DISORDERED = 0.005
 WRITTEN_TWICE = 0.4
 
@@ -98,16 +99,16 @@ class Clock:
     """A time axis."""
 
     time: np.ndarray  #: shape (N,) [s], finite and strictly increasing.
-    kept: np.ndarray | None = None  #: shape (M,); Which rows of the table are samples; all where it is None.
-    notes: tuple[str, ...] = ()  #: notes, warnings: What was done to the instants.
+    kept: np.ndarray | None = None  #: shape (M,); Rows of the table that are samples; None: all.
+    notes: tuple[str, ...] = ()  #: notes, warnings: Changes of the times.
     warnings: tuple[str, ...] = ()
 
 
 def mend_clock(time: np.ndarray, signals) -> Clock:
-    """Return the time axis that a column of instants means.
+    """Return the time axis of a column of times.
 
-    Rows without an instant are left out. Instants that were rounded until several rows share one are put on the uniform
-    grid between them; a row that repeats the one before is left out, and so is one with its instant but other values.
+    Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid; a row that
+    repeats the previous one is omitted, and so is a row with the same time but other values.
 
     Units: ``time`` [s].
     """
@@ -116,7 +117,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     kept = None if finite.all() else finite
     if kept is not None:
         count = int(np.count_nonzero(~finite))
-        warnings.append(f"{count} rows without an instant left out, the first is row {int(np.argmin(finite))}")
+        warnings.append(f"{count} rows without a time omitted, the first is row {int(np.argmin(finite))}")
     instants = time if kept is None else time[kept]
     distances = np.diff(instants)
     if np.all(distances > 0.0):
@@ -132,12 +133,12 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
             )
         warnings.append(
             f"time goes back {np.count_nonzero(distances < 0.0)} times, by up to {readable(-distances.min(), 's')}: "
-            f"the rows are taken as uniform, {readable(grid[1] - grid[0], 's')} apart (instants lie up to "
-            f"{readable(beside, 's')} beside); lags shorter than that are not known"
+            f"the rows are taken as uniform, {readable(grid[1] - grid[0], 's')} apart (times deviate by up to "
+            f"{readable(beside, 's')}); lags shorter than that are not known"
         )
         return Clock(grid, kept, (), tuple(warnings))
     if len(instants) < 2 or instants[-1] == instants[0]:
-        raise RecordingError(f"all {len(instants)} instants are {instants[0]:.9g} s; give the sample time instead")
+        raise RecordingError(f"all {len(instants)} times are {instants[0]:.9g} s; give the sample time instead")
     again = np.append(False, distances == 0.0)
     columns = [values if kept is None else values[kept] for values in signals]
     same = again.copy()
@@ -148,13 +149,13 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     beside = np.max(np.abs(instants - grid))
     if beside <= ROUNDED * rounding and np.mean(again) > (WRITTEN_TWICE if np.all(same == again) else SHARED):
         share = len(instants) / np.count_nonzero(~again)
-        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share an instant: taken as uniform, "
+        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share a time: taken as uniform, "
         return Clock(grid, kept, (note + f"{readable(grid[1] - grid[0], 's')} apart",), tuple(warnings))
     twice, other = int(np.count_nonzero(same)), int(np.count_nonzero(again & ~same))
     at = int(np.argmax(again))
-    words = [f"{twice} rows that repeat the one before"] if twice else []
-    words += [f"{other} rows with the instant of the one before and other values"] if other else []
-    warnings.append(f"{' and '.join(words)} left out, the first at {instants[at]:.9g} s (row {at})")
+    words = [f"{twice} rows that repeat the previous one"] if twice else []
+    words += [f"{other} rows with the time of the previous one and other values"] if other else []
+    warnings.append(f"{' and '.join(words)} omitted, the first at {instants[at]:.9g} s (row {at})")
     if kept is None:
         kept = ~again
     else:
@@ -162,13 +163,13 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     return Clock(instants[~again], kept, (), tuple(warnings))
 
 
-#: The layout is found from this many bytes.
+#: Bytes for the detection of the layout.
 HEAD = 1 << 18
 #: Lines read at a time.
 BLOCK = 100_000
-#: Rows at the end of the head that tell delimiter and width.
+#: Rows at the end of the head for the detection of delimiter and width.
 TELLING = 200
-#: A table of which a larger part of the rows is damaged is none.
+#: Largest part of damaged rows in a table.
 DAMAGED = 0.01
 _COMMENTS = ("#", "%", "//")
 _DELIMITERS = (";", "\t", ",", None)
@@ -176,19 +177,19 @@ _DELIMITERS = (";", "\t", ",", None)
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text table is written."""
+    """Layout of a text table."""
 
     encoding: str
     delimiter: str | None  #: None: blanks.
     comma: bool  #: Decimal commas.
-    first: int  #: Lines before the first row.
-    names: tuple[str, ...]  #: Of the columns, ``1``, ``2`` … where nothing names them.
+    first: int  #: Number of lines before the first row.
+    names: tuple[str, ...]  #: Names of the columns, ``1``, ``2`` … without names.
     units: dict[str, str | None]
-    notes: tuple[str, ...]  #: What a reader of the table should know.
+    notes: tuple[str, ...]  #: Notes for the user.
 
 
 def find_layout(path: pathlib.Path) -> Layout:
-    """Return how a text table is written."""
+    """Return the layout of a text table."""
     encoding, lines = _head(path)
     kept = [line for line in lines if _cells_of(line)]
     if not kept:
@@ -203,7 +204,7 @@ def find_layout(path: pathlib.Path) -> Layout:
     notes = []
     before = sum(bool(line.strip()) and not line.lstrip().startswith(_COMMENTS) for line in lines[:first]) - used
     if before > 0:
-        notes.append(f"{before} lines before the table passed over")
+        notes.append(f"{before} lines before the table skipped")
     if comma:
         notes.append("decimal commas")
     if encoding == "latin-1":
@@ -214,7 +215,7 @@ def find_layout(path: pathlib.Path) -> Layout:
 def read_columns(
     path: pathlib.Path, layout: Layout, names, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Read the named columns of a text table; cells that are no numbers become NaN."""
+    """Read the named columns of a text table; cells that are not numbers become NaN."""
     wanted = [layout.names.index(name) for name in names]
     damaged: list[tuple[int, int]] = []
     blocks, rows, done = [], 0, 0
@@ -235,7 +236,8 @@ def read_columns(
     if len(damaged) > max(DAMAGED * rows, 1):
         line, cells = damaged[0]
         raise RecordingError(
-            f"{path}: {len(damaged)} of {rows} rows have another number of cells than the {len(layout.names)} columns "
+            f"{path}: {len(damaged)} of {rows} rows have a different number of cells than the {len(layout.names)} "
+            "columns "
             f"(line {line}: {cells}); is the delimiter '{layout.delimiter or ' '}' right?"
         )
     columns = {}
@@ -270,7 +272,7 @@ def _head(path):
 
 
 def _how_written(path, lines):
-    """Return delimiter, decimal comma and width of the rows: what makes most of the lines rows of numbers."""
+    """Return delimiter, decimal comma and width with which most lines are rows of numbers."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         if delimiter == "," and comma:
@@ -289,7 +291,7 @@ def _how_written(path, lines):
 
 
 def _with_text(lines):
-    """Return delimiter, decimal comma and width of rows that hold texts beside numbers, None where there are none."""
+    """Return delimiter, decimal comma and width of rows with texts besides numbers, None without such rows."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         rows = [row for row in (_split(line, delimiter) for line in lines) if len(row) > 1 and _is_row(row, comma)]
@@ -300,14 +302,14 @@ def _with_text(lines):
 
 
 def _is_row(row, comma, strict=False) -> bool:
-    """Tell whether the cells are those of a row of numbers; strict: none of them is text."""
+    """Return whether the cells are those of a row of numbers; strict: without texts."""
     filled = [cell for cell in row if cell]
     numbers = sum(_number(cell, comma) is not None for cell in filled)
     return bool(numbers) and (numbers == len(filled) or (not strict and 2 * numbers >= len(filled) and len(row) > 2))
 
 
 def _names(before, delimiter, width):
-    """Return names and units of the columns, and how many lines gave them, from the lines above the first row."""
+    """Return names and units of the columns, and their number of lines, from the lines above the first row."""
     above = [line for line in before if line.strip()]
     units_row: list[str] = []
     for used, line in enumerate(reversed(above[-3:])):
@@ -331,11 +333,11 @@ def _names(before, delimiter, width):
 
 
 def _fitting(text, delimiter, width):
-    """Return the cells of a header, None where no delimiter makes as many as there are columns."""
+    """Return the cells of a header, None if no delimiter gives the number of columns."""
     for mark in (*([] if delimiter is None else [delimiter]), ",", ";", "\t", None):
         row = _split(text, mark)
         if mark == delimiter and width > 1:
-            # the rows lack a last column (a comment), or end with a delimiter that the header lacks
+            # the rows have no last column (a comment), or end with a delimiter that the header does not have
             row = (
                 row[:width] if len(row) == width + 1 else [*row, ""] if len(row) == width - 1 > 1 and all(row) else row
             )
@@ -355,7 +357,7 @@ def _split(line, delimiter):
 
 
 def _number(cell, comma):
-    """Return the number in a cell, None where there is none."""
+    """Return the number in a cell, or None."""
     try:
         return float(cell.replace(",", ".") if comma else cell)
     except ValueError:
@@ -363,14 +365,14 @@ def _number(cell, comma):
 
 
 def _numbers(lines, layout, wanted, line_number, damaged):
-    """Return the wanted columns of a block of lines, shape (n, m)."""
+    """Return the selected columns of a block of lines, shape (n, m)."""
     text = [line.replace(",", ".") for line in lines] if layout.comma else lines
     try:
         return np.loadtxt(
             text, delimiter=layout.delimiter, usecols=wanted, ndmin=2, dtype=np.float64, comments="#", quotechar='"'
         )
     except ValueError:
-        pass  # some cell is empty or text: cell by cell, which is slower but can say where
+        pass  # a cell is empty or text: read cell by cell, which is slower but locates it
     table = np.full((len(lines), len(wanted)), np.nan)
     width, k = len(layout.names), 0
     for number, line in enumerate(lines, line_number + 1):
@@ -388,25 +390,25 @@ def _numbers(lines, layout, wanted, line_number, damaged):
     return table[:k]
 
 
-#: Bytes before the first element; the last four are version and order of bytes.
+#: Bytes before the first element; the last four are version and byte order.
 HEADER = 128
-#: Version and order of bytes by how they stand there; of HDF5, since MATLAB 7.3.
+#: Version and byte order by their bytes; that of HDF5, since MATLAB 7.3.
 ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
 #: Types of elements.
 INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
-#: Classes of arrays: of cells, structures, objects, texts, sparse, functions, opaque ones; the others are of numbers.
+#: Classes of arrays: cells, structures, objects, texts, sparse, functions, opaque; all others are numerical.
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-#: Elements within each other, what an element may unpack to in any case [bytes], and else in parts of its own size.
+#: Largest depth of nested elements; size to which any element may unpack [bytes], and largest ratio above it.
 DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
 
 
 def is_hdf5(content: bytes) -> bool:
-    """Tell whether this is HDF5 with the header of MATLAB, as since 7.3."""
+    """Return whether this is HDF5 with the header of MATLAB, as since 7.3."""
     return 0 not in content[:4] and content[HEADER - 4 : HEADER] in HDF5
 
 
 def require_sound(content: bytes) -> None:
-    """Refuse a file of level 5 whose elements do not fit into each other; level 4 is let through."""
+    """Refuse a file of level 5 with inconsistent elements; level 4 is not checked."""
     mark = content[HEADER - 4 : HEADER]
     if 0 in content[:4]:
         return
@@ -418,16 +420,16 @@ def require_sound(content: bytes) -> None:
             unpacker = zlib.decompressobj()
             data = unpacker.decompress(data, max(SMALL, RATIO * len(data)))
             if unpacker.unconsumed_tail:
-                raise ValueError("an element unpacks to more than measurements do")
+                raise ValueError("an element unpacks to an implausible size")
             inner = list(_elements(data, order, padded=False))
             kind, data = inner[0] if len(inner) == 1 else (0, b"")
         if kind != MATRIX:
-            raise ValueError("holds something else than arrays")
+            raise ValueError("contains something other than arrays")
         _require_array(data, order, 0)
 
 
 def _elements(data: bytes, order: str, padded: bool = True):
-    """Yield type and content of the elements that lie one behind the other."""
+    """Yield type and content of consecutive elements."""
     place = 0
     while place < len(data):
         (first,) = struct.unpack_from(order + "I", data, place)
@@ -450,8 +452,8 @@ def _require_array(data: bytes, order: str, depth: int) -> None:
         raise ValueError("an array without class, or too deep")
     array_class, is_complex = flags[0 if order == "<" else 3], flags[1 if order == "<" else 2] & 8
     if not 1 <= array_class <= OPAQUE:
-        raise ValueError(f"an array of class {array_class}, which there is not")
-    if array_class == OPAQUE:  # three names stand in the place of dimensions
+        raise ValueError(f"an array of unknown class {array_class}")
+    if array_class == OPAQUE:  # three names instead of dimensions
         _require_content(CELL, 1, parts[4:], False, (order, depth))
         return
     if dimensions_kind != INT32 or not dimensions or len(dimensions) % 4 or len(dimensions) > 4 * 32:
@@ -463,7 +465,7 @@ def _require_array(data: bytes, order: str, depth: int) -> None:
 
 
 def _require_content(array_class: int, count: int, parts: list, is_complex: bool, where: tuple[str, int]) -> None:
-    """Refuse content that is not that of so many elements of an array."""
+    """Refuse content that does not match the number of elements of an array."""
     order, depth = where
     if array_class in (CELL, STRUCT, OBJECT, FUNCTION):
         if array_class == FUNCTION:
@@ -485,7 +487,7 @@ def _require_content(array_class: int, count: int, parts: list, is_complex: bool
 
 
 def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
-    """Return of so many structures how many arrays they have, and the parts that should be these."""
+    """Return the number of arrays of structures, and the parts that contain them."""
     if len(parts) < 2 or parts[0][0] != INT32 or len(parts[0][1]) != 4:
         raise ValueError("a structure without names")
     (length,) = struct.unpack(order + "i", parts[0][1])
@@ -495,8 +497,8 @@ def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
 
 
 def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
-    """Return the vectors of a ``.mat`` file of the most frequent length."""
-    import scipy.io  # a tenth of a second, which only those pay who open such a file
+    """Return the vectors of the most frequent length in a ``.mat`` file."""
+    import scipy.io  # imported here because it takes a tenth of a second
 
     try:
         data = path.read_bytes()
@@ -506,7 +508,7 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
         content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except RecordingError:
         raise
-    except Exception as error:  # SciPy raises whatever damaged bytes lead to
+    except Exception as error:  # SciPy raises any exception for damaged bytes
         raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None
     vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))
     sizes = [values.size for values in vectors.values()]
@@ -534,7 +536,7 @@ def _vectors(name, value):
         yield f"{name}_{k + 1}", np.ascontiguousarray(table[:, k])
 
 
-#: Kinds of files that are read as tables: text, NPZ and MATLAB.
+#: Suffixes of tables: text, NPZ and MATLAB.
 TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm", ".npz", ".mat")
 
 _TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us", "zeit", "x_value")
@@ -542,25 +544,25 @@ _TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "ti
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table that was opened: its columns' names and units; the numbers are read when they are asked for."""
+    """An open table with names and units of its columns; the numbers are read on request."""
 
     path: pathlib.Path
-    #: Of each column what it declares (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
+    #: Declared unit of each column (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
     units: dict[str, str | None]
     load: Callable  #: ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
-    notes: tuple[str, ...] = ()  #: How the table is written.
+    notes: tuple[str, ...] = ()  #: Notes about the layout.
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What is taken of a table."""
+    """Selection of data in a table."""
 
-    #: Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
+    #: Columns as ``name`` or ``name:unit``; the unit may be omitted if the column declares it.
     choices: tuple[str, ...]
     #: The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
     time: str | None = None
-    sample_time: float | None = None  #: Distance of two samples [s] for tables without a time column.
-    #: First row and the one after the last; None: all from there, negative: from the end.
+    sample_time: float | None = None  #: Sample time [s] for tables without a time column.
+    #: First row and the one after the last; None: up to the end, negative: from the end.
     rows: tuple[int, int | None] = (0, None)
 
 
@@ -568,8 +570,8 @@ def open_table(path) -> Table:
     """Open a text table, an NPZ or a MATLAB file.
 
     Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
-    before the table are passed over, the last of them may name the columns (``name`` or ``name [unit]``); without names
-    they are called ``1``, ``2`` … Cells that are no numbers become NaN.
+    before the table are skipped, except that the last one may name the columns (``name`` or ``name [unit]``); without
+    names they are ``1``, ``2`` … Cells that are not numbers become NaN.
     """
     path = pathlib.Path(path)
     if not path.is_file():
@@ -636,7 +638,7 @@ def choose_columns(table: Table, selection: Selection, progress=None) -> Recordi
 
 
 def _rows(columns, rows):
-    """Return the rows that are wanted of all columns."""
+    """Return the selected rows of all columns."""
     size = len(next(iter(columns.values())))
     start, stop, _ = slice(*rows).indices(size)
     if rows == (0, None):
@@ -659,16 +661,16 @@ def _chosen(table, choice, declared):
     si, divisor = known_conversion(name, unit)
     stands = conversion(other) if other is not None and other != unit else None
     if stands is not None and stands[0] == "V" and "/" in unit:
-        divisor *= stands[1]  # a sensor's sensitivity beside what its converter read
+        divisor *= stands[1]  # a sensor's sensitivity, for the reading of its converter
     elif stands not in (None, (si, divisor)):
         raise RecordingError(
-            f"{table.path}: column '{name}' is in '{other}' by its header and '{unit}' was asked; which?"
+            f"{table.path}: column '{name}' is in '{other}' by its header, not in '{unit}'; give the right unit"
         )
     return name, divisor, si
 
 
 def _declared(names) -> dict[str, str | None]:
-    """Return the units that names tell, also those of fields of structures."""
+    """Return the units that the names declare, also for fields of structures."""
     return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
 
 

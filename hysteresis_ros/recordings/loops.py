@@ -7,22 +7,22 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis loops: branches of an input and the opening between them."""
+"""Hysteresis loops: branches of an input and the loop width between them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Reversals smaller than this part of the input's range belong to noise and quantisation, not to the loop.
+#: Smallest reversal of the loop, as a part of the input's range; smaller ones are noise and quantisation.
 REVERSAL = 0.01
-#: Reversals that are tried one after the other, until there are branches.
+#: Smallest reversals, tried in order until there are branches.
 REVERSALS = (REVERSAL, 0.03, 0.1)
-#: Different input values a branch must have to count: a jump between two levels is no branch.
+#: Fewest different input values of a branch; a jump between two levels is not a branch.
 BRANCH_LEVELS = 10
 
 
 def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
-    """Return the indices at which ``u``, shape (N,), turns by more than ``reversal`` of its range, ends included."""
+    """Return the indices at which ``u``, shape (N,), reverses by more than ``reversal`` of its range, and the ends."""
     u = np.asarray(u, dtype=np.float64)
     if u.size < 2 or np.ptp(u) == 0.0:
         return np.arange(min(u.size, 1))
@@ -52,22 +52,22 @@ def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
 
 
 def loop_opening(u, y) -> float | None:
-    """Return the largest vertical opening of the loops of ``y`` over ``u``, in the unit of ``y``.
+    """Return the largest vertical width of the loops of ``y`` over ``u``, in the unit of ``y``.
 
-    Two branches that follow each other (one rising, one falling) enclose a loop; its opening at an input is the
-    difference of their outputs there. The largest over all inputs both branches reach, and over all pairs, counts.
-    The first branch is left out where others follow, because it starts at rest (virgin curve) and closes no loop.
-    The opening holds everything that makes branches differ: hysteresis, creep and the lag of the dynamics.
+    Two consecutive branches (one rising, one falling) enclose a loop; its width at an input is the difference of their
+    outputs. The result is the largest over all common inputs and all pairs. The first branch is omitted if others
+    follow, because it starts at rest (virgin curve) and closes no loop. The width includes all differences of the
+    branches: hysteresis, creep and the lag of the dynamics.
     """
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    # noise may reverse an input further than the smallest reversal: its branches are then too short, of the loop not
+    # noise may exceed the smallest reversal: then its branches are too short, unlike those of the loop
     return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
 
 
 def _opening(u, y, reversal: float) -> float | None:
-    """Return the opening of the loops between reversals of at least a part of the range of ``u``."""
+    """Return the width of the loops between reversals of at least a part of the range of ``u``."""
     points = turning_points(u, reversal)
     branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
     if len(branches) > 2:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where a recording comes from: the configuration of its nodes, the files they read, the software and the machine."""
+"""Origin of a recording: the configuration of its nodes, the files they read, the software and the machine."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
-#: Nodes whose parameters an axis needs, and the one that keeps no log.
+#: Nodes whose parameters an axis needs, and the node without a log.
 LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
 OPTIONAL = ("displacement_camera",)
 
 
 def described(text: str, node: str, namespace: str = "") -> bool:
-    """Tell whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
+    """Return whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
     configuration = _parsed(text)
     return configuration is not None and configuration.describes(node, namespace)
 
 
 def configured(text: str, node: str, namespace: str = "") -> dict:
-    """Return the flat dotted parameters of ``node``; empty when the text is empty or no ROS 2 parameter file.
+    """Return the flat dotted parameters of ``node``; empty if the text is empty or not a ROS 2 parameter file.
 
-    A recording must stay readable whatever text somebody published on ``configuration``, so nothing is raised.
+    A recording must stay readable with any text on the topic ``configuration``, so there is no error.
     """
     configuration = _parsed(text)
     return {} if configuration is None else configuration.node(node, namespace)
 
 
 def in_force(recording: Recording) -> str:
-    """Return the parameter file of what the nodes of a recording were really configured with.
+    """Return the parameter file with the actual parameters of the nodes of a recording.
 
-    Their own log knows what a parameter file does not: values of the command line, and what was set before they began.
+    The log of the nodes also has values of the command line and changes before the first sample.
     """
     known = recording.metadata.get("parameters", {})
     if not known.keys() >= LOGGED:
@@ -65,7 +65,7 @@ def in_force(recording: Recording) -> str:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Configuration | None:
-    # a page asks for the same text a few dozen times, and reading YAML takes longer than anything else of it
+    # cached, because a page reads the same text a few dozen times, and reading YAML takes most of its time
     if not text:
         return None
     try:
@@ -74,15 +74,15 @@ def _parsed(text: str) -> Configuration | None:
         return None
 
 
-#: Name of the words; of a file of more bytes than this there is only its digest.
+#: Name of the metadata record, and size [bytes] above which it contains only the digest of a file.
 FILES, LARGEST = "hysteresis_ros files", 2**20
 
-#: How the words of a file begin: what follows is all of it, or its SHA-256.
+#: Prefixes of an entry: the whole content follows, or its SHA-256.
 WHOLE, DIGEST = "base64:", "sha256:"
 
 
 def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
-    """Return files as words, by their paths."""
+    """Return the entries of files, by their paths."""
     words = {}
     for path in paths:
         with contextlib.suppress(OSError):
@@ -93,7 +93,7 @@ def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
 
 
 def whole(words: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the content of files by the paths they had, as far as it is there."""
+    """Return the contents of files by their original paths, as far as the recording has them."""
     found = {}
     for name, text in words.items():
         if text.startswith(WHOLE):
@@ -103,16 +103,16 @@ def whole(words: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def note_on_disk(name: str, content: bytes) -> str:
-    """Return in one line that the file on this disk is another one now; empty: it is not, or there is none."""
+    """Return a line if the file on this disk has changed; empty if it has not, or does not exist."""
     with contextlib.suppress(OSError, ValueError):
         path = pathlib.Path(name)
         if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):
-            return f"{name} on this disk is not the file that the run was made with, which is in the recording and used"
+            return f"{name} on this disk differs from the file of the run; the copy in the recording is used"
     return ""
 
 
 def require_same(name: str, text: str) -> None:
-    """Refuse to repeat a run with a file of which the recording holds a digest only, unless it is that on this disk."""
+    """Refuse to repeat a run if the recording has only the digest of a file, and the file on this disk differs."""
     try:
         with pathlib.Path(name).open("rb") as stream:
             same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text
@@ -125,18 +125,18 @@ def require_same(name: str, text: str) -> None:
         )
 
 
-#: Name of the words in a bag (a metadata record of MCAP).
+#: Name of the metadata record of MCAP.
 RECORD = "hysteresis_ros"
 
-#: What decides the bits of a run, or how it was recorded.
+#: Packages that affect the bits of a run, or its recording.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "rosbags", "mcap")
 
-#: What ROS is told by its environment.
+#: Environment variables of ROS.
 _VARIABLES = ("ROS_DISTRO", "RMW_IMPLEMENTATION")
 
 
 def provenance() -> dict[str, str]:
-    """Return versions, machine and time by name."""
+    """Return versions, machine and time, by name."""
     words = {
         "hysteresis_ros": sys.modules[__name__.partition(".")[0]].__version__,
         "python": platform.python_version(),

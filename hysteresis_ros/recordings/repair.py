@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A bag that was cut off or is damaged, made whole in a new folder: for ``ros2 bag``, Foxglove and ``rosbags``."""
+"""Repair of a cut-off or damaged bag into a new folder, for ``ros2 bag``, Foxglove and ``rosbags``."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ from hysteresis_ros.recordings.bag_format import (
 from hysteresis_ros.recordings.bag_reader import chunk_content, files_of, repair_database, salvaged, whole_database
 from hysteresis_ros.recordings.bag_writer import ROSBAG2, SERIALISED
 
-#: Records that are taken as they are; those from 0x80 on belong to others than the format.
+#: Records that are copied unchanged; those from 0x80 on are private.
 _KEPT = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
 _PRIVATE = 0x80
 
-#: Bytes of messages that stood outside of chunks, or in one that was cut off, after which a chunk is written.
+#: Bytes of messages outside of intact chunks after which a chunk is written.
 CHUNK_BYTES = 1024 * 1024
 
 
 def whole_mcap(path: pathlib.Path) -> FileInformation | None:
-    """Return what stands in a file by its own summary; None where that is missing or damaged."""
+    """Return the description of a file from its summary; None if that is missing or damaged."""
     try:
         stream = path.open("rb")
     except OSError as error:
@@ -65,12 +65,12 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # a file may have lost its end and got another one: the index must lie within it
+            # a file may have the end of another one: the index must lie within it
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):
                     return None
-        except Exception:  # a damaged summary, or a file without room for one, makes the parser fail in any way
+        except Exception:  # a damaged or missing summary raises any exception
             return None
     told = summary.statistics
     index = McapIndex(summary.schemas, summary.channels, counts=told.channel_message_counts)
@@ -80,10 +80,10 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
 
 
 def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
-    """Write what is left of an MCAP file as a whole one.
+    """Write the readable part of an MCAP file as an intact one.
 
-    Everything up to the last whole message stays: schemas, channels, messages, attachments, other metadata records.
-    Chunks inside the file that cannot be unpacked are left out.
+    Everything up to the last whole message is kept: schemas, channels, messages, attachments, other metadata records.
+    Damaged chunks inside the file are omitted.
     """
     with source.open("rb") as stream, target.open("xb") as out:
         size = stream.seek(0, io.SEEK_END)
@@ -111,7 +111,7 @@ def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
 
 
 class _Rescue:
-    """Takes the records of a damaged file, in order, and writes a whole one."""
+    """Reads the records of a damaged file in order, and writes an intact one."""
 
     def __init__(self, out: BinaryIO):
         self.out = out
@@ -123,7 +123,7 @@ class _Rescue:
         self.entries: dict[int, list[tuple[int, int]]] = defaultdict(list)
 
     def take(self, opcode: int, data: bytes) -> None:
-        """Take a whole record; one whose content makes no sense is left out."""
+        """Copy a whole record; one with invalid content is omitted."""
         if opcode == Opcode.CHUNK:
             self._take_chunk(data)
         elif opcode == Opcode.MESSAGE:
@@ -148,12 +148,12 @@ class _Rescue:
                     begin, size, item.log_time, item.create_time, len(item.data), item.name, item.media_type
                 )
                 self.index.attachments.append(place)
-        except Exception:  # the parser fails in any way on a damaged record
+        except Exception:  # a damaged record raises any exception
             return
         self.out.write(RECORD.pack(opcode, len(data)) + data)
 
     def _announce(self, opcode: int, data: bytes) -> None:
-        """Note a schema or a channel that makes sense, and write it where it is new."""
+        """Note a valid schema or channel, and write it if it is new."""
         item: Any = (Schema if opcode == Opcode.SCHEMA else Channel).read(_stream(data))
         known: dict = self.index.schemas if opcode == Opcode.SCHEMA else self.index.channels
         if opcode == Opcode.CHANNEL and item.schema_id and item.schema_id not in self.index.schemas:
@@ -164,13 +164,13 @@ class _Rescue:
     def _take_chunk(self, data: bytes) -> None:
         try:
             content = chunk_content(data)
-        except Exception:  # see _take_other; the next chunk may be sound
+        except Exception:  # see _take_other; the next chunk may be intact
             return
         self.take_messages(content)
         self._write_loose()
 
     def take_messages(self, content: bytes) -> None:
-        """Take the records of a chunk, up to the last whole one."""
+        """Copy the records of a chunk, up to the last whole one."""
         for opcode, begin, end in records_in(content):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel, _, time_ns, _ = MESSAGE.unpack_from(content, begin)
@@ -193,7 +193,7 @@ class _Rescue:
         self._clear()
 
     def finish(self, name: str) -> FileInformation:
-        """Write what waits, and the end of the file."""
+        """Write pending messages, and the end of the file."""
         self._write_loose()
         found = mcap_file(name, self.index)
         words = packed(Metadata(ROSBAG2, {SERIALISED: text_of(information([found], "mcap"))}))
@@ -209,11 +209,11 @@ def _stream(data: bytes) -> ReadDataStream:
 
 @dataclass(frozen=True)
 class Storage:
-    """How the files of a kind of bag are looked at and repaired."""
+    """Functions that check and repair the files of one kind of bag."""
 
-    name: str  #: In metadata.yaml.
-    whole: Callable[[pathlib.Path], FileInformation | None]  #: Returns what stands in a file that is whole, else None.
-    #: Writes what is left of a file as a whole one and returns what stands in it.
+    name: str  #: Name in metadata.yaml.
+    whole: Callable[[pathlib.Path], FileInformation | None]  #: Returns the description of an intact file, else None.
+    #: Writes the readable part of a file as an intact one, and returns its description.
     repair: Callable[[pathlib.Path, pathlib.Path], FileInformation]
 
 
@@ -225,18 +225,18 @@ STORAGES = {
 
 @dataclass(frozen=True)
 class Repair:
-    """What became of a bag."""
+    """Result of the repair of a bag."""
 
-    path: pathlib.Path | None  #: The folder of the repaired bag; None where the bag was whole.
-    messages: int  #: Messages in it.
-    mended: tuple[str, ...] = ()  #: Names of the files that were not whole.
-    lost: tuple[str, ...] = ()  #: Why nothing of a file could be saved, for each such file.
+    path: pathlib.Path | None  #: The folder of the repaired bag; None if the bag was intact.
+    messages: int  #: Number of messages in it.
+    mended: tuple[str, ...] = ()  #: Names of the repaired files.
+    lost: tuple[str, ...] = ()  #: Reason for each file of which nothing could be saved.
 
 
 def repair(path, output=None) -> Repair:
-    """Make a bag whole: index, statistics and ``metadata.yaml`` of all that is left up to its last whole message.
+    """Repair a bag: write its readable messages with index, statistics and ``metadata.yaml``.
 
-    The bag itself stays as it is. The new one is there with all that belongs to it, or not at all.
+    The bag itself is not changed. The new bag is complete, or does not exist.
     """
     path = pathlib.Path(path)
     files = files_of(path)
@@ -282,7 +282,7 @@ def _into(draft: pathlib.Path, storage: Storage, found: dict) -> tuple[int, tupl
 
 
 def _opens(path: pathlib.Path) -> bool:
-    """Tell whether ``rosbags`` opens a folder and finds what its metadata.yaml promises."""
+    """Return whether ``rosbags`` opens a folder and its content agrees with metadata.yaml."""
     try:
         with Reader(path) as reader:
             return reader.message_count == sum(connection.msgcount for connection in reader.connections)

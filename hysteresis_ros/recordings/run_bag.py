@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The samples of an axis as a bag, with the topics, types and stamps of its nodes: in batches, or a whole run at once.
+"""Writer of the samples of an axis as a bag with the topics, types and stamps of its nodes, in batches or all at once.
 
-In batches, what the messages of a sample have in common, nearly everything, is written once; of each sample only stamps
-and numbers are filled in, for many samples at a time.
+In batches, the constant part of the messages, which is nearly everything, is written once; only stamps and numbers are
+filled in, for many samples at a time.
 """
 
 from __future__ import annotations
@@ -35,41 +35,41 @@ from hysteresis_ros.signals import ASKED_VOLTAGE, MOTOR_SOURCE, SOURCE, WRITERS,
 #: Bytes of samples after which a chunk is written.
 BLOCK_BYTES = 1024 * 1024
 
-#: Seconds that a sample waits at most for others to share its chunk, as long as others come.
+#: Longest time that a sample waits for others to share its chunk, while samples arrive [s].
 CHUNK_TIME = 0.25
 
-#: Numbers that ``joint_states`` has for each joint: position, velocity, effort.
+#: Numbers of each joint in ``joint_states``: position, velocity, effort.
 NUMBERS = 3
 
 
 @dataclass(frozen=True)
 class AxisTopics:
-    """What the topics of an axis are called, and what of them its samples do not say."""
+    """Names and properties of the topics of an axis that are not in its samples."""
 
     namespace: str = ""  #: Namespace of the axis.
-    #: Names in ``joint_states``: one, and where a force is measured that joint; or of a motor four.
+    #: Names in ``joint_states``: one, two with a measured force, or four for a motor.
     joints: tuple[str, ...] = ("piezo",)
-    sample_rate: float = 1000.0  #: [Hz], from which velocities follow.
+    sample_rate: float = 1000.0  #: Sample rate [Hz], for velocities.
     motor: bool = False  #: An inchworm motor with its sequencer, not an actuator with a reference generator.
-    force: float = 0.0  #: Of an actuator: preload [N], the effort of the joint.
-    #: The plant is simulated; of a device nobody knows the true displacement, and its state has none.
+    force: float = 0.0  #: Preload of an actuator [N], the effort of the joint.
+    #: Whether the plant is simulated; for a device the true displacement is unknown, and its state has none.
     simulated: bool = True
     durability: str = "volatile"  #: Of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
 
     @property
     def prefix(self) -> str:
-        """What stands before the topics."""
+        """Prefix of the topics."""
         stripped = self.namespace.strip("/")
         return f"/{stripped}" if stripped else ""
 
     def floats(self) -> dict[str, int]:
-        """Return the Float64 topics in the order of a sample, and the places of their signals."""
+        """Return the Float64 topics in the order of a sample, and the rows of their signals."""
         row = {signal.name for signal in signals.row_signals(self.motor)}
         found = signals.float_topics().items()
         return {f"{self.prefix}/{topic}": signals.place(name) for topic, name in found if name in row}
 
     def states(self) -> dict[str, dict[str, int]]:
-        """Return what stands in ``~/state`` of each node, by topic: names and the places of their signals."""
+        """Return the names in ``~/state`` of each node with the rows of their signals, by topic."""
         absent = signals.SOURCE if self.motor else signals.MOTOR_SOURCE
         found = {}
         for node in signals.WRITERS:
@@ -85,21 +85,21 @@ class SampleWriter:
     """Writes all samples of an axis into a bag.
 
     Samples collect until there are enough for a chunk, or the oldest has waited for ``chunk_time``, or the bag is
-    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`, which whoever owns the bag
-    calls now and then, so that the last samples before a pause go to the disk as well). Other messages go into the same
-    bag one by one, from the same thread.
+    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`, which the owner of the bag
+    calls regularly, so that the last samples before a pause also go to the disk). Other messages go into the same bag
+    one by one, from the same thread.
     """
 
     def __init__(
         self, bag: BagWriter, axis: AxisTopics, *, block_bytes: int = BLOCK_BYTES, chunk_time: float = CHUNK_TIME
     ):
-        """Announce the topics."""
+        """Add the topics."""
         if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.motor):
             allowed = "an actuator has one joint, or two with that of its force, a motor at least one"
             raise RecordingError(f"joints = {axis.joints}: {allowed}")
         self.bag = bag
         self.axis = axis
-        #: Effort [N] of an actuator's joint: the preload may be changed while the axis runs.
+        #: Effort [N] of an actuator's joint; the preload may change while the axis runs.
         self.force = axis.force
         self.sample_count = 0
         self._block_bytes, self._chunk_time = int(block_bytes), float(chunk_time)
@@ -132,16 +132,16 @@ class SampleWriter:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics with one message a sample, in the order of a sample."""
+        """Topics with one message per sample, in the order of a sample."""
         return (self._joint_topic, *self.axis.floats(), *self.axis.states())
 
     @property
     def sample_bytes(self) -> int:
-        """Bytes that a sample takes in the file, index included."""
+        """Bytes per sample in the file, index included."""
         return self._frames[False].size + 16 * len(self.topics)
 
     def restart(self) -> None:
-        """Begin a run anew: its first sample has no velocity."""
+        """Begin a new run, whose first sample has no velocity."""
         self._measured = np.nan
         self._started = False
 
@@ -161,7 +161,7 @@ class SampleWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what waits to the operating system: a kill of this process no longer loses it."""
+        """Pass pending samples to the operating system, so that a kill of this process does not lose them."""
         frames = self._frames[self._tripped]
         if frames.count:
             self.bag.write_frames(frames)
@@ -182,7 +182,7 @@ class SampleWriter:
                 self.flush()
 
     def _frames_of(self, tripped: bool) -> Frames:
-        """Return where samples go of which the plant has stopped the axis, or not."""
+        """Return the frames for samples with a stopped or a running axis."""
         if tripped != self._tripped:
             self.flush()
             self._tripped = tripped
@@ -213,16 +213,16 @@ class SampleWriter:
         table = _table("table", table, (self._rows, stamps.size), "a row for each signal and a column for each sample")
         if self.axis.motor:
             if joints is None:
-                raise RecordingError("joints: missing; the samples of a motor need positions, velocities and efforts")
+                raise RecordingError("joints: missing; a motor needs positions, velocities and efforts")
             shape = NUMBERS * len(self.axis.joints), stamps.size
             joints = _table("joints", joints, shape, "positions, velocities and efforts of all joints")
         elif joints is not None:
-            raise RecordingError("joints: given for an actuator, whose joint is in the table; leave it out")
+            raise RecordingError("joints: given for an actuator, whose joint is in the table; omit it")
         return stamps, table, joints, times
 
 
 def _instants(name: str, given, count: int | None) -> np.ndarray:
-    """Return instants [ns] as int64."""
+    """Return times [ns] as int64."""
     instants = np.asarray(given)
     wrong = instants.ndim != 1 or (count is not None and instants.size != count)
     if wrong or (instants.size and instants.dtype.kind not in "iu"):
@@ -248,7 +248,7 @@ def write_recording(
     joint: str | None = None,
     start_time_ns: int = 0,
 ) -> None:
-    """Write a run as the bag the nodes would have left."""
+    """Write a run as a bag like that of the nodes."""
     path = pathlib.Path(path)
     text = recording.configuration if configuration is None else configuration
     joint = joint or str(configured(text, "plant_simulator", namespace).get("joint", "piezo"))
@@ -283,7 +283,7 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
         bag.write_string(f"{prefix}/configuration", configuration, stamps[0] if stamps else int(start_time_ns))
     values = {name: column.tolist() for name, column in recording.signals.items()}
     values.setdefault("plant_voltage", values.get("voltage"))
-    # the topics of the compensator hold what it asked for
+    # the topics of the compensator contain the requested voltage
     if ASKED_VOLTAGE in values:
         values["voltage"] = values[ASKED_VOLTAGE]
     states = []

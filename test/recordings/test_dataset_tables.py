@@ -127,7 +127,7 @@ def test_a_failed_write_leaves_no_file(tmp_path):
         ((np.arange(3.0), {"voltage": ["a", "b", "c"]}), "does not hold numbers"),
         ((np.arange(3.0), {"current": np.zeros(3)}), "has no unit"),
         ((np.arange(3.0), {"voltage": np.zeros(3)}, {"voltage": "mV"}), "must be in 'V'"),
-        ((np.arange(3.0), {"voltage": np.zeros(3)}, {"force": "N"}), "no signal of the recording"),
+        ((np.arange(3.0), {"voltage": np.zeros(3)}, {"force": "N"}), "not a signal of the recording"),
         ((np.array([0.0, 1.0, 1.0]), {}), "increase strictly"),
     ],
 )

@@ -177,7 +177,7 @@ def test_the_command_measures_keeps_and_reads(tmp_path):
     "words, said",
     [
         ("--high 1600Hz", "--high 1600 Hz: must be above 0 and below half the sample rate, 1500 Hz"),
-        ("--low 0.1Hz", "shows nothing below 1.5 Hz"),
+        ("--low 0.1Hz", "resolves nothing below 1.5 Hz"),
         ("--amplitude 0", "must be above 0"),
         ("--amplitude 90V", "beyond -30 V … 120 V"),
         ("--amplitude 1Hz", "must be in V"),

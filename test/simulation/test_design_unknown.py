@@ -102,7 +102,7 @@ def test_the_gain_of_the_feedback_stays_below_what_is_printed(designs):
         controller, _ = whole_loop(design.parameters, STEP)
         gain = np.abs(controller.response(np.exp(2j * np.pi * frequencies * STEP))[:, 0, 1])
         assert np.max(gain) < 0.8 / UNKNOWN
-        note = next(text for text in doubts(design) if "slowed down to a bandwidth of" in text)
+        note = next(text for text in doubts(design) if "bandwidth reduced to" in text)
         for words in ("above 20 Hz the plant is unknown", "damping 0.003", "167 times as high", "below 0.0048"):
             assert words in note
 

@@ -67,7 +67,7 @@ def test_two_samples_that_the_model_does_not_know_are_said_and_a_model_with_them
     axis, result = designed(response())
     late = measured_margins(axis, result.parameters, measured)
     assert result.margins.delay_margin_samples - late.delay_margin.value == pytest.approx(2.0, abs=0.02)
-    assert "put what was measured into it" in measured_lines(axis, result, measured)[-1]
+    assert "update its dynamics" in measured_lines(axis, result, measured)[-1]
     found = with_measured_dynamics(load_configuration("kim2009"), None, measured, "late.npz")
     path_free = single_axis(parse_configuration(found.text, "written"))
     assert path_free.motion_controller.model.dynamics.order >= 5 and path_free.plant_simulator.dynamics.order >= 5
