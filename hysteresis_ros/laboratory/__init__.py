@@ -7,8 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is done with the package, not needed to run an axis: papers, comparisons, sweeps, emulated devices, campaigns.
+"""Applications of the package that no axis needs: papers, comparisons, sweeps, emulated devices, fault campaigns.
 
-It imports the rest of the package and is never imported by it: commands, drivers and ``hr.*`` name what is here as
-text.
+It imports the rest of the package, which never imports it: commands, drivers and ``hr.*`` refer to it by name.
 """

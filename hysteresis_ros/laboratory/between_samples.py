@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The displacement of an actuator between its samples: the voltage is held, the structure goes on."""
+"""The displacement of an actuator between its samples, while the voltage is held."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from hysteresis_ros.models.actuator import Actuator
 from hysteresis_ros.models.creep import OUTPUT
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-#: Instants a sample at which the displacement is judged.
+#: Evaluated points per sample.
 INSTANTS = 10
-#: Eigenvectors that are conditioned worse than this are those of a pole that stands twice: they give no coordinates.
+#: Largest condition number of the eigenvectors; a larger one means a double pole, which has no such coordinates.
 WORST_CONDITION = 1e10
-#: The instants, as parts of a sample.
+#: Times of the points, as parts of a sample.
 PLACES = np.arange(1, INSTANTS + 1) / INSTANTS
 
 
 def displacement_between(actuator: Actuator, voltage) -> np.ndarray:
     """Return the displacement [m] of an actuator without the preload offset, shape (N, INSTANTS).
 
-    The linear dynamics go on continuously while their input is held, so that at the samples it is that of the loop.
+    The linear dynamics continue while their input is held; at the samples the displacement equals that of the loop.
 
     Units: ``voltage`` [V].
     """
@@ -45,8 +45,7 @@ def displacement_between(actuator: Actuator, voltage) -> np.ndarray:
 def between_samples(parameters: LinearParameters, sample_time: float, rest: float, held) -> np.ndarray:
     """Return the output [m] of linear dynamics between their samples, shape (N, INSTANTS).
 
-    Where the dynamics belong to no continuous model (poles at zero, or negative ones), the output goes in a straight
-    line from sample to sample.
+    For dynamics without a continuous equivalent (poles at zero, or negative ones), the output is interpolated linearly.
 
     Units: ``sample_time`` [s].
     """
@@ -58,7 +57,7 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
         begin, ends = dynamics.output(), dynamics.simulate(held)
         starts = np.concatenate([[begin], ends[:-1]])
         return starts[:, np.newaxis] + (ends - starts)[:, np.newaxis] * PLACES
-    # what acts in a sample under a delay is a mixture of what was held in two samples before
+    # with a fractional delay, two held inputs act within a sample
     whole, part = parameters.delayed_samples
     acting = np.concatenate([np.full(whole + 1, rest), held])
     acting = (1.0 - part) * acting[1 : 1 + len(held)] + part * acting[: len(held)]
@@ -74,23 +73,23 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
 
 
 class Modes(NamedTuple):
-    """Linear dynamics in the coordinates of their poles, one of each pair, driven in SI."""
+    """Linear dynamics in modal coordinates, with one pole of each pair."""
 
-    poles: np.ndarray  #: poles, units: shape (M,); Poles, and states at rest under one metre.
+    poles: np.ndarray  #: poles, units: shape (M,); Poles, and steady states for an input of one metre.
     units: np.ndarray
-    #: shape (2 M, INSTANTS); Output [m] between the samples of the real and the imaginary part of each state.
+    #: shape (2 M, INSTANTS); Output [m] between the samples for the real and the imaginary part of each state.
     free: np.ndarray
-    forced: np.ndarray  #: shape (INSTANTS,); Output [m] of one metre that acts since the sample.
+    forced: np.ndarray  #: shape (INSTANTS,); Output [m] for an input of one metre since the sample.
 
 
 @functools.lru_cache(maxsize=8)
 def modes_of(parameters: LinearParameters) -> Modes | None:
-    """Return dynamics between their samples; None where they belong to no continuous model.
+    """Return dynamics between their samples; None without a continuous equivalent.
 
     x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles.
     """
     model = parameters.matrices
-    # of the real matrix, whose pairs are conjugate to the last bit and whose real poles are real
+    # of the real matrix: pairs are exactly conjugate, and real poles are real
     poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
     continuous = np.all((poles.imag != 0.0) | (poles.real > 0.0))
     if not continuous or model.order and np.linalg.cond(vectors) >= WORST_CONDITION:
@@ -100,7 +99,7 @@ def modes_of(parameters: LinearParameters) -> Modes | None:
     decay, out = poles[:, np.newaxis] ** PLACES, (model.C[0] @ vectors)[:, np.newaxis] * parameters.output_scale
     through = model.D.item() * parameters.output_scale / parameters.resolved_input_scale
     forced = np.real(np.sum(out * (1.0 - decay) * units[:, np.newaxis], axis=0)) + through
-    # of a pair one is enough: the other one's part is the conjugate
+    # one pole of a pair is enough: the part of the other one is the conjugate
     kept = poles.imag >= 0.0
     free = (out * decay * np.where(poles.imag > 0.0, 2.0, 1.0)[:, np.newaxis])[kept]
     rows = np.stack([free.real, -free.imag], axis=1).reshape(2 * len(free), INSTANTS)

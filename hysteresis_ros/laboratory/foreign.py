@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Actuators of other classes than the models, to try on them what was identified and designed.
+"""Actuators of other classes than the models, to test identification and design.
 
-voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement, the lag before or behind. Everything is
-integrated on a grid that is finer than the samples, the voltage being held, so that there is a displacement between
-them. With s the voltage as a part of its range, of the hystereses
+voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement, with the lag before or behind the
+hysteresis. Everything is integrated with held voltage on a grid that is finer than the samples, which also gives the
+displacement between them. With s the voltage as a part of its range, the hystereses are
 
 * ``play``: generalised play operators with different curves for rising and falling, whose thresholds widen with the
   speed of the input [1],
@@ -43,13 +43,13 @@ from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import zero_order_hold
 from hysteresis_ros.models.linear_algebra import product
 
-#: Hystereses by the number that the kernel knows them by.
+#: Hystereses, in the order of their numbers in the kernel.
 HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
 #: Play operators, relaxations of the creep and their time constants [s], and modes.
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
-#: The speed of s at which half of the widening of thresholds is reached [1/s], and over which time it is taken [s].
+#: Speed of s at half of the widening of thresholds [1/s], and its averaging time [s].
 SPEED_KNEE, SPEED_MEMORY = 20.0, 2e-3
 #: The longest delay [steps of the fine grid].
 LONGEST_DELAY = 256
@@ -59,16 +59,16 @@ STEPS = 0  # of the fine grid, a sample
 KIND = 1  # place in HYSTERESES
 PER_VOLT = 2
 STROKE = 3
-BEFORE, BEHIND = 4, 5  # decay of the lag in a step; 0 where it is not
+BEFORE, BEHIND = 4, 5  # decay of the lag in a step; 0 without a lag there
 DELAY = 6  # steps
 LINEAR, SQUARE = 7, 8  # d(s) or f(s): LINEAR s + SQUARE s²
-RATE = 9  # what the thresholds widen by at high speed
-KNEE = 10  # the change of s in a step at which half of it is reached
-MEMORY = 11  # decay of that change from step to step
+RATE = 9  # widening of the thresholds at high speed
+KNEE = 10  # change of s per step at half of it
+MEMORY = 11  # decay of the averaged change from step to step
 TURN = 12  # β, or a
 SWING = 13  # α, or g
 SKEW = 14  # γ
-CURVE = 15  # of the rising curve against the falling one
+CURVE = 15  # difference of the rising from the falling curve
 THRESHOLDS = 16  # then weights and curvatures of the play operators
 WEIGHTS = THRESHOLDS + PLAYS
 CURVATURES = WEIGHTS + PLAYS
@@ -81,7 +81,7 @@ PARAMETERS = MODAL + A_MODE * MODES
 # Layout of x.
 LAGGED, FOLLOWED, LAST, OPENING = 0, 1, 2, 3  # lag before and behind; s of the last step; h, or y of the Duhem equation
 NEXT = 4  # place of the next voltage in the ring
-SPEED = 5  # how much s changes in a step, of late
+SPEED = 5  # averaged change of s per step
 PLAY = 6
 CREPT = PLAY + PLAYS
 MODE = CREPT + len(CREEP_TIMES)
@@ -94,20 +94,26 @@ class ForeignParameters(Parameters):
     """An actuator of another class."""
 
     hysteresis: str = parameter("play", choices=HYSTERESES, description="class of the hysteresis")
-    stroke: float = parameter(40e-6, description="about the stroke over the range of voltage", unit="m", low=1e-12)
-    voltage: float = parameter(100.0, description="end of the range of voltage, which begins at 0", unit="V", low=1e-9)
-    opening: float = parameter(0.13, description="about the opening of the widest loop, as a part of the stroke", low=0)
-    asymmetry: float = parameter(0.15, description="how different rising and falling branches are", low=0.0, high=0.5)
-    rate: float = parameter(0.4, description="play: what thresholds widen by at high speed", low=0.0, high=2.0)
+    stroke: float = parameter(40e-6, description="approximate stroke over the range of voltage", unit="m", low=1e-12)
+    voltage: float = parameter(
+        100.0, description="upper end of the range of voltage, which begins at 0", unit="V", low=1e-9
+    )
+    opening: float = parameter(0.13, description="approximate width of the widest loop, as a part of the stroke", low=0)
+    asymmetry: float = parameter(0.15, description="difference of rising and falling branches", low=0.0, high=0.5)
+    rate: float = parameter(0.4, description="play: widening of the thresholds at high speed", low=0.0, high=2.0)
     creep: float = parameter(0.03, description="creep from 0.1 to 10 s after a step, as a part of it", low=0.0)
-    exponent: float = parameter(0.2, description="the power of time that the creep follows", low=0.01, high=1.0)
+    exponent: float = parameter(0.2, description="exponent of the creep over time", low=0.01, high=1.0)
     lag: float = parameter(1e-3, description="time constant of the lag; 0: none", unit="s", low=0.0)
-    lag_before: bool = parameter(True, description="whether the lag stands before the hysteresis")
-    delay: float = parameter(0.0, description="from the voltage to what it drives", unit="s", low=0.0)
-    frequencies: tuple[float, ...] = parameter((280.0, 1300.0), description="of the two modes", unit="Hz", low=1e-3)
-    dampings: tuple[float, ...] = parameter((0.03, 0.02), description="of the two modes", low=1e-4, high=2.0)
-    share: float = parameter(0.1, description="part of the displacement that the second mode carries", low=0, high=1)
-    steps: int = parameter(10, description="of the fine grid, a sample", low=1, high=100)
+    lag_before: bool = parameter(True, description="whether the lag is before the hysteresis")
+    delay: float = parameter(0.0, description="delay of the voltage", unit="s", low=0.0)
+    frequencies: tuple[float, ...] = parameter(
+        (280.0, 1300.0), description="frequencies of the two modes", unit="Hz", low=1e-3
+    )
+    dampings: tuple[float, ...] = parameter(
+        (0.03, 0.02), description="damping ratios of the two modes", low=1e-4, high=2.0
+    )
+    share: float = parameter(0.1, description="part of the displacement in the second mode", low=0, high=1)
+    steps: int = parameter(10, description="steps of the fine grid per sample", low=1, high=100)
 
     def check(self):
         """Yield a Problem unless there are two modes."""
@@ -198,7 +204,7 @@ def foreign(p, x, voltage):
 
 @composite("void", "array", "array", "array", "table")
 def follow(p, x, voltage, displacement):
-    """Fill row k of ``displacement`` [m] with what follows while ``voltage[k]`` [V] is held."""
+    """Fill row k of ``displacement`` [m] with the response while ``voltage[k]`` [V] is held."""
     for k in range(voltage.shape[0]):
         for i in range(displacement.shape[1]):
             displacement[k, i] = substep(p, x, voltage[k])
@@ -237,7 +243,7 @@ class Foreign(Block):
             place = np.arange(1, PLAYS + 1) / PLAYS
             weights = np.array([elementary.exp(-2.0 * one) for one in place])
             weights *= 0.4 / product(weights, np.ones(PLAYS))
-            # rising lags behind by a threshold, falling too
+            # rising and falling branches both lag by a threshold
             p[THRESHOLDS:WEIGHTS] = place * opening / (2.0 * product(place, weights))
             p[WEIGHTS:CURVATURES] = weights
             p[LINEAR] = 0.6
@@ -274,7 +280,7 @@ class Foreign(Block):
 
 
 def _decayed(time: float) -> np.ndarray:
-    """Return what is left of the relaxations of the creep after a time [s], shape (relaxations,)."""
+    """Return the remaining part of the relaxations of the creep after a time [s], shape (relaxations,)."""
     return np.array([elementary.exp(-time / constant) for constant in CREEP_TIMES])
 
 

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs, and questions that take more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` … SI units.
+"""Designs, and studies of more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` … SI units.
 
-Each is what the command does: ``hysteresis design``, ``frf``, ``compare``, ``reproduce``.
+Each function does the same as its command: ``hysteresis design``, ``frf``, ``compare``, ``reproduce``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def compare(
     workers : int, optional
         Processes that share the work; by default as many as there are processors.
     progress : callable, optional
-        Called with what is finished, in words.
+        Called with a text after each finished part.
     namespace : str, optional
         Which axis of a configuration with several.
     **conditions
@@ -79,7 +79,7 @@ def compare(
     known = {field.name for field in fields(Conditions)}
     for name in conditions:
         if name not in known:
-            raise ConfigurationError(f"there is no condition {name}{did_you_mean(name, known)}")
+            raise ConfigurationError(f"unknown condition {name}{did_you_mean(name, known)}")
     found = compare_candidates(
         configuration_of(config),
         Conditions(**conditions),
@@ -92,7 +92,7 @@ def compare(
 
 
 def reproduce(paper: str) -> Reproduction:
-    """Repeat the experiments of a paper: each claim beside what is found here.
+    """Repeat the experiments of a paper: each claim beside its reproduction.
 
     Parameters
     ----------

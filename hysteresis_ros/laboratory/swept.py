@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A sweep as scripts ask for it: ``hr.sweep``; what ``hysteresis sweep`` does."""
+"""``hr.sweep``: a sweep from a script, as by ``hysteresis sweep``."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ __all__ = ["Swept", "sweep"]
 
 
 class Swept(Summary):  # numpydoc ignore=PR01
-    """What became of a sweep; ``print`` shows the lines of ``hysteresis sweep``.
+    """Result of a sweep; ``print`` shows the lines of ``hysteresis sweep``.
 
-    ``results.parameters`` and ``results.metrics`` are arrays by name, one value a run [SI]; ``yield_`` is the share of
-    runs that meet all bounds, ``met`` which of them do; ``sensitivities`` are there where they were asked for.
+    ``results.parameters`` and ``results.metrics`` are arrays by name with one value per run [SI]; ``yield_`` is the
+    share of runs that meet all bounds, ``met`` tells which; ``sensitivities`` has the requested sensitivities.
     """
 
     def __str__(self) -> str:
@@ -51,26 +51,26 @@ def sweep(
     progress: Callable[[int], None] | None = None,
     namespace: str | None = None,
 ) -> Swept:
-    """Run an axis offline many times, with other parameters each.
+    """Run an axis offline many times with varied parameters.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
     vary : mapping of str to Within, Normal, Uniform, LogUniform, Levels, sequence or str; or sequence of str
-        What varies over what: ``{"plant_simulator": hr.Within(0.05), "motion_controller.pid.Kp": [0.1, 0.2]}``, or the
-        same in the words of the command: ``["plant_simulator=±5%", "motion_controller.pid.Kp=0.1,0.2"]``
+        Varied parameters with their ranges: ``{"plant_simulator": hr.Within(0.05), "motion_controller.pid.Kp": [0.1,
+        0.2]}``, or the same in the form of the command: ``["plant_simulator=±5%", "motion_controller.pid.Kp=0.1,0.2"]``
         (``docs/sweeps.md``).
     path : path-like, optional
-        Where the results go, ``.parquet`` or ``.npz``; the same sweep goes on there when it was left.
+        File for the results, ``.parquet`` or ``.npz``; an interrupted sweep continues there.
     runs : int, optional
-        Number of all runs; levels alone need none.
+        Total number of runs; not needed with levels only.
     metrics : sequence of str
-        Figures of a report that are kept; by default ``rms_error_m``, of an inchworm ``final_error_rms_m``.
+        Figures of a report to store; by default ``rms_error_m``, for an inchworm motor ``final_error_rms_m``.
     bounds : sequence of str
-        What a run is to meet: ``"rms_error_m=10nm"``.
+        Requirements on a run: ``"rms_error_m=10nm"``.
     sensitivity : str, optional
-        ``sobol`` or ``morris``: plan the runs for it (needs ``pip install "hysteresis_ros[sweep]"``).
+        ``sobol`` or ``morris``: plan the runs for this analysis (needs ``pip install "hysteresis_ros[sweep]"``).
     duration : float, optional
         Length of each run [s].
     seed : int
@@ -78,9 +78,9 @@ def sweep(
     workers : int, optional
         Processes; by default as many as there are processors.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers make the runs instead.
+        Address of a Dask scheduler whose workers execute the runs instead.
     progress : callable, optional
-        Called with how many runs are made.
+        Called with the number of finished runs.
     namespace : str, optional
         Which axis of a configuration with several.
 
@@ -92,7 +92,7 @@ def sweep(
     Raises
     ------
     ConfigurationError
-        What varies, a metric or a bound does not exist, or the file holds another sweep.
+        A varied parameter, a metric or a bound does not exist, or the file contains another sweep.
     ParameterError
         A range is out of bounds.
 

@@ -171,7 +171,7 @@ def test_a_group_whose_disk_is_full_may_say_so_when_it_leaves_and_no_other(tmp_p
     monkeypatch.setattr(rig, "node_command", lambda *given, **options: command)
     axis = prepared(load_configuration(config_path("picma_stage")), FUSED, "/faults")
     for number, (prefix, expected) in enumerate(
-        ((("env",), []), ((), ["hysteresis_axis left with exit code 1: there"]))
+        ((("env",), []), ((), ["hysteresis_axis ended with exit code 1: there"]))
     ):
         folder = tmp_path / str(number)
         folder.mkdir()

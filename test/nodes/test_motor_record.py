@@ -272,7 +272,7 @@ def test_settings_follow_from_the_axis():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--egu", "V"], "no unit of length"),
+        (["--egu", "V"], "not a unit of length"),
         (["--precision", "-1"], "0 … 15"),
         (["--timeout", "0"], "positive number"),
         (["--tolerance", "nan"], "positive number"),

@@ -34,9 +34,9 @@ def run(*words):
         (["--rounds", "0"], "--rounds"),
         (["picma_stag"], "did you mean picma_stage?"),
         (["inchworm_travel"], "an inchworm motor"),
-        (["-o", "nowhere/page.md"], "there is no such folder"),
+        (["-o", "nowhere/page.md"], "the folder does not exist"),
         (["--add", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["--add", "pyproject.toml"], "no figures of hysteresis faults --json"),
+        (["--add", "pyproject.toml"], "not a file of hysteresis faults --json"),
     ],
 )
 def test_wrong_input_is_refused_in_one_line(words, expected):
@@ -78,5 +78,5 @@ def test_a_node_is_lost_at_the_rate_that_was_asked_for(tmp_path):
     command = [sys.executable, "-m", "hysteresis_ros.cli.main", "faults", *words]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 mishaps: all held" in done.stdout and "it trips, and goes on with ~/start" in done.stdout
+    assert "1 fault cases: all held" in done.stdout and "it trips, and continues with ~/start" in done.stdout
     assert json.loads(figures.read_text(encoding="utf-8"))["config"] == "picma_stage at 10 Hz"

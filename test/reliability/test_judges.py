@@ -71,7 +71,7 @@ def test_a_return_at_the_slew_rate_holds_and_its_time_is_that_until_the_last_uns
 def test_one_step_that_is_too_large_is_found_wherever_it_is():
     voltage = samples().voltage.copy()
     voltage[700] += 0.11
-    assert "1.1 times what the slew rate allows" in failures(seen=samples(voltage))
+    assert "1.1 times the allowed one" in failures(seen=samples(voltage))
 
 
 def test_missing_samples_allow_as_many_steps_as_their_stamps_say():
@@ -112,18 +112,18 @@ def test_a_voltage_that_becomes_safe_too_late_or_not_for_good_is_not_held():
 
 def test_a_displacement_beyond_what_was_asked_for_is_not_held_where_it_is_bounded():
     seen = samples(displacement=np.where(TIMES == 0.5, -1.6e-5, 0.0))
-    assert "16 % of the stroke beyond" in failures(seen=seen)
+    assert "setpoints by 16 % of the stroke" in failures(seen=seen)
     assert judged(trace(seen), replace(MISHAP, bounded=False), BOUNDS).failures == ()
-    assert "beyond" not in failures(seen=samples(displacement=np.where(TIMES == 0.5, -1.4e-5, 0.0)))
-    assert "beyond" not in failures(seen=samples(displacement=np.full(1500, np.nan)))
+    assert "exceeds the setpoints" not in failures(seen=samples(displacement=np.where(TIMES == 0.5, -1.4e-5, 0.0)))
+    assert "exceeds the setpoints" not in failures(seen=samples(displacement=np.full(1500, np.nan)))
     unknown = np.where(TIMES > 0.5, np.nan, 6.6e-5)  # where a device says something it counts
-    assert "16 % of the stroke beyond" in failures(seen=samples(displacement=unknown))
+    assert "setpoints by 16 % of the stroke" in failures(seen=samples(displacement=unknown))
 
 
 def test_what_is_broken_what_was_not_seen_and_what_does_not_recover_is_not_held():
     assert "a traceback is printed" in failures(broken=("a traceback is printed",))
     assert "does not follow" in failures(recovered=math.nan)
-    assert "nothing was seen" in failures(seen=Samples.of(()))
+    assert "no samples of the plant" in failures(seen=Samples.of(()))
 
 
 def test_a_recording_takes_the_place_of_what_was_seen_within_the_time_of_the_mishap():
@@ -146,7 +146,7 @@ def test_the_page_has_a_row_for_each_mishap_with_the_worst_figures_of_each_way(t
     assert fused.startswith("held: 0 … 5 V, step 1.00, safe after 0.15 s, back after 0.9 s") and "late" in fused
     assert composed.startswith("**not held, 1 of 1**: the axis does not follow")
     assert processes == "does not apply: it cannot fall"
-    with pytest.raises(ConfigurationError, match="another do not belong beside"):
+    with pytest.raises(ConfigurationError, match="the figures are of another"):
         results.and_of(replace(earlier, config="another"))
     assert "NOT HELD" in line(bad) and "NOT HELD" not in line(good)
 

@@ -57,7 +57,7 @@ def test_a_motor_that_does_not_arrive_has_no_final_error():
 
 def test_metrics_are_those_of_the_kind_of_axis():
     assert require_metrics([], motor()) == ("final_error_rms_m",) and require_metrics([], axis()) == ("rms_error_m",)
-    with pytest.raises(ConfigurationError, match="rms_error_m: there is no such metric of an inchworm motor; there"):
+    with pytest.raises(ConfigurationError, match="rms_error_m: unknown metric of an inchworm motor; there"):
         require_metrics(["rms_error_m"], motor())
-    with pytest.raises(ConfigurationError, match="not_arrived: there is no such metric of an actuator"):
+    with pytest.raises(ConfigurationError, match="not_arrived: unknown metric of an actuator"):
         require_metrics(["not_arrived"], axis())

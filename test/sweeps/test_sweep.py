@@ -227,7 +227,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     kept = journal.read_bytes()
     assert not path.exists() and 20 <= sum(len(json.loads(line)["rows"]) for line in kept.splitlines()[1:]) < 40
     journal.write_bytes(kept[:-7])  # killed while it wrote
-    with pytest.raises(ConfigurationError, match="holds another sweep, seed: 1 there, 2 asked"):
+    with pytest.raises(ConfigurationError, match="contains another sweep, seed: 1 there, 2 asked"):
         sweep(*asked(runs=40, seed=2), path, workers=1)
     cut_short(*asked(runs=40), path, after=30)
     assert all(map(json.loads, journal.read_text().splitlines()))
@@ -344,9 +344,9 @@ def test_effects_after_morris_are_the_slopes():
         (["--vary", "plant_simulator.sensor.noise=±5%"], "configured as 0"),
         (["--vary", "plant_simulator.sensor.noise=±1nm"], "out of range"),
         (["--vary", "plant_simulator.limits.bits=12.5"], "whole number"),
-        (["--vary", f"{GAIN}=±5%", "--vary", f"{GAIN}=±2%"], "varies twice"),
+        (["--vary", f"{GAIN}=±5%", "--vary", f"{GAIN}=±2%"], "is given twice"),
         (["--vary", "reference_generator.waveform.steps.values=1um"], "is an array"),
-        ([], "nothing varies"),
+        ([], "no varied parameter"),
         (["--vary", f"{GAIN}=1e-7:2e-7:lin9", "--vary", "plant_simulator=±1%", "--runs", "5"], "levels are 9"),
         (["--vary", f"{GAIN}=±5%", "--bound", "rms_error_m=1V"], "is in V"),
         (["--vary", f"{GAIN}=±5%", "--runs", "3", "--sensitivity", "sobol"], "needs at least"),
@@ -371,11 +371,11 @@ def test_results_of_another_sweep_are_left_alone(config, tmp_path):
         (["--duration", "1"], "configuration"),
     ):
         answer = run_command(*words, *other)
-        assert answer.exit_code == 2 and "holds another sweep" in answer.output and named in answer.output
+        assert answer.exit_code == 2 and "contains another sweep" in answer.output and named in answer.output
     assert (tmp_path / "f.npz").read_bytes() == kept
     (tmp_path / "f.npz").write_bytes(b"something else")
     answer = run_command(*words)
-    assert answer.exit_code == 2 and "holds no results of a sweep" in answer.output
+    assert answer.exit_code == 2 and "does not contain results of a sweep" in answer.output
 
 
 def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tmp_path):
@@ -416,7 +416,7 @@ def test_two_sweeps_do_not_write_into_one_file(tmp_path):
     path = tmp_path / "f.npz"
 
     def meanwhile(done):
-        with pytest.raises(ConfigurationError, match="another sweep writes there"):
+        with pytest.raises(ConfigurationError, match="another sweep writes this file"):
             sweep(*asked(), path, workers=1)
 
     sweep(*asked(), path, workers=1, progress=meanwhile)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis faults``: fault cases on an axis of its own, in a ROS domain that nothing else uses.
+"""``hysteresis faults``: fault cases on a separate axis, in a ROS domain that nothing else uses.
 
-run goes through the cases, actions does them, rig is the axis with its surroundings, witness observes it.
+``run`` executes the cases by ``actions``; ``rig`` is the axis with its surroundings, ``witness`` observes it.
 """

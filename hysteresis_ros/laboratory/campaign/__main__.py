@@ -34,7 +34,7 @@ NOT_HELD = 4
 
 
 def main() -> int:
-    """Do what the only argument says; return the exit code."""
+    """Run the campaign that the only argument describes; return the exit code."""
     request = json.loads(sys.argv[1])
     mishaps = tuple(CATALOGUE[name] for name in request["only"])
     ways = tuple(request["ways"])
@@ -61,12 +61,12 @@ def main() -> int:
     finally:
         rclpy.try_shutdown()
     failed = {verdict.trace.mishap for verdict in verdicts if verdict.failures}
-    print(f"{len(verdicts)} mishaps: {'all held' if not failed else 'not held: ' + ', '.join(sorted(failed))}")
+    print(f"{len(verdicts)} fault cases: {'all held' if not failed else 'not held: ' + ', '.join(sorted(failed))}")
     return NOT_HELD if failed else 0
 
 
 def _write(request: dict, mishaps: tuple[Mishap, ...], results: Results) -> None:
-    """Write the files that were asked for."""
+    """Write the requested files."""
     if request["json"]:
         results.save(pathlib.Path(request["json"]))
     for path in request["add"]:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fault cases of a campaign, by their names in the catalogue: processes, machine, measurement, people."""
+"""The actions of fault cases, by their names in the catalogue: processes, machine, measurement, people."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ from hysteresis_ros.nodes.launcher import node_environment, started
 from hysteresis_ros.nodes.realtime import STARTING
 from hysteresis_ros.recordings.align import read_recording
 
-#: Part of the stroke by which an axis that nobody asks may creep.
+#: Part of the stroke by which an axis may creep without a new setpoint.
 UNASKED = 0.03
-#: Whose end is that of the plant.
+#: Processes that contain the plant.
 WITH_PLANT = ("plant_simulator", AXIS)
 #: All processes of an axis.
 ALL = "all"
 
 
 def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill processes hard, and start them again."""
+    """Kill processes (SIGKILL), and restart them."""
     victims = rig.group.names if mishap.victim == ALL else (mishap.victim,)
     for victim in victims:
         rig.group.send(victim, signal.SIGKILL)
@@ -58,20 +58,20 @@ def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
         time.sleep(SLACK)
         moved = rig.witness.displacement - place
         if abs(moved) > UNASKED * rig.bounds.stroke and not rig.witness.tripped:
-            rig.broken.append(f"started again, it sends the axis by {1e6 * moved:.2g} µm unasked")
+            rig.broken.append(f"after its restart it moves the axis by {1e6 * moved:.2g} µm without a setpoint")
 
 
 def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill a process hard: the axis must be stopped, and stay so when the process is started again."""
+    """Kill a process (SIGKILL): the axis must stop, and stay stopped when the process is restarted."""
     witness, patience = rig.witness, rig.bounds.timeouts[mishap.safe] + STARTING
     rig.group.send(mishap.victim, signal.SIGKILL)
     time.sleep(rig.bounds.timeouts[mishap.safe] + SLACK)
     if not witness.until(lambda: witness.tripped == PARTNER_LOST, patience):
-        rig.broken.append(f"the axis is not stopped, latched, {patience:.2g} s after its voltage had to be safe")
+        rig.broken.append(f"the axis is not latched {patience:.2g} s after its voltage had to be safe")
     _again(rig, (mishap.victim,))
     time.sleep(SLACK)
     if witness.tripped != PARTNER_LOST:
-        rig.broken.append("the axis went on without ~/start when the node was started again")
+        rig.broken.append("the axis continued without ~/start when the node was restarted")
 
 
 def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -88,7 +88,7 @@ def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def _again(rig: Rig, victims) -> None:
-    """Start processes that have ended, and wait until they are at work."""
+    """Restart ended processes, and wait until they are active."""
     if any(victim in WITH_PLANT for victim in victims):
         rig.witness.life += 1
     begun, rows = time.monotonic(), len(rig.witness.rows)
@@ -96,19 +96,19 @@ def _again(rig: Rig, victims) -> None:
         rig.group.start(victim)
     seen = rig.witness.until(lambda: len(rig.witness.rows) > rows, START)
     if not seen or not rig.runs(None if AXIS in victims else victims):
-        rig.broken.append(f"not at work {START:g} s after it was started again")
-    rig.notes.append(f"started again, at work after {time.monotonic() - begun:.1f} s")
+        rig.broken.append(f"not active {START:g} s after its restart")
+    rig.notes.append(f"active {time.monotonic() - begun:.1f} s after its restart")
 
 
 #: Keeps a core busy.
 BURN = "while True: sum(range(100000))"
-#: Part of a small disk that is taken when nothing further fits, and seconds that are looked at then.
+#: Part of a small disk that is used when nothing more fits, and the observed time after that [s].
 FILLED, AFTERWARDS = 0.75, 3.0
-#: Seconds in which a small disk is full.
+#: Time in which a small disk becomes full [s].
 FULL = 60.0
-#: A recording that is cut off may lack so much of its end [s], and how long it is before.
+#: Longest missing end of a cut-off recording [s], and its length before [s].
 LOST, RECORDED = 1.5, 2.0
-#: The time of day jumps to so far from what it is, and stays there [s].
+#: Jumps of the time of day, and their duration [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
 
 
@@ -127,7 +127,7 @@ def busy() -> Iterator[None]:
 
 
 def load(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Keep all cores busy while the axis moves to and fro.
+    """Keep all cores busy while the axis moves back and forth.
 
     Units: ``amount`` [s].
     """
@@ -139,7 +139,7 @@ def load(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Wait until the disk of a fused axis, which records all of its samples, is full."""
+    """Wait until the disk of a fused axis, which records all samples, is full."""
 
     def is_full() -> bool:
         sizes = [path.stat().st_size for path in rig.group.bags[-1].glob("*.mcap")]
@@ -151,7 +151,7 @@ def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill a process that records, read what it has left, and start it again."""
+    """Kill a recording process, read its recording, and restart it."""
     if rig.way != FUSED:
         rig.group.start(RECORDER)
         rig.witness.until(lambda: rig.witness.is_active(RECORDER), START)
@@ -162,13 +162,13 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0  # messages of a busy machine may come late
+    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0  # messages may be late on a busy machine
     if lost > LOST or missing:
-        rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples amid the rest")
+        rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples in the rest")
 
 
 def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Let the time of day jump, while the axis moves."""
+    """Make the time of day jump while the axis moves."""
     assert isinstance(rig.beside, Clock)
     for offset in OFFSETS:
         rig.beside.set(offset)
@@ -177,7 +177,7 @@ def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Let a device go wrong, and wait until it does not any more.
+    """Inject a fault into a device, and wait until it ends.
 
     Units: ``amount`` [s].
     """
@@ -186,19 +186,19 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
     time.sleep(amount + 0.5)
 
 
-#: Seconds of the axis after which the faults of a fused loop begin: it has started and moved by then.
+#: Time of the axis at which the faults of a fused loop begin, after its start and first move [s].
 SCHEDULE = 12.0
-#: Seconds for which something is done to the measurement, and after its time-out.
+#: Duration of a fault of the measurement, and its part after the time-out [s].
 LASTING, FURTHER = 3.0, 0.5
 
 
 def _lasts(mishap: Mishap, bounds: Bounds) -> float:
-    """Return for how long it is done [s]: until the voltage has had the time to become safe, where it must."""
+    """Return the duration of a fault [s]: if the voltage must become safe, long enough for that."""
     return bounds.timeouts[mishap.safe] + FURTHER if mishap.safe else LASTING
 
 
 def scheduled(axis: AxisParameters, mishap: Mishap, amount: float, bounds: Bounds) -> AxisParameters:
-    """Return a fused axis to whose measurement it is done by itself."""
+    """Return a fused axis that injects the fault into its own measurement."""
     rate = axis.plant_simulator.sample_rate
     value = {"late": max(round(amount * rate), 1), "spike": amount * bounds.stroke, "drop": amount}.get(mishap.fault)
     end = "" if value is None else f":{value:.9g}"
@@ -206,7 +206,7 @@ def scheduled(axis: AxisParameters, mishap: Mishap, amount: float, bounds: Bound
 
 
 def measure(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Let the measurement go wrong for some time."""
+    """Inject a fault into the measurement for some time."""
     lasts = _lasts(mishap, rig.bounds)
     if rig.relay is not None:
         rig.relay.set(mishap.victim, amount)
@@ -215,13 +215,13 @@ def measure(rig: Rig, mishap: Mishap, amount: float) -> None:
         return
     rate = rig.axis.plant_simulator.sample_rate
     if not rig.witness.until(lambda: rig.witness.sample(rate) >= SCHEDULE * rate, SCHEDULE + LASTING):
-        rig.broken.append("the time of the axis stands still")
+        rig.broken.append("the time of the axis does not advance")
     rig.begun = time.time()
     _move(rig, mishap, lasts)
 
 
 def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
-    """Let the axis move while it lasts, unless the voltage has to become safe."""
+    """Move the axis during the fault, unless the voltage must become safe."""
     until = time.monotonic() + lasts
     while (left := until - time.monotonic()) > 0.0:
         if not mishap.safe:
@@ -229,24 +229,24 @@ def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
         time.sleep(min(left, 0.5))
 
 
-#: Seconds for which something is done again and again, and the distance of two turns of it.
+#: Duration of a repeated action, and interval of its repetitions [s].
 LONG, TURN = 3.0, 1e-3
-#: The axis is sent elsewhere once in so many turns.
+#: Repetitions between two moves of the axis.
 STEADY = 50
-#: A second sender's commands are within so many strokes.
+#: Largest commands of a second sender, in strokes.
 COMMANDED = 3.0
-#: Exit code and words of nodes that find others of their names at work.
+#: Exit code and message of nodes that find others with their names.
 REFUSED, ONE_MASTER = 2, "one axis has one master"
-#: Values that no parameter may have.
+#: Values that every parameter refuses.
 NONSENSE = (math.nan, -1e300, math.inf)
-#: Transitions of the lifecycle that are asked for: all but the end, and some that there are not.
+#: Requested transitions of the lifecycle: all but shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Setpoints that are none; one in so many is such a one.
+#: Invalid setpoints, and how many setpoints there are for each invalid one.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 
 def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Publish setpoints as fast as that, garbage among them, while all cores are busy."""
+    """Publish setpoints, some of them invalid, at a high rate while all cores are busy."""
     rig.asked += [rig.bounds.low, rig.bounds.high]
     message, sent, begun = Float64(), 0, time.monotonic()
     with busy():
@@ -256,11 +256,11 @@ def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
                 message.data = rig.anywhere() if sent % GARBAGE_EVERY else GARBAGE[sent % len(GARBAGE)]
                 rig.witness.setpoints.publish(message)
             time.sleep(TURN)
-    rig.notes.append(f"{sent / LONG:.0f} a second")
+    rig.notes.append(f"{sent / LONG:.0f} per second")
 
 
 def second_sender(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Publish anything on a topic of the axis, as another graph or a tool would."""
+    """Publish on a topic of the axis, as another graph or a tool would."""
     kind = JointState if mishap.victim == "joint_states" else Float64
     publisher = rig.witness.node.create_publisher(kind, mishap.victim, 10)
     until, count = time.monotonic() + LONG, 0
@@ -274,7 +274,7 @@ def second_sender(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def _other(rig: Rig, topic: str):
-    """Return a message of somebody else, within what the axis can do."""
+    """Return a message of another sender, within the range of the axis."""
     bounds, random = rig.bounds, rig.random
     if topic == "voltage":
         return Float64(data=float(random.uniform(bounds.minimum, bounds.maximum)))
@@ -286,7 +286,7 @@ def _other(rig: Rig, topic: str):
 
 
 def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Start the same axis again beside the one that runs."""
+    """Start a second copy of the running axis."""
     folder = rig.group.log.parent / f"second{len(list(rig.group.log.parent.glob('second*')))}"
     folder.mkdir()
     second = Group(rig.axis, rig.way, folder)
@@ -300,7 +300,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Change parameters while the axis moves: numbers a little, and to nonsense; all as they were in the end."""
+    """Change parameters while the axis moves, by a little or to invalid values; restore all at the end."""
     nodes = ("motion_controller", "hysteresis_compensator", "plant_simulator")
     before = {node: _numbers(rig, node) for node in nodes}
     refused = unanswered = 0
@@ -321,7 +321,7 @@ def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def _numbers(rig: Rig, node: str) -> dict[str, float]:
-    """Return the numbers among the parameters of a node that may change."""
+    """Return the numerical parameters of a node that may change."""
     listed = rig.witness.call(ListParameters, f"{node}/list_parameters")
     names = list(listed.result.names) if listed is not None else []
     values = rig.witness.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
@@ -333,7 +333,7 @@ def _numbers(rig: Rig, node: str) -> dict[str, float]:
 
 
 def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
-    """Set parameters together; tell whether they were taken, None without an answer."""
+    """Set parameters together; return whether they were accepted, None without an answer."""
     request = SetParametersAtomically.Request()
     request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     answer = rig.witness.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
@@ -341,7 +341,7 @@ def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
 
 
 def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Ask nodes for transitions and services in any order; in the end all are active and started."""
+    """Call transitions and services of nodes in random order; at the end all are active and started."""
     unanswered = 0
     for _ in range(int(amount)):
         node = str(rig.random.choice(NODE_NAMES[:4]))
@@ -357,7 +357,7 @@ def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
         rig.broken.append(f"{unanswered} of {int(amount)} calls were not answered")
 
 
-#: Each is called with the rig, the mishap and the amount.
+#: The actions by name; each is called with the rig, the fault case and the amount.
 ACTIONS = {
     "kill": kill,
     "lose": lose,

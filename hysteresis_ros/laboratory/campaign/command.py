@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis faults``: do to an axis of its own what goes wrong on a bench, and say what held."""
+"""``hysteresis faults``: inject the faults of a real bench into a separate axis, and report the outcome."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ import click
 from hysteresis_ros.cli.options import ConfigurationName
 
 
-@click.command(short_help="Kill, stop, flood and starve an axis of its own; say what held.")
+@click.command(short_help="Inject faults into a simulated axis, and report the outcome.")
 @click.argument("config", type=ConfigurationName(), default="picma_stage")
 @click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
-@click.option("--only", multiple=True, metavar="NAME", help="Only this mishap, or this group; may be repeated.")
-@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="How often, at other moments.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the moments.")
+@click.option("--only", multiple=True, metavar="NAME", help="Only this fault case, or this group; repeatable.")
+@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="Repetitions, at other times.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the times.")
 @click.option(
     "--rate",
     type=click.FloatRange(1.0, 1e5),
     default=None,
     metavar="HZ",
-    help="Sample rate in the place of the file's; nodes are lost at 10, 200 and 3000 Hz besides.",
+    help="Sample rate instead of that of the file; losses of nodes are also tested at 10, 200 and 3000 Hz.",
 )
-@click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
-@click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
+@click.option("--list", "listed", is_flag=True, help="List the fault cases, and run none.")
+@click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Markdown page for all results.")
 @click.option("--json", "figures", type=click.Path(path_type=pathlib.Path), help="JSON file for the figures.")
 @click.option(
-    "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Figures of before for the page, too."
+    "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Earlier figures to include in the page."
 )
 def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add):
-    """Start the axis of CONFIG with a simulated plant, in a ROS domain of its own, and let everything go wrong.
+    """Start the axis of CONFIG with a simulated plant, in a separate ROS domain, and inject faults.
 
-    Nodes are killed and stopped, messages lost and forged, cores and disks taken; for each it is judged whether the
-    voltage kept its limits and became safe in time, and whether the axis recovers. Ends with exit code 0 when all
-    held, 4 when something did not, 2 for wrong input.
+    Nodes are killed and suspended, messages lost and forged, cores and disks occupied. Each case checks whether the
+    voltage kept its limits and became safe in time, and whether the axis recovers. Exit code 0: all claims held; 4:
+    some did not; 2: wrong input.
     """
     from hysteresis_ros.laboratory.campaign.mishaps import chosen, chosen_ways
     from hysteresis_ros.laboratory.campaign.results import load_results
@@ -55,7 +55,7 @@ def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add)
         return
     for option, path in (("-o", output), ("--json", figures)):
         if path is not None and not path.absolute().parent.is_dir():
-            raise click.UsageError(f"{option} {path}: there is no such folder; choose another place")
+            raise click.UsageError(f"{option} {path}: the folder does not exist; choose another one")
     for path in add:
         load_results(path)
     from hysteresis_ros.configuration import load_configuration

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Judging of a campaign: its axis with the bounds of its figures, what was seen, and what did not hold."""
+"""Evaluation of a campaign: its axis with the bounds of its figures, the observations, and the violated claims."""
 
 from __future__ import annotations
 
@@ -22,43 +22,44 @@ from hysteresis_ros.laboratory.campaign.mishaps import COMMAND, DEVICE, FUSED, M
 from hysteresis_ros.loop.parameters import MESSAGE_RATE, AxisParameters
 from hysteresis_ros.loop.reach import single_axis
 
-#: Seconds of the axis in which the voltage may cross its range, where the configuration sets no slew rate.
+#: Time in which the voltage may cross its range if the configuration sets no slew rate [s].
 CROSSING = 0.25
-#: Where the axis is sent, as parts of the way from its lowest to its highest reference.
+#: Setpoints, as parts of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
-#: Part of the stroke by which the displacement may leave the places between rest and what was asked for, beside what
-#: the slew rate allows while voltages are late and the plant does not trip yet.
+#: Part of the stroke by which the displacement may leave the range between rest and setpoints, in addition to the
+#: movement that the slew rate allows while voltages are late and the plant has not yet tripped.
 BEYOND = 0.1
-#: Part of the stroke within which a setpoint is reached.
+#: Part of the stroke within which a setpoint counts as reached.
 REACHED = 0.02
-#: Part of the range within which a voltage is safe.
+#: Part of the range within which a voltage counts as safe.
 SAFE = 0.01
-#: What a machine with other work may take longer [s].
+#: Additional time for a busy machine [s].
 SLACK = 0.5
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the figures of an axis must stay within; times are those of the wall clock."""
+    """Bounds of the figures of an axis; times are those of the wall clock."""
 
     minimum: float  #: minimum, maximum, safe: Voltages [V]: limits, and the safe one.
     maximum: float
     safe: float
     step: float  #: Largest change of the voltage between two samples [V], one bit of the converter included.
-    sample_time: float  #: Between two samples, in the axis' own time, that of the stamps [s].
-    low: float  #: low, high: Where the axis is sent [m].
+    sample_time: float  #: Sample time, in the time of the stamps [s].
+    low: float  #: low, high: Setpoints [m].
     high: float
     stroke: float  #: From the lowest to the highest reference [m].
-    #: Of :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], the voltage's return to safe included.
+    #: Times by :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], including the return to the safe
+    #: voltage.
     timeouts: dict[str, float]
-    #: So far the displacement may leave the places between rest and what was asked for, as a part of the stroke.
+    #: Largest distance of the displacement from the range between rest and setpoints, as a part of the stroke.
     beyond: float
 
 
 def at_rate(configuration: Configuration, rate: float) -> Configuration:
-    """Return a configuration at another sample rate [Hz], 0: its own; its dynamics are the same from sample to sample.
+    """Return a configuration at another sample rate [Hz], 0: its own, with the same dynamics per sample.
 
-    What is tried is what the nodes do about time: the time-outs stay what they are in seconds.
+    Time-outs stay the same in seconds, because the campaign tests the reaction of the nodes to time.
     """
     if not rate:
         return configuration
@@ -68,7 +69,7 @@ def at_rate(configuration: Configuration, rate: float) -> Configuration:
 
 
 def prepared(configuration: Configuration, way: str, namespace: str) -> AxisParameters:
-    """Return the axis of a configuration as a campaign runs it: simulated, held at setpoints, its slew rate limited."""
+    """Return the axis of a configuration for a campaign: simulated, at setpoints, with limited slew rate."""
     mode = "fused" if way == FUSED else "realtime"
     simulated = configuration.override("", time_mode=mode, autostart=True, exit_at_end=True, external_plant=False)
     simulated = simulated.override("plant_simulator", driver="", real_time_factor=1.0)
@@ -81,14 +82,14 @@ def prepared(configuration: Configuration, way: str, namespace: str) -> AxisPara
     limits = {"limits__slew_rate": slew, "safe_slew_rate": min(plant.safe_slew_rate, slew)}
     factor = 1.0 if way == FUSED else min(MESSAGE_RATE / plant.sample_rate, 1.0)
     simulated = simulated.override("reference_generator", waveform__type="hold")
-    # the plant trips as a device would, also where the file allows its simulated one more late samples
+    # the plant trips like a device, even if the file allows the simulation more late samples
     simulated = simulated.override("plant_simulator", real_time_factor=factor, late_limit=0, **limits)
     simulated = simulated.override("hysteresis_compensator", **limits)
     return replace(single_axis(simulated), namespace=namespace)
 
 
 def bounds_of(axis: AxisParameters) -> Bounds:
-    """Return what the figures of a prepared axis must stay within."""
+    """Return the bounds of a prepared axis."""
     plant, source, compensator = axis.plant_simulator, axis.reference_generator, axis.hysteresis_compensator
     assert source is not None
     limits, factor = plant.limits, plant.real_time_factor
@@ -116,13 +117,13 @@ def bounds_of(axis: AxisParameters) -> Bounds:
 
 @dataclass(frozen=True)
 class Samples:
-    """What the plant did."""
+    """Observed samples of the plant."""
 
-    time: np.ndarray  #: shape (N,); When it was seen [s], on one clock with everything else.
-    stamp: np.ndarray  #: shape (N,); Of the sample [s].
-    voltage: np.ndarray  #: voltage, displacement: shape (N,); What the plant put out [V], and where it was [m].
+    time: np.ndarray  #: shape (N,); Time of observation [s], on the common clock.
+    stamp: np.ndarray  #: shape (N,); Stamp of the sample [s].
+    voltage: np.ndarray  #: voltage, displacement: shape (N,); Output voltage [V] and displacement [m] of the plant.
     displacement: np.ndarray
-    #: shape (N,); Which life of the plant it is: one that begins again knows nothing of the voltage before.
+    #: shape (N,); Number of restarts of the plant: after a restart it does not know the voltage before.
     life: np.ndarray
 
     @classmethod
@@ -132,7 +133,7 @@ class Samples:
         return cls(*table)
 
     def between(self, begun: float, ended: float) -> Samples:
-        """Return those that were seen in a time.
+        """Return the samples observed in an interval.
 
         Units: ``begun`` [s], ``ended`` [s].
         """
@@ -143,62 +144,61 @@ class Samples:
 
 @dataclass(frozen=True)
 class Trace:
-    """One mishap, once, in one way of running."""
+    """Record of one fault case, executed once in one way of running."""
 
     mishap: str
     way: str
-    amount: float  #: Of what was done.
-    load: float  #: Of the machine meanwhile, processes that want to run.
-    #: begun, ended, recovered: When it began and ended, and when the axis followed a setpoint again [s]; NaN: it did
+    amount: float  #: Amount of the action.
+    load: float  #: Load of the machine (runnable processes).
+    #: begun, ended, recovered: Begin and end, and time at which the axis followed a setpoint again [s]; NaN: it did
     #: not.
     begun: float
     ended: float
     recovered: float
-    asked: tuple[float, float]  #: Lowest and highest place that was asked for, rest included [m].
-    samples: Samples  #: From a moment before until the recovery.
-    #: What else did not happen as it must: processes that died, tracebacks, calls without an answer.
+    asked: tuple[float, float]  #: Lowest and highest setpoint, rest included [m].
+    samples: Samples  #: Samples from shortly before the fault to the recovery.
+    #: Other violations: died processes, tracebacks, unanswered calls.
     broken: tuple[str, ...] = ()
-    said: str = ""  #: The gravest that the nodes said of themselves on ``/diagnostics``.
-    notes: tuple[str, ...] = ()  #: What a reader of the table should know.
+    said: str = ""  #: Most severe message of the nodes on ``/diagnostics``.
+    notes: tuple[str, ...] = ()  #: Notes for the table.
 
     def with_samples(self, samples: Samples) -> Trace:
-        """Return the same with what a recording holds in the place of what was seen."""
+        """Return the record with the samples of a recording instead of the observed ones."""
         last = self.recovered if np.isfinite(self.recovered) else np.inf
         return replace(self, samples=samples.between(self.begun, last))
 
 
-#: A safe command is not quite a safe voltage: so far from it may the inverse of the hysteresis be [part of the range].
+#: Largest difference of the voltage for a safe command from the safe voltage, by the inverse [part of the range].
 COMMANDED = 0.1
-#: Rounding of numbers that are compared.
+#: Rounding error of compared numbers.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a mishap came to, once or at worst."""
+    """Figures of a fault case, of one execution or the worst."""
 
-    lowest: float  #: lowest, highest: Voltages that the plant put out [V].
+    lowest: float  #: lowest, highest: Output voltages of the plant [V].
     highest: float
-    step: float  #: Largest change between two samples, as a part of what is allowed.
-    #: How far the displacement left the places between rest and what was asked for, as a part of the stroke.
+    step: float  #: Largest change between two samples over the allowed one.
+    #: Largest distance of the displacement from the range between rest and setpoints, as a part of the stroke.
     beyond: float
-    #: Time from the beginning until the voltage was safe and stayed so [s]; NaN where it need not be, infinite where
-    #: it was not.
+    #: Time from the beginning until the voltage was and stayed safe [s]; NaN if not required, infinite if it was not.
     safe: float
     recovery: float  #: Time from the end until the axis followed a setpoint again [s]; infinite: it did not.
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a mishap came to, and what of its claims did not hold."""
+    """Figures of a fault case, and its violated claims."""
 
     trace: Trace
     figures: Figures
-    failures: tuple[str, ...]  #: Empty: all held.
+    failures: tuple[str, ...]  #: Violated claims; empty: all held.
 
 
 def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> float:
-    """Return the largest change of the voltage as a part of what is allowed in the time between two samples."""
+    """Return the largest change of the voltage over the change allowed in the time between two samples."""
     if samples.time.size < 2:
         return 0.0
     follow = np.diff(samples.life) == 0
@@ -209,7 +209,7 @@ def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> floa
 
 
 def time_to_safe(samples: Samples, begun: float, ended: float, bounds: Bounds, part: float = SAFE) -> float:
-    """Return the time from the beginning until the voltage is safe and stays so until the end [s]; infinite: never."""
+    """Return the time until the voltage is safe and stays so until the end [s]; infinite: never."""
     inside = samples.between(begun, ended)
     if not inside.time.size:
         return math.inf
@@ -221,11 +221,11 @@ def time_to_safe(samples: Samples, begun: float, ended: float, bounds: Bounds, p
 
 
 def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
-    """Return what a mishap came to."""
+    """Return the figures of a fault case."""
     samples = trace.samples
     voltage = samples.voltage if samples.time.size else np.array([math.nan])
     low, high = trace.asked
-    places = samples.displacement[np.isfinite(samples.displacement)]  # of a device nobody may know it
+    places = samples.displacement[np.isfinite(samples.displacement)]  # unknown for a device
     excess = np.maximum(places - high, low - places)
     beyond = float(np.max(excess, initial=0.0)) / bounds.stroke
     safe = math.nan
@@ -245,19 +245,19 @@ def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
 
 
 def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
-    """Yield what did not hold."""
+    """Yield the violated claims."""
     yield from trace.broken
     if not trace.samples.time.size:
-        yield "nothing was seen of the plant"
+        yield "no samples of the plant were observed"
         return
     small = ROUNDING * (bounds.maximum - bounds.minimum)
     if not (bounds.minimum - small <= figures.lowest and figures.highest <= bounds.maximum + small):
         allowed = f"{bounds.minimum:g} … {bounds.maximum:g} V"
-        yield f"voltages of {figures.lowest:.4g} … {figures.highest:.4g} V leave {allowed}"
+        yield f"voltages of {figures.lowest:.4g} … {figures.highest:.4g} V exceed {allowed}"
     if not figures.step <= 1.0 + 1e-6:
-        yield f"a step of the voltage is {figures.step:.3g} times what the slew rate allows"
+        yield f"the largest step of the voltage is {figures.step:.3g} times the allowed one"
     if mishap.bounded and not figures.beyond <= bounds.beyond:
-        yield f"the displacement goes {100.0 * figures.beyond:.2g} % of the stroke beyond what was asked for"
+        yield f"the displacement exceeds the setpoints by {100.0 * figures.beyond:.2g} % of the stroke"
     if mishap.safe and not figures.safe <= bounds.timeouts[mishap.safe]:
         yield f"safe after {figures.safe:.3g} s, {bounds.timeouts[mishap.safe]:.3g} s are allowed"
     if not math.isfinite(figures.recovery):
@@ -265,7 +265,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
 
 
 def worst(verdicts: list[Verdict]) -> Figures:
-    """Return the worst figures of several."""
+    """Return the worst of several figures."""
     found = [verdict.figures for verdict in verdicts]
     safe = [figures.safe for figures in found if not math.isnan(figures.safe)]
     return Figures(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a campaign came to: the conditions, the figures in a file, and the page it writes."""
+"""Results of a campaign: conditions, file of figures, and page."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from hysteresis_ros.laboratory.campaign.mishaps import ALWAYS, Mishap
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a reader of figures must know."""
+    """Conditions of the figures."""
 
     date: str
     machine: str  #: System, processors, versions.
-    load: float  #: Processes that want to run, mean of a minute.
-    transports: str  #: Of DDS, as the environment says.
+    load: float  #: Runnable processes, mean of a minute.
+    transports: str  #: Transports of DDS, from the environment.
 
 
 def conditions() -> Conditions:
-    """Return the conditions of now."""
+    """Return the present conditions."""
     words = [
         f"{platform.system()} {platform.release()}",
         f"{os.cpu_count()} cores",
@@ -58,23 +58,23 @@ def conditions() -> Conditions:
 
 @dataclass(frozen=True)
 class Results:
-    """What campaigns came to."""
+    """Results of one or more campaigns."""
 
     config: str  #: Which axis.
     verdicts: tuple[Verdict, ...]
-    before: Conditions  #: before, after: At the beginning and the end.
+    before: Conditions  #: before, after: Conditions at the beginning and the end.
     after: Conditions
 
     def and_of(self, other: Results) -> Results:
-        """Return these and those of another campaign."""
+        """Return these results with those of another campaign."""
         if other.config != self.config:
-            raise ConfigurationError(f"figures of {other.config} do not belong beside those of {self.config}")
+            raise ConfigurationError(f"the figures are of {other.config}, not of {self.config}")
         first = min((self.before, other.before), key=lambda when: when.date)
         last = max((self.after, other.after), key=lambda when: when.date)
         return Results(self.config, other.verdicts + self.verdicts, first, last)
 
     def save(self, path: pathlib.Path) -> None:
-        """Write them as JSON; of the samples only what they came to."""
+        """Write the results as JSON, with the figures of the samples only."""
         rows = [
             {"figures": asdict(one.figures), "failures": one.failures, "trace": _without_samples(one.trace)}
             for one in self.verdicts
@@ -88,7 +88,7 @@ def _without_samples(trace: Trace) -> dict:
 
 
 def load_results(path: pathlib.Path) -> Results:
-    """Read what :meth:`Results.save` has written."""
+    """Read a file of :meth:`Results.save`."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         verdicts = tuple(
@@ -99,7 +99,7 @@ def load_results(path: pathlib.Path) -> Results:
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{path}: no figures of hysteresis faults --json: {error}") from None
+        raise ConfigurationError(f"{path}: not a file of hysteresis faults --json: {error}") from None
 
 
 def _trace(values: dict) -> Trace:
@@ -126,9 +126,9 @@ recording; composed and as processes all that the plant published.
 """
 
 
-#: So many letters of what a node says of itself stand in the table.
+#: Most characters of a diagnostic message in the table.
 QUOTED = 90
-#: Part of the stroke from which on it is said how far the displacement went beyond what was asked for.
+#: Smallest displacement beyond the setpoints that the table shows, as a part of the stroke.
 REMARKABLE = 0.05
 
 
@@ -147,7 +147,7 @@ def _figures(figures: Figures) -> str:
 
 
 def line(verdict: Verdict) -> str:
-    """Return in a line what a mishap came to."""
+    """Return one line about a fault case."""
     trace = verdict.trace
     name = f"{trace.way}, {trace.mishap}{f' ({trace.amount:g})' if trace.amount else ''}"
     said = f"; said: {trace.said}" if trace.said else ""
@@ -157,7 +157,7 @@ def line(verdict: Verdict) -> str:
 
 
 def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
-    """Return what stands in the table for a mishap in a way of running."""
+    """Return the cell of a fault case in a way of running."""
     if way not in mishap.ways:
         return f"does not apply: {mishap.elsewhere}"
     if not verdicts:
@@ -175,7 +175,7 @@ def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
 
 
 def page(mishaps: Iterable[Mishap], ways: Sequence[str], results: Results) -> str:
-    """Return the page of a campaign."""
+    """Return the page of the results."""
     verdicts, before, after = results.verdicts, results.before, results.after
     lines = [HEAD.format(always=ALWAYS)]
     loads = [verdict.trace.load for verdict in verdicts] or [before.load]

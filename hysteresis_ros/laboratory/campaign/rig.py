@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fixture of a campaign: an axis as processes of its own, its surroundings, and what is observed of it.
+"""The fixture of a campaign: an axis in separate processes, its surroundings, and its observer.
 
-Each process can be killed, stopped and started by itself. The surroundings are an emulated device with faults, a disk
-that is nearly full, and a time of day that can be set.
+Each process can be killed, suspended and started separately. The surroundings are an emulated device with faults, a
+nearly full disk, and an adjustable time of day.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.recordings.align import read_recording
 
-#: The process that holds all nodes, and the one that records beside those of messages.
+#: The process with all nodes, and the recorder beside nodes that exchange messages.
 AXIS, RECORDER = "hysteresis_axis", "recorder"
 
-#: So many words of what was printed last say why somebody left.
+#: Number of last printed words in a report about an ended process.
 LAST_WORDS = 30
 
 
@@ -71,7 +71,7 @@ class Group:
             self.start(name)
 
     def start(self, name: str) -> None:
-        """Start a process; one that was ended is started anew."""
+        """Start or restart a process."""
         axis, more = self._axis, []
         if self._way == FUSED or name == RECORDER:
             self.bags.append(self._folder / f"bag{len(self.bags)}")
@@ -84,7 +84,7 @@ class Group:
             self._processes[name] = started(command, self._environment, stdout=log, stderr=subprocess.STDOUT)
 
     def send(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to a process; ``SIGKILL`` is waited for."""
+        """Send a signal to a process; wait for its end after ``SIGKILL``."""
         if number == signal.SIGKILL:
             self._ended.add(name)
         self._processes[name].send_signal(number)
@@ -92,7 +92,7 @@ class Group:
             self._processes[name].wait()
 
     def identifier(self, name: str) -> int:
-        """Return the number of a process."""
+        """Return the id of a process."""
         return self._processes[name].pid
 
     def end(self, name: str) -> int | None:
@@ -109,11 +109,11 @@ class Group:
             return None
 
     def codes(self) -> list[int | None]:
-        """Return the exit codes of the processes, None of those that run."""
+        """Return the exit codes of the processes; None for running ones."""
         return [process.poll() for process in self._processes.values()]
 
     def died(self) -> list[str]:
-        """Return who ended without having been asked to, in words."""
+        """Return a line for each process that ended by itself."""
         found = []
         for name, process in self._processes.items():
             code = process.poll()
@@ -122,22 +122,22 @@ class Group:
         return found
 
     def printed(self, since: int = 0) -> str:
-        """Return what the processes have printed."""
+        """Return the output of the processes."""
         with open(self.log, "rb") as log:
             log.seek(since)
             return log.read().decode("utf-8", "replace")
 
     def close(self) -> list[str]:
-        """End all processes; return in words what went wrong with that."""
+        """End all processes; return the problems."""
         found = []
         begun = time.monotonic()
         for name in sorted(self._processes, key=STOP_ORDER.index):
             if self._processes[name].poll() is not None:
                 continue
             code = self.end(name)
-            if code and not (code == 1 and self._prefix):  # what has no room ends with a recording that is too short
+            if code and not (code == 1 and self._prefix):  # with a full disk it ends with an incomplete recording
                 last = " ".join(self.printed().split()[-LAST_WORDS:])
-                found.append(f"{name} left with exit code {code}: {last}")
+                found.append(f"{name} ended with exit code {code}: {last}")
             elif code is None:
                 found.append(f"{name} had to be killed after {time.monotonic() - begun:.0f} s")
         return found
@@ -145,9 +145,9 @@ class Group:
 
 #: Largest file of a process on a small disk [KiB].
 ROOM = 1024
-#: Seconds in which an emulated device is there, and between two looks.
+#: Time in which an emulated device starts, and polling interval [s].
 DEVICE_START, DEVICE_LOOK = 60.0, 0.05
-#: What Python runs first in a process whose time of day can be set.
+#: Code that Python runs first in a process with an adjustable time of day.
 TIME_OF_DAY = """import os, struct, time
 _time, _time_ns, _file = time.time, time.time_ns, os.open({path!r}, os.O_RDONLY)
 def _offset():
@@ -158,15 +158,16 @@ time.time_ns = lambda: _time_ns() + 1_000_000_000 * _offset()
 
 
 def small_disk() -> tuple[str, ...]:
-    """Return what stands before a command whose disk is nearly full: a limit on files is that to whoever writes."""
+    """Return the prefix of a command with a nearly full disk, which a limit on the size of files imitates."""
     return "bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash"
 
 
 class Clock:
-    """A time of day that processes see in the place of the machine's; steady clocks and DDS go on with the machine's.
+    """An adjustable time of day for processes; monotonic clocks and DDS keep the machine's time.
 
-    Libraries that are put before the C library's clocks (libfaketime 0.9.10) let every sleep of Python 3.11 fail, and
-    the clock of the machine is everybody's: so it is Python's own that is replaced, before anything else is imported.
+    Libraries that replace the clocks of the C library (libfaketime 0.9.10) make every sleep of Python 3.11 fail, and
+    the clock of the machine affects all processes. Therefore the functions of Python are replaced, before any other
+    import.
     """
 
     def __init__(self, folder: pathlib.Path):
@@ -181,7 +182,7 @@ class Clock:
         return {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
     def set(self, offset: int) -> None:
-        """Let the time of day be off by so much from now on.
+        """Shift the time of day from now on.
 
         Units: ``offset`` [s].
         """
@@ -189,11 +190,11 @@ class Clock:
             file.write(struct.pack("q", offset))
 
     def close(self) -> None:
-        """Nothing is left of it."""
+        """Remove its file."""
 
 
 class Device:
-    """An emulated controller in the simulated plant's place, with a plant inside."""
+    """An emulated controller with a plant inside, instead of the simulated plant."""
 
     def __init__(self, config: str):
         with socket.socket() as probe:
@@ -216,7 +217,7 @@ class Device:
             return probe.connect_ex(("127.0.0.1", self._port)) == 0
 
     def driven(self, axis: AxisParameters) -> AxisParameters:
-        """Return an axis that drives it."""
+        """Return an axis with this device."""
         plant = axis.plant_simulator
         back = (plant.limits.maximum - plant.limits.minimum) / plant.safe_slew_rate
         plant, given = replace(plant, driver="gcs"), {"port": self._port, "safe_time": back}
@@ -224,7 +225,7 @@ class Device:
         return replace(axis, plant_simulator=replace(plant, **own))
 
     def go_wrong(self, fault: str, seconds: float) -> None:
-        """Let something go wrong from now on."""
+        """Start a fault."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{fault}:0:{seconds:g}\n")
         self._process.stdin.flush()
@@ -235,21 +236,20 @@ class Device:
         self._process.wait()
 
 
-#: Seconds that an axis gets to start: at first it may be compiled, on a machine that is busy; and to start again, and
-#: to follow a setpoint again.
+#: Time for an axis to start [s], including compilation on a busy machine; to restart; and to follow a setpoint again.
 FIRST_START, START, RECOVERY = 300.0, 60.0, 40.0
-#: How often an axis is sent somewhere before it counts as one that does not run.
+#: Moves without success after which an axis counts as not running.
 TRIES = 3
-#: Seconds after which a setpoint is sent again: whoever was not there has not heard it.
+#: Interval at which a setpoint is repeated [s], because a starting node may have missed it.
 AGAIN = 1.0
-#: Seconds for which a place must be kept to be reached, and within which a mishap begins after a move has.
+#: Dwell time at a reached setpoint, and longest time from the start of a move to the fault [s].
 KEPT, MOVING = 0.1, 0.4
-#: What nobody may print.
+#: Output that no process may print.
 TRACEBACK = "Traceback (most recent call last)"
 
 
 class Rig:
-    """An axis that runs, and a witness."""
+    """A running axis and its observer."""
 
     def __init__(
         self,
@@ -276,25 +276,25 @@ class Rig:
         if not self.witness.rows:
             self._give_up("does not start")
         self.rest = self.witness.displacement
-        # four processes that start at once on a busy machine may be late at first
+        # four processes that start together on a busy machine may be late at first
         if not any(self.follows() for _ in range(TRIES)):
             self._give_up("does not follow setpoints")
 
     def _give_up(self, what: str) -> None:
-        """Say what is wrong with an axis to which nothing has been done yet."""
+        """Raise an error for an axis that does not run before any fault."""
         printed = self.group.printed().strip().splitlines()[-3:]
         self.close()
-        raise HysteresisError(f"the axis {what}, {self.way}, before anything was done to it: {' / '.join(printed)}")
+        raise HysteresisError(f"the axis {what}, {self.way}, before any fault: {' / '.join(printed)}")
 
     def _go_on(self) -> None:
-        """Let an axis go on that has tripped; only somebody who has looked at it may."""
+        """Restart a tripped axis, as an operator would after a check."""
         if self.witness.tripped and self.witness.trigger("plant_simulator", "start"):
             self.starts += 1
 
     # -- moving ----------------------------------------------------------------------------------------------------
 
     def ask(self, setpoint: float) -> None:
-        """Publish a setpoint, and remember that it was asked for.
+        """Publish and store a setpoint.
 
         Units: ``setpoint`` [m].
         """
@@ -302,11 +302,11 @@ class Rig:
         self.witness.ask(setpoint)
 
     def anywhere(self) -> float:
-        """Return some place of the axis [m]."""
+        """Return a random setpoint of the axis [m]."""
         return float(self.random.uniform(self.bounds.low, self.bounds.high))
 
     def follows(self, seconds: float = RECOVERY) -> bool:
-        """Send the axis to the farther end, and tell whether it gets there and stays."""
+        """Move the axis to the farther end; return whether it arrives and stays."""
         low, high = self.bounds.low, self.bounds.high
         target = low if self.witness.displacement > 0.5 * (low + high) else high
         since = math.inf
@@ -319,7 +319,7 @@ class Rig:
                 self._go_on()
                 self.ask(target)
                 asked = now
-            if not abs(self.witness.displacement - target) <= REACHED * self.bounds.stroke:  # it may be NaN
+            if not abs(self.witness.displacement - target) <= REACHED * self.bounds.stroke:  # also for NaN
                 since = math.inf
             else:
                 since = min(since, now)
@@ -328,14 +328,14 @@ class Rig:
         return self.witness.until(there, seconds)
 
     def runs(self, nodes=None) -> bool:
-        """Wait until nodes are active; tell whether they are."""
+        """Wait until nodes are active; return whether they are."""
         names = nodes or ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
         return all(self.witness.until(lambda node=node: self.witness.is_active(node), START) for node in names)
 
     # -- mishaps ---------------------------------------------------------------------------------------------------
 
     def endure(self, mishap: Mishap, amount: float, action) -> Trace:
-        """Let something happen amid a move, and return what was seen."""
+        """Execute an action during a move, and return the record."""
         self.broken, self.notes, self.asked, self.starts = [], [], [self.rest, self.witness.displacement], 0
         witness, printed = self.witness, self.group.log.stat().st_size
         witness.rows.clear()
@@ -346,7 +346,7 @@ class Rig:
         begun, ended = self.begun, time.time()
         recovered = time.time() if self.follows() else math.nan
         if self.starts:
-            self.notes.append("it trips, and goes on with ~/start")
+            self.notes.append("it trips, and continues with ~/start")
         self.broken += self.group.died()
         if TRACEBACK in self.group.printed(printed):
             self.broken.append("a traceback is printed")
@@ -366,7 +366,7 @@ class Rig:
         )
 
     def close(self) -> list[str]:
-        """End the axis; return in words what went wrong with that."""
+        """End the axis; return the problems."""
         found = self.group.close()
         for other in (self.relay, self.beside):
             if other is not None:
@@ -375,7 +375,7 @@ class Rig:
         return found
 
     def recorded(self) -> Samples:
-        """Return all samples that the recordings of a fused axis hold, one after the other."""
+        """Return all samples in the recordings of a fused axis, in order."""
         if self.way != FUSED:
             return Samples.of(())
         found = []

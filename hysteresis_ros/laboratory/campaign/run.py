@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs a campaign: way by way, mishap by mishap."""
+"""Execution of a campaign, for each way of running and each fault case."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from hysteresis_ros.laboratory.campaign.rig import Clock, Device, Rig, small_dis
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is to be done, to which axis."""
+    """Settings of a campaign."""
 
     config: str  #: Path or name of the configuration.
     mishaps: tuple[Mishap, ...]
     ways: tuple[str, ...]
-    rounds: int  #: How often each is done, at other moments.
-    seed: int  #: Of the moments.
-    folder: pathlib.Path  #: For files that are not kept.
-    rate: float = 0.0  #: Sample rate [Hz] of mishaps that have none of their own; 0: that of the configuration.
+    rounds: int  #: Repetitions of each case, at other times.
+    seed: int  #: Seed of the times.
+    folder: pathlib.Path  #: Folder for temporary files.
+    rate: float = 0.0  #: Sample rate [Hz] of cases without their own; 0: that of the configuration.
 
     def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
-        """Do it all; return what came of it."""
+        """Run the campaign; return its results."""
         found: list[Verdict] = []
         rates = dict.fromkeys(mishap.rate or self.rate for mishap in self.mishaps)
         for way, rate in itertools.product(self.ways, rates):
@@ -59,7 +59,7 @@ class Campaign:
 
 
 class _Series:
-    """Mishaps in one way of running: those of one graph on one axis, until it does not recover."""
+    """Fault cases in one way of running; those of one graph share an axis as long as it recovers."""
 
     def __init__(self, axis, way: str, config: str, folder: pathlib.Path, random: np.random.Generator):
         self._axis, self._way, self._config, self._folder, self._random = axis, way, config, folder, random
@@ -67,7 +67,7 @@ class _Series:
         self._rigs = 0
 
     def of(self, mishaps: Iterable[Mishap], rounds: int) -> Iterable[Verdict]:
-        """Do them; yield what came of each."""
+        """Run the cases; yield their records."""
         todo = [(mishap, amount) for mishap in mishaps for amount in mishap.amounts for _ in range(rounds)]
         while todo:
             try:
@@ -92,7 +92,7 @@ class _Series:
                 raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
 
     def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
-        """Return what came of a mishap whose axis does not run."""
+        """Return the record of a case whose axis does not run."""
         now = time.time()
         none = Samples.of(())
         trace = Trace(
@@ -101,13 +101,13 @@ class _Series:
         return judged(trace, mishap, self._bounds)
 
     def _goes_on(self, last: tuple[Mishap, Trace], following: Mishap) -> bool:
-        """Tell whether the axis serves for another mishap."""
+        """Return whether the axis can be used for another case."""
         mishap, trace = last
         alone = self._way == FUSED and (mishap.fault or following.fault)
         return bool(np.isfinite(trace.recovered)) and mishap.graph == following.graph and not alone
 
     def _rig(self, mishap: Mishap, amount: float) -> Rig:
-        """Start an axis with what a mishap needs."""
+        """Start an axis with the surroundings of a case."""
         self._rigs += 1
         folder, axis = self._folder / f"{self._way}{self._rigs}", self._axis
         options: dict[str, Any] = {}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Nodes beside the axis under test: an observer that asks for setpoints, and a relay that disturbs measurements."""
+"""Nodes beside the axis under test: an observer that publishes setpoints, and a relay that disturbs measurements."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from std_srvs.srv import Trigger
 from hysteresis_ros.loop.plant import DEVICE_FAILED
 from hysteresis_ros.nodes.spin import make_executor
 
-#: Seconds after which a service that does not answer is called dead.
+#: Time-out of a service call [s].
 PATIENCE = 10.0
-#: And before somebody is asked again who may have been asked too early.
+#: Time before a call that may have been too early is repeated [s].
 BRIEF = 0.5
-#: Seconds between two looks.
+#: Polling interval [s].
 LOOK = 0.01
-#: Messages that may wait for the witness on a busy machine.
+#: Queue depth of the observer, for a busy machine.
 DEPTH = 5000
 
 
 class Witness:
-    """Looks on, from a thread of its own, until it is closed."""
+    """The observer, in a separate thread, until it is closed."""
 
     def __init__(self, namespace: str):
         self.namespace = namespace
@@ -74,11 +74,11 @@ class Witness:
     def _on_plant(self, message) -> None:
         if message.name != self._names:
             self._names = list(message.name)
-            place = "displacement" if "displacement" in self._names else "measured"  # of a device nobody knows it
+            place = "displacement" if "displacement" in self._names else "measured"  # unknown for a device
             self._places = [self._names.index(name) for name in ("voltage", place, "tripped")]
         voltage, displacement, tripped = (message.position[place] for place in self._places)
         if tripped == DEVICE_FAILED != self.tripped:
-            self.life += 1  # what a device puts out that does not answer nobody knows
+            self.life += 1  # the output of a device that does not answer is unknown
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self.rows.append((time.time(), stamp, voltage, displacement, self.life))
         self.tripped = tripped
@@ -93,10 +93,10 @@ class Witness:
                     if value.key == "samples":
                         self._counted = time.time(), int(value.value)
 
-    # -- waiting and asking ----------------------------------------------------------------------------------------
+    # -- waiting and calling ----------------------------------------------------------------------------------------
 
     def until(self, condition, seconds: float = PATIENCE) -> bool:
-        """Wait until a condition holds; False when it does not within so many seconds."""
+        """Wait until a condition holds; return False after a time-out [s]."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -105,13 +105,13 @@ class Witness:
         return True
 
     def sample(self, rate: float) -> float:
-        """Return at which sample an axis in real time is by now, as far as its plant has said so."""
+        """Return the present sample number of an axis in real time, from the last one of its plant."""
         when, count = self._counted
         return count + rate * (time.time() - when) if count else 0.0
 
     @property
     def displacement(self) -> float:
-        """Where the axis was last seen [m]; NaN before."""
+        """Last observed displacement [m]; NaN before the first."""
         return self.rows[-1][3] if self.rows else math.nan
 
     def ask(self, setpoint: float) -> None:
@@ -122,7 +122,7 @@ class Witness:
         self.setpoints.publish(Float64(data=setpoint))
 
     def call(self, kind, service: str, request=None, seconds: float = PATIENCE):
-        """Return the answer of a service of the axis; None when there is none in time."""
+        """Return the answer of a service of the axis; None after a time-out."""
         name = f"{self.namespace}/{service}"
         client = self._clients.get(name)
         if client is None:
@@ -133,23 +133,23 @@ class Witness:
         return future.result() if self.until(future.done, seconds) else None
 
     def trigger(self, node: str, action: str) -> bool:
-        """Call a service without arguments; tell whether it was answered, with whatever."""
+        """Call a service without arguments; return whether there was any answer."""
         return self.call(Trigger, f"{node}/{action}") is not None
 
     def transition(self, node: str, number: int) -> bool:
-        """Ask for a transition of the lifecycle; tell whether it was answered, with whatever."""
+        """Request a transition of the lifecycle; return whether there was any answer."""
         request = ChangeState.Request()
         request.transition.id = number
         return self.call(ChangeState, f"{node}/change_state", request) is not None
 
     def is_active(self, node: str) -> bool:
-        """Tell whether a node is active."""
-        # one that was killed is still known for some time, and does not answer
+        """Return whether a node is active."""
+        # a killed node stays in the graph for some time and does not answer
         answer = self.call(GetState, f"{node}/get_state", seconds=BRIEF)
         return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def gravest(self, since: float) -> str:
-        """Return what the nodes said gravest of themselves since a time; empty when all was well."""
+        """Return the most severe diagnostic message since a time; empty without a problem."""
         found = [(level, text) for when, level, text in list(self.said) if when >= since and level]
         return max(found, key=lambda entry: entry[0])[1] if found else ""
 
@@ -161,17 +161,17 @@ class Witness:
         self.node.destroy_node()
 
 
-#: Topic on which the plant publishes what the relay passes on, and how the plant is told.
+#: Topic of the plant behind the relay, and its remapping.
 SOURCE = "joint_states_of_plant"
 REMAP = (f"plant_simulator:joint_states:={SOURCE}",)
-#: One measurement in so many is a spike.
+#: Measurements per spike.
 SPIKE_EVERY = 10
-#: Joint of somebody else's message.
+#: Joint of a foreign message.
 FOREIGN = "gripper"
 
 
 class Relay:
-    """Passes ``joint_states`` on, changed by whatever :attr:`change` is.
+    """Forwards ``joint_states``, modified by :attr:`change`.
 
     Units: ``stroke`` [m].
     """
@@ -189,7 +189,7 @@ class Relay:
         self.set("")
 
     def set(self, change: str, amount: float = 0.0) -> None:
-        """Do something else from now on."""
+        """Select another modification."""
         self._kept = None
         self._do = getattr(self, f"_{change}") if change else self._publisher.publish
         self.amount = amount
@@ -199,7 +199,7 @@ class Relay:
         self._do(message)
 
     def _deliver(self) -> None:
-        """Publish what is late when its time has come."""
+        """Publish delayed messages when they are due."""
         while not self._leaving.wait(5e-4):
             while self._late and self._late[0][0] <= time.monotonic():
                 self._publisher.publish(self._late.popleft()[1])
@@ -209,10 +209,10 @@ class Relay:
         self._leaving.set()
         self._thread.join()
 
-    # -- what can be done ------------------------------------------------------------------------------------------
+    # -- modifications ---------------------------------------------------------------------------------------------
 
     def _stopped(self, message: JointState) -> None:
-        """None is passed on."""
+        """Forward no messages."""
 
     def _frozen(self, message: JointState) -> None:
         self._kept = self._kept or copy.deepcopy(message)

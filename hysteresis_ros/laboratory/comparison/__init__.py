@@ -7,8 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Which controller and compensator for an axis: all of them on its plant, under the same conditions.
+"""Comparison of all controllers and compensators for an axis, under the same conditions.
 
-Read ``tasks`` (what is asked), ``candidates`` (the designs), ``rows`` (a candidate on plants), ``compare``
-and ``table``.
+Read ``tasks`` (references and plants), ``candidates`` (the designs), ``rows`` (a candidate on plants), ``compare`` and
+``table``.
 """

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The controllers and compensators that are compared, each designed on what is known of an axis: its models alone.
+"""The controllers and compensators of the comparison, designed from the models of an axis alone.
 
-Designs take :class:`Known`. It is made of a configuration, of which the plant's section is left out, and no plant that
-was drawn (:mod:`hysteresis_ros.laboratory.comparison.tasks`) fits into it.
+Designs take :class:`Known`, which is made from a configuration without the section of the plant; it cannot contain a
+drawn plant (:mod:`hysteresis_ros.laboratory.comparison.tasks`).
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import single_axis
 
-#: Kinds of damping that are tried, the simplest first, and the one where a force is measured.
+#: Tried kinds of damping, the simplest first, and the kind for a measured force.
 KINDS = ("irc", "ppf")
 BY_FORCE = ("iff",)
 
 
 def has_resonance(axis: AxisParameters) -> bool:
-    """Tell whether the controller's model has a resonance to damp."""
+    """Return whether the controller's model has a resonance to damp."""
     node = axis.motion_controller
     poles = node.model.dynamics.matrices.poles.astype(complex)
     return any(damping < DAMPED for _, damping in modes(poles, 1.0 / node.sample_rate))
 
 
 def has_force(axis: AxisParameters) -> bool:
-    """Tell whether the controller of an axis knows of a force in the stack."""
+    """Return whether the controller of an axis has a model of the force in the stack."""
     return axis.motion_controller.model.force.there
 
 
 def damped_pid(given) -> dict:
-    """Return a PID in front of the first kind of damping whose loops are what every design is held to."""
+    """Return a PID with the first kind of damping whose loops meet the requirements of every design."""
     return _kept(given, KINDS)
 
 
 def forced_pid(given) -> dict:
-    """Return a PID in front of a damping by the measured force."""
+    """Return a PID with a damping by the measured force."""
     return _kept(given, BY_FORCE)
 
 
@@ -93,21 +93,21 @@ def _is_of(name: str, kind: str) -> bool:
     return name == "type" or name.startswith(f"{kind}.")
 
 
-#: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
+#: Smallest measurement noise of a design, as a part of the stroke, because a filter needs some.
 LEAST_NOISE = 1e-6
-#: Periods of the reference on which a PID is tuned.
+#: Periods of the reference for the tuning of a PID.
 TUNING_PERIODS = 8
-#: What learns from period to period over which controller, and by which design.
+#: Kinds of learning by their controllers.
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
-#: Least mismatch that a design reckons with.
+#: Smallest mismatch of a design.
 LEAST_MISMATCH = 1e-3
-#: What a loop has to bear when gain and times are off by the mismatch: what designs bear of an unmodelled sample.
+#: Largest M_s of a loop whose gain and times deviate by the mismatch, as with an unmodelled sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an axis: a configuration whose plant is what compensator and controller believe of it."""
+    """Known data of an axis: a configuration whose plant is made of the models of compensator and controller."""
 
     configuration: Configuration  #: One axis.
 
@@ -117,7 +117,7 @@ class Known:
         return single_axis(self.configuration)
 
     def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
-        """Return the axis with a candidate's parameters, at a task or at rest: steps of its file do not matter."""
+        """Return the axis with a candidate's parameters, with the reference of a task or at rest."""
         found = self.configuration.override("motion_controller", **candidate.motion_controller)
         found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
         if task is None:
@@ -131,7 +131,7 @@ class Known:
 
 
 def known(configuration: Configuration, bits: int) -> Known:
-    """Return what is known of the axis of a configuration, whatever its plant is."""
+    """Return the known data of the axis of a configuration, independent of its plant."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
     return Known(parse_configuration(text, configuration.source))
@@ -143,15 +143,14 @@ class Candidate:
 
     controller: str  #: controller, compensator: Names in the table.
     compensator: str
-    #: motion_controller, hysteresis_compensator: Parameters that differ from the configuration's.
+    #: motion_controller, hysteresis_compensator: Parameters that differ from the configuration.
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
-    refused: str = ""  #: Why it cannot be designed; empty when it can.
-    margins: Margins | None = None  #: Of its loop on its own model.
-    #: Which of the margins that every design is held to its loop misses, or what it does not bear when gain and times
-    #: of its model are off by the mismatch; empty when nothing.
+    refused: str = ""  #: Why it cannot be designed; empty if it can.
+    margins: Margins | None = None  #: Margins of its loop with its own model.
+    #: Unmet requirements of its loop, with its model or with gain and times off by the mismatch; empty if all are met.
     marked: str = ""
-    learning: str = ""  #: By which design each reference is learned from period to period; empty: it is not.
+    learning: str = ""  #: Design of the learning from period to period; empty: no learning.
 
 
 def names(axis: AxisParameters) -> list[tuple[str, str]]:
@@ -208,18 +207,18 @@ def compensators(axis: AxisParameters) -> dict[str, dict]:
 
 @dataclass(frozen=True)
 class Given:
-    """What a design may know."""
+    """Data for a design."""
 
     configuration: Configuration  #: One axis.
     axis: AxisParameters
     conditions: Conditions
     tasks: tuple[Task, ...]  #: The references.
-    compensator: dict  #: Parameters of the compensator that differ from the configuration's.
-    gains: dict  #: Gains that were tuned already, by law and compensator.
+    compensator: dict  #: Parameters of the compensator that differ from the configuration.
+    gains: dict  #: Already tuned gains, by law and compensator.
 
     @property
     def dynamics(self):
-        """The linear model that the controller believes; behind a damping, the damped plant."""
+        """The linear model of the controller; with a damping, that of the damped plant."""
         node = self.axis.motion_controller
         return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
 
@@ -228,7 +227,7 @@ class Given:
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
-        """Return how far the mismatch moves the command's disturbance in a sample [model units]."""
+        """Return the change of the command's disturbance per sample by the mismatch [model units]."""
         moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
         moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
         return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
@@ -242,7 +241,7 @@ class Given:
             "kalman.form": "current",
             "kalman.gain": "riccati",
             "kalman.r": float(noise**2),
-            # a filter without a disturbance has to believe the measurement, or nothing of the mismatch is seen
+            # a filter without disturbance must trust the measurement, otherwise it does not correct the mismatch
             "kalman.q": ((10.0 if disturbance == "none" else 0.1) * change) ** 2,
             "kalman.Q": (),
             "kalman.disturbance": disturbance,
@@ -251,10 +250,10 @@ class Given:
         }
 
     def tuned(self, kind: str) -> dict:
-        """Return gains for the fastest reference, tuned on what compensator and controller believe.
+        """Return gains for the fastest reference, tuned on the models of compensator and controller.
 
-        Without feedforward, also for a controller beside one: with all that is believed true the feedforward leaves it
-        nothing to do, and no gain would be worse than another.
+        The tuning has no feedforward, also for a controller beside one: with exact models the feedforward leaves no
+        error, and all gains would be equal.
         """
         key = (kind, *self.compensator.items())
         if key not in self.gains:
@@ -268,10 +267,10 @@ class Given:
 
 
 def controllers(axis: AxisParameters) -> dict:
-    """Return the controllers of the table, name → design: the configured one, those of the laws, who learns, who damps.
+    """Return the controllers of the table, name → design: configured, by law, with learning, with damping.
 
     A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
-    configuration's.
+    configuration.
     """
     declared = {name: design for name, (_, design) in ROWS.items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}
@@ -282,5 +281,5 @@ def controllers(axis: AxisParameters) -> dict:
 
 
 def learner(controller: str, kind: str) -> str:
-    """Return what a controller is called over which something learns."""
+    """Return the name of a controller with learning."""
     return f"{controller} + learning by {kind.replace('_', '-')}"

@@ -46,10 +46,10 @@ SILENCE = 10.0
     help="HTML page; with --best also a YAML file.",
 )
 def compare(config, namespace, workers, json_path, best, outputs, sine, triangle, **others):
-    """Rank all controllers and compensators on the plant of CONFIG.
+    """Rank all controllers and compensators for the axis of CONFIG.
 
-    Each is designed on the models in CONFIG, then follows a sine and a triangle on plants drawn around the configured
-    one; and designed on what is identified from recordings of plants of other classes, then run on those. -o adds a
+    Each is designed from the models in CONFIG, and follows a sine and a triangle on random plants around the configured
+    one. For plants of other classes each is designed from a model identified from their recordings. -o adds a
     self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
     from hysteresis_ros.configuration import load_configuration
@@ -63,10 +63,10 @@ def compare(config, namespace, workers, json_path, best, outputs, sine, triangle
         from hysteresis_ros.analysis.page import require_page
 
         for page in pages:
-            require_page(page)  # now and not after minutes
+            require_page(page)  # before minutes of work
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
-    # said after a while only: what is refused at once is one line
+    # shown after a while only, because an immediate refusal prints one line
     comparing = f"comparing on {conditions.draws} plants around it and {conditions.others} of other classes"
     with progress.during(comparing):
         options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""All controllers and compensators under the same honest conditions: which one to choose for an axis.
+"""Comparison of all controllers and compensators under the same honest conditions, to choose one for an axis.
 
-Two tables: plants drawn around the configured one, on which every candidate is designed on the models in the
-configuration; and plants of other classes than any model, on each of which every candidate is designed on what the
-default identification makes of a recording of it. The runs have sensor noise, converters and limits, and are judged on
-the true displacement between the samples.
+There are two tables: random plants around the configured one, for which every candidate is designed from the models in
+the configuration; and plants of other classes than any model, for which every candidate is designed from the default
+identification of a recording. The runs have sensor noise, converters and limits; their errors are those of the true
+displacement, also between the samples.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import mismatched
 
-#: How a compensator with creep is called beside the one without.
+#: Suffix of the name of a compensator with creep.
 WITH_CREEP = " with creep"
 
 
@@ -59,11 +59,11 @@ class Table:
     """Candidates on one set of plants."""
 
     title: str
-    summary: str  #: Of stroke and plants, in a line.
+    summary: str  #: One line about stroke and plants.
     tasks: tuple[str, ...]  #: Names of the references.
     rows: tuple[Row, ...]  #: Best first; then those without a rank, refused ones last.
-    yardstick: Row  #: What they are compared with.
-    assumptions: tuple[str, ...]  #: What the table rests on, in sentences.
+    yardstick: Row  #: Row of the benchmark controller.
+    assumptions: tuple[str, ...]  #: Sentences about the assumptions of the table.
 
     def row(self, controller: str, compensator: str) -> Row:
         """Return the row of a combination."""
@@ -78,43 +78,43 @@ class Comparison:
     """Both tables."""
 
     conditions: Conditions
-    #: around, others: Of plants around the configured one, and of plants of other classes; None where none were drawn.
+    #: around, others: Tables of plants around the configured one, and of plants of other classes; None without draws.
     around: Table | None
     others: Table | None
-    configuration: Configuration  #: What the first is about.
+    configuration: Configuration  #: Configuration of the first table.
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """The tables there are."""
+        """The tables that are not None."""
         return tuple(table for table in (self.around, self.others) if table is not None)
 
     @property
     def best(self) -> Row:
         """The first row around the configured plant that has a rank on the plants of other classes too.
 
-        One that learns is none: what learns is designed for the period of one reference.
+        A row with learning does not count, because learning is designed for the period of one reference.
         """
         for row in self.around.rows if self.around is not None else ():
-            learns = row.candidate is not None and row.candidate.learning  # for each reference something else
+            learns = row.candidate is not None and row.candidate.learning  # different for each reference
             if row.ranked and not learns and (self.others is None or _ranked_in(self.others, row)):
                 return row
         raise ConfigurationError(
-            f"{self.configuration.source}: no combination has a rank on all plants; look at the table for what each "
-            "misses, and draw around the configured plant (--draws 1 or more)"
+            f"{self.configuration.source}: no combination has a rank on all plants; the table shows the unmet "
+            "requirements; draw plants around the configured one (--draws 1 or more)"
         )
 
 
 def _ranked_in(table: Table, row: Row) -> bool:
-    """Tell whether a combination has a rank in another table; what is not in it is of this configuration alone."""
+    """Return whether a combination has a rank in another table, or does not occur there."""
     return all(other.ranked for other in table.rows if other.controller == row.controller and other.results)
 
 
 class Tried(NamedTuple):
-    """What was tried on one plant of another class and what is around it."""
+    """Results for one plant of another class and the plants around it."""
 
-    seed: int  #: Of the plant.
+    seed: int  #: Seed of the plant.
     kind: str  #: Class of its hysteresis.
-    stroke: float  #: What errors are parts of [m].
+    stroke: float  #: Stroke that errors are related to [m].
     rows: list[Row]
     yardstick: Row
 
@@ -129,10 +129,11 @@ def table_around(
     low, high = middle - 0.5 * trial.stroke, middle + 0.5 * trial.stroke
     assumptions = (
         f"{conditions.draws} plants around the configured one, seeds {conditions.seed} … "
-        f"{conditions.seed + conditions.draws - 1}: gain, opening of the hysteresis and each of its weights, times of "
-        f"the dynamics and rate of the creep each off by up to ±{per_cent:g} %, uniform and independent",
+        f"{conditions.seed + conditions.draws - 1}: gain, width of the hysteresis loop and each of its "
+        f"weights, times of the dynamics and rate of the creep deviate by up to ±{per_cent:g} %, uniform and "
+        "independent",
         f"{_seen(conditions)}, limits {limits.minimum:g} … {limits.maximum:g} V",
-        "every candidate was designed on the models in the configuration, knowing the size of noise and mismatch",
+        "every candidate was designed from the models in the configuration, with the size of noise and mismatch",
     )
     return Table(
         "Plants around the configured one",
@@ -151,7 +152,7 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     by_name = [{row.name: row for row in one.rows} for one in tried]
     rows = []
     for name in dict.fromkeys(name for found in by_name for name in found):
-        # where no creep was found, the compensator with it is the one without
+        # without identified creep, the compensator with creep is the one without
         plain = name[0], name[1].removesuffix(WITH_CREEP)
         each = [row for found in by_name if (row := found.get(name, found.get(plain))) is not None]
         if len(each) == len(by_name):
@@ -159,11 +160,11 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
     around = 8 + DRAWS
     assumptions = (
-        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}, each also with gain, "
-        f"opening, times and creep off by up to ±{100.0 * conditions.mismatch:g} % after it was recorded: {around} "
-        "plants around it, of which 8 are corners",
+        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}, each also with "
+        f"gain, loop width, times and creep changed by up to ±{100.0 * conditions.mismatch:g} % after its recording: "
+        f"{around} plants around it, of which 8 are corners",
         f"{_seen(conditions)}, 2 kHz, 0 … 100 V",
-        "every candidate was designed on what the default identification made of one recording of the plant",
+        "every candidate was designed from the default identification of one recording of the plant",
     )
     strokes = ", ".join(f"{one.seed}: {one.kind} {one.stroke * 1e6:.3g} µm" for one in tried)
     return Table(
@@ -177,18 +178,18 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
 
 
 def judgement(conditions: Conditions) -> tuple[str, ...]:
-    """Return how every row is judged, in sentences."""
+    """Return sentences about the evaluation of the rows."""
     return (
-        "errors are those of the true displacement at ten instants a sample, in % of the stroke",
+        "errors are those of the true displacement at ten points per sample, in % of the stroke",
         "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
         f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
         "reference); undelayed: against the reference itself, on the worst plant",
-        f"who learns from period to period is judged from period {LEARNING_PERIODS + 1} on, each reference learned "
-        "with filters for its own period; all others after 2 s",
-        "× PI: how many times as large the error of a PI with static feedforward is, whose gains were tuned on the "
-        "very plant by what the table ranks; with the same margins and delay allowed, on the worst plant",
-        "marked rows miss the margins that every design is held to, on their own model, or M_s 3 where gain and times "
-        "of it are off by the mismatch; they and rows that were unstable on a plant have no rank",
+        f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the "
+        "period of each reference; all others after 2 s",
+        "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
+        "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
+        "marked rows do not meet the margins required of every design, with their own model, or M_s 3 with "
+        "gain and times off by the mismatch; they and rows that were unstable on a plant have no rank",
     )
 
 
@@ -197,12 +198,12 @@ def _seen(conditions: Conditions) -> str:
     return f"sensor noise {conditions.noise * 1e9:g} nm rms, {converters}"
 
 
-#: The plant rests this long at each end of the voltage when its reach is measured [s].
+#: Rest at each end of the voltage for the measurement of the range of a plant [s].
 REST = 2.0
 
 
 def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, float]:
-    """Return the ends [m] of the range that every plant reaches within its limits, preload offset left out.
+    """Return the ends [m] of the range that every plant reaches within its limits, without the preload offset.
 
     Each plant rests :data:`REST` seconds at its highest, then at its lowest voltage.
     """
@@ -222,7 +223,7 @@ def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, floa
 
 
 def drawn_around(configuration: Configuration, conditions: Conditions) -> list[ModelledPlant]:
-    """Return plants around the configured one, each with noise of its own, behind converters."""
+    """Return plants around the configured one, with individual noise and with converters."""
     found = []
     for seed in range(conditions.seed, conditions.seed + conditions.draws):
         plant = mismatched(configuration, conditions.mismatch, seed).override(
@@ -241,9 +242,10 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 
 
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
-    """Return the trial on a plant of another class, and on what may have become of it since it was recorded.
+    """Return the trial on a plant of another class, and on plants that it may have become since its recording.
 
-    All but the plants follows from the recording: the references too, within what the model reaches less the mismatch.
+    Everything except the plants follows from the recording, also the references, within the range of the model less the
+    mismatch.
     """
     bench = conditions_bench(conditions)
     plant = drawn(seed, bench)
@@ -269,14 +271,14 @@ def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]
     trial = trial_on_other(seed, conditions)
     plant = trial.plants[0]
     if not isinstance(plant, ForeignPlant):
-        raise TypeError(f"{type(plant).__name__}: no plant of another class")
+        raise TypeError(f"{type(plant).__name__}: not a plant of another class")
     measure, kind = yardstick(trial), plant.actuator.hysteresis
     rows = compared_with(trial.rows(only), measure)
     return f"plant {seed} of another class ({kind})", Tried(seed, kind, trial.stroke, rows, measure)
 
 
 def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
-    """Refuse combinations that the axis does not have: they would be missing from the tables without a word."""
+    """Refuse combinations that the axis does not have, because they would silently be missing from the tables."""
     for position, kind in enumerate(("controller", "compensator")):
         known_names = list(dict.fromkeys(name[position] for name in possible))
         for name in (combination[position] for combination in only):
@@ -301,15 +303,15 @@ def compare(
     axis = single_axis(configuration, namespace)
     if axis.reference_generator is None:
         raise ConfigurationError(
-            f"{configuration.source}: an inchworm's sequencer stands in the place of the reference generator, whose "
-            "references are compared; give the configuration of a single actuator"
+            f"{configuration.source}: it has an inchworm's sequencer, and the comparison needs a reference "
+            "generator; give the configuration of a single actuator"
         )
     if namespace is not None:
         configuration = parse_configuration(axis.configuration_text(), configuration.source)
     conditions.require_slow(axis.plant_simulator.sample_rate)
     if only is not None and conditions.draws:
         _require_known(only, names(axis))
-    # what takes longest first
+    # the longest work first
     jobs = [Job(_rows_on_other, (conditions.seed + i, conditions, only)) for i in range(conditions.others)]
     if conditions.draws:
         trial = trial_around(configuration, conditions)

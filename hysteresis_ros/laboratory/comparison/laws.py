@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The rows of the comparison that the controllers have: each law as it is compared, and those of other packages.
+"""The rows of the comparison for each control law, including those of other packages.
 
-A row is a design: it takes :class:`hysteresis_ros.laboratory.comparison.candidates.Given` and returns the parameters
-of the motion controller that differ from the configuration's.
+A row is a design: it takes :class:`hysteresis_ros.laboratory.comparison.candidates.Given` and returns the parameters of
+the motion controller that differ from the configuration.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ GROUP = "hysteresis_ros.compared"
 
 @dataclass(frozen=True, eq=False)
 class ComparedLaw:
-    """The rows that a controller has in the table of ``hysteresis compare``."""
+    """The rows of a controller in the table of ``hysteresis compare``."""
 
     name: str  #: ``type`` of the motion controller.
     #: Name in the table → ``design(given)``, which returns the parameters of the motion controller that differ from
@@ -44,10 +44,10 @@ class ComparedLaw:
 
 
 def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
-    """Return the changes with hyperplane, law and filter that keep the margins; ``place`` as for ``sliding_gains``.
+    """Return parameters with hyperplane, law and filter that keep the margins; ``place`` as for ``sliding_gains``.
 
-    The filter is never faster than noise and mismatch, as they are known, make it. A robust comparison has the margins
-    kept on the corners of the mismatch, with and without a sample of delay more.
+    The filter is never faster than the known noise and mismatch require. In a robust comparison the margins hold at the
+    corners of the mismatch, with and without one more sample of delay.
     """
     node = given.axis.motion_controller
     surface = replace(lq_surface(node.sliding_mode, node.model.dynamics), eta=0.0, beta=0.0, delta=1.0)
@@ -62,7 +62,7 @@ def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = Non
 
 @lru_cache(maxsize=64)
 def _searched(parameters, sample_time: float, place, around: Uncertainty | None):
-    """Search only once for what several compensators are compared with; around the model if that is asked."""
+    """Search once for the parameters shared by several compensators; in a robust comparison around the model."""
     aimed = FASTEST
     plants: tuple[PossiblePlant, ...] = ()
     if around is not None:
@@ -78,7 +78,7 @@ def _integral_sliding_mode(given) -> dict:
 
 
 def _integral(given) -> dict:
-    """Return the simplest that works: integral action beside static feedforward."""
+    """Return the simplest working controller: integral action beside static feedforward."""
     node = given.axis.motion_controller
     gains = design_integral(node.pid, given.dynamics, 1.0 / node.sample_rate).to_mapping()
     named = {f"pid.{name}": value for name, value in gains.items()}
@@ -86,7 +86,7 @@ def _integral(given) -> dict:
 
 
 def _sliding_mode(given, disturbance: str, **more) -> dict:
-    """Return a sliding mode whose filter has this disturbance; more parameters of ``sliding_mode`` by name."""
+    """Return a sliding mode with this disturbance in its filter, and other parameters of ``sliding_mode`` by name."""
     changes = {"type": "sliding_mode", **given.kalman(disturbance)}
     changes |= {f"sliding_mode.{name}": value for name, value in more.items()}
     return _gains(given, changes, reaching_law)
@@ -108,7 +108,7 @@ _OWN = (
             "feedforward": lambda given: {"type": "open_loop", **given.preview()},
         },
     ),
-    # tuned on the fastest reference, where it has the hardest time, with this compensator in the loop
+    # tuned on the fastest, most difficult reference, with this compensator in the loop
     ComparedLaw(
         "pid",
         {
@@ -130,12 +130,12 @@ _OWN = (
     ComparedLaw("super_twisting", {"super-twisting + feedforward": _super_twisting}),
 )
 
-#: What is compared of each controller, by its type.
+#: The rows of each controller, by its type.
 COMPARED: dict[str, ComparedLaw] = added({law.name: law for law in _OWN}, ComparedLaw, GROUP)
 
 
 def _rows() -> dict[str, tuple[ComparedLaw, Callable[[Any], dict]]]:
-    """Return law and design of each row; two laws with a row of one name are a mistake, a TypeError."""
+    """Return law and design of each row; raise TypeError for two laws with a row of the same name."""
     found: dict[str, tuple[ComparedLaw, Callable[[Any], dict]]] = {}
     for law in COMPARED.values():
         for name, design in law.rows.items():

@@ -7,11 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A candidate on a set of plants: designed on what is known, run on each, judged beside a yardstick tuned on the plant.
+"""A candidate on a set of plants: design from known data, a run on each plant, and comparison with a benchmark.
 
-On plants of other classes the way is that of a user: :func:`recorded` drives the plant and measures through its sensor;
-:func:`identified` is given nothing but that recording and the data sheet of the bench, and runs the default
-identification.
+Plants of other classes are treated as by a user: :func:`recorded` drives the plant and measures with its sensor;
+:func:`identified` runs the default identification on that recording and the data sheet of the bench.
 """
 
 from __future__ import annotations
@@ -65,14 +64,14 @@ class Row:
     controller: str  #: controller, compensator: Names in the table.
     compensator: str
     results: dict[str, Result] = field(default_factory=dict)  #: By name of the task; empty for a refused candidate.
-    delays: tuple[float, ...] = ()  #: The constant delay that it is judged with [s], one for each design.
+    delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
     refused: str = ""  #: Why there are no results.
-    marked: str = ""  #: What its own margins miss: it is run and shown, not ranked.
-    #: By name of the task: how many times as large the yardstick's error is, on the plants where that is least.
+    marked: str = ""  #: Unmet margins of its own model: it is run and shown, but not ranked.
+    #: By name of the task: smallest ratio of the benchmark's error to its own, over the plants.
     better: dict[str, float] = field(default_factory=dict)
-    #: Time [s] and error [part of the stroke] on the plant on which the candidate did worst, by name of the task.
+    #: Time [s] and error [part of the stroke] on the worst plant of the candidate, by name of the task.
     errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    candidate: Candidate | None = None  #: Its parameters, where there is one design.
+    candidate: Candidate | None = None  #: Its parameters, if there is only one design.
 
     @property
     def name(self) -> tuple[str, str]:
@@ -81,17 +80,17 @@ class Row:
 
     @property
     def unstable(self) -> int:
-        """Plants that it made unstable on one of the references."""
+        """Number of plants with instability on one of the references."""
         return max((result.unstable for result in self.results.values()), default=0)
 
     @property
     def ranked(self) -> bool:
-        """Whether it has a rank: it has the margins that every design is held to, and was stable on all plants."""
+        """Whether it has a rank: it meets the margins required of every design, and was stable on all plants."""
         return bool(self.results) and not (self.refused or self.marked or self.unstable)
 
     @property
     def score(self) -> float:
-        """Geometric mean over the tasks of the RMS error on the worst plant; the ranking goes by it."""
+        """Geometric mean over the tasks of the RMS error on the worst plant, which determines the rank."""
         if not self.results:
             return float("inf")
         worst = [result.worst for result in self.results.values()]
@@ -99,26 +98,26 @@ class Row:
 
     @property
     def order(self) -> tuple[bool, bool, float]:
-        """What rows are sorted by: ranked ones first, refused ones last."""
+        """Sort key of rows: ranked ones first, refused ones last."""
         return bool(self.refused), not self.ranked, self.score
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a set of candidates is tried on."""
+    """Data and plants for a set of candidates."""
 
-    given: Known  #: All that their designs get, with conditions and tasks.
+    given: Known  #: Data for the designs, with conditions and tasks.
     conditions: Conditions
     tasks: tuple[Task, ...]
     stroke: float  #: What errors are parts of [m].
-    plants: tuple[DrawnPlant, ...]  #: What they run on.
+    plants: tuple[DrawnPlant, ...]  #: Plants of the runs.
 
     def rows(self, only=None) -> list[Row]:
         """Return a row for each candidate, in the order of their design."""
         return [self.row(candidate) for candidate in candidates(self.given, self.conditions, self.tasks, only)]
 
     def row(self, candidate: Candidate) -> Row:
-        """Return what a candidate is worth."""
+        """Return the row of a candidate."""
         row = Row(candidate.controller, candidate.compensator, candidate=candidate, marked=candidate.marked)
         if candidate.refused:
             return replace(row, refused=candidate.refused)
@@ -133,7 +132,7 @@ class Trial:
         )
 
     def judged(self, row: Row, runs: dict[Task, list[Followed]]) -> Row:
-        """Return a row with what its runs are worth."""
+        """Return a row with the results of its runs."""
         delay = best_delay(runs, self.conditions.longest_delay)
         results, errors = judged(runs, delay, self.stroke), {}
         for task, found in runs.items():
@@ -144,13 +143,13 @@ class Trial:
 
 
 def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
-    """Return how an axis follows a reference on a plant."""
+    """Return the run of an axis along a reference on a plant."""
     loop = Axis(axis, plant.in_loop())
     return followed(loop.run(loop.default_setpoints(round(task.duration * plant.sample_rate))), plant, task)
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows with how much better they are than the yardstick on the worst plant of each."""
+    """Return the rows with the ratio of the benchmark's error to theirs on the worst plant of each."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -160,7 +159,7 @@ def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
 
 
 def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) -> Row:
-    """Return the rows of one combination, each designed on one plant's recording, as one."""
+    """Return the rows of one combination, each designed from the recording of one plant, as one row."""
     pairs = list(zip(rows, plants, strict=True))
     refused = "; ".join(f"{plant}: {row.refused}" for row, plant in pairs if row.refused)
     if refused:
@@ -176,21 +175,21 @@ def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) ->
     )
 
 
-#: Its names in the tables.
+#: Names of the benchmark in the tables.
 CONTROLLER, COMPENSATOR = "PI + static feedforward, tuned on the plant", "none"
-#: Crossovers [Hz] and proportional gains with which the search begins, its iterations and the tolerance of its simplex.
+#: Initial crossovers [Hz] and proportional gains of the search, its iterations, and the tolerance of its simplex.
 CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
-#: What counts as a large change of the logarithm of Ki, and of Kp.
+#: Large changes of the logarithm of Ki, and of Kp, for the simplex.
 SCALES = (3.0, 1.0)
-#: A controller refuses gains that its own model does not bear. Here the plant itself judges: none are refused.
+#: Requirements of a controller on its own gains; here the plant itself decides, so none are refused.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
-#: The factor by which gains may grow: 6 dB.
+#: Required gain margin as a factor: 6 dB.
 GAIN_MARGIN = 2.0
 
 
 def yardstick(trial: Trial) -> Row:
-    """Return the row of the yardstick: tuned on the first of the plants by what the table ranks, run on all of them."""
+    """Return the row of the benchmark: tuned on the first plant by the ranking criterion, run on all of them."""
     gains = _tuned(trial)
     found = Candidate(CONTROLLER, COMPENSATOR, {f"pid.{name}": value for name, value in gains.to_mapping().items()})
     runs = {}
@@ -211,9 +210,9 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
 
 
 def _tuned(trial: Trial) -> PidParameters:
-    """Return the gains with the least score on the first plant among those with the margins of a candidate there.
+    """Return the gains with the smallest score on the first plant among those with the margins of a candidate there.
 
-    They may grow by 6 dB, and bear one sample of delay more.
+    The loop must tolerate 6 dB more gain, and one more sample of delay.
     """
     plant, axes = trial.plants[0], {task: _axis(trial, PidParameters(), task) for task in trial.tasks}
     late, fastest = plant.later(), max(trial.tasks, key=lambda task: task.frequency)
@@ -233,7 +232,7 @@ def _tuned(trial: Trial) -> PidParameters:
             if followed(gains(values, GAIN_MARGIN)).unstable or followed(gains(values), late).unstable:
                 return np.inf
             runs = {task: [followed(gains(values), task=task)] for task in trial.tasks}
-        except ParameterError:  # beyond what a PI does on any plant
+        except ParameterError:  # not feasible for a PI on any plant
             return np.inf
         results = judged(runs, best_delay(runs, trial.conditions.longest_delay), trial.stroke)
         return float(np.mean([np.log(result.worst) for result in results.values()]))
@@ -243,20 +242,20 @@ def _tuned(trial: Trial) -> PidParameters:
     return gains(restarted_nelder_mead(cost, min(starts, key=cost), scale=SCALES, settings=settings).x)
 
 
-#: Plants that are drawn around each one, besides itself and its worst corners.
+#: Random plants around each one, besides itself and its worst corners.
 DRAWS = 3
-#: Factors that a plant may deviate by, and what of :class:`ForeignParameters` each is on.
+#: Factors of deviation of a plant, and the :class:`ForeignParameters` that each multiplies.
 GAIN, OPENING, TIMES, CREEP = range(4)
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What the data sheets of amplifier, converters and sensor say."""
+    """Data sheets of amplifier, converters and sensor."""
 
     sample_rate: float = 2000.0  #: [Hz]
     voltage: float = 100.0  #: Highest voltage of the amplifier [V]; the lowest is 0.
-    bits: int = 16  #: Of the converter; 0: unlimited.
-    noise: float = 5e-9  #: noise, resolution: Of the sensor [m].
+    bits: int = 16  #: Resolution of the converter; 0: unlimited.
+    noise: float = 5e-9  #: noise, resolution: Noise and resolution of the sensor [m].
     resolution: float = 1e-9
 
     def node(self, seed: int) -> PlantNodeParameters:
@@ -277,7 +276,7 @@ class Bench:
 
 
 def drawn(seed: int, bench: Bench) -> ForeignPlant:
-    """Return a plant of another class; the class of its hysteresis goes round with the seed."""
+    """Return a plant of another class; the seed selects the class of its hysteresis cyclically."""
     random = np.random.default_rng((seed, 1))
     sample_time = 1.0 / bench.sample_rate
 
@@ -305,10 +304,10 @@ def drawn(seed: int, bench: Bench) -> ForeignPlant:
 
 
 def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
-    """Return the plant, then what may have become of it since it was recorded: its worst corners, and a few draws.
+    """Return the plant, then possible changes of it since its recording: the worst corners, and a few draws.
 
-    Gain, opening of the hysteresis, all times of lag, delay and modes, and the creep deviate each by up to the
-    mismatch; a corner is where the first three do so fully, and the creep with the gain.
+    Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by up to the mismatch;
+    at a corner the first three deviate fully, and the creep with the gain.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
@@ -334,7 +333,7 @@ def _deviated(actuator: ForeignParameters, factors) -> ForeignParameters:
 
 
 def excitation(bench: Bench) -> np.ndarray:
-    """Return the voltages [V] that a user would record with: minor loops, then many frequencies, then steps."""
+    """Return the voltages [V] of a typical recording: minor loops, then many frequencies, then steps."""
     rate = bench.sample_rate
     sample_time, parts = 1.0 / rate, []
     for name, changes in (
@@ -352,10 +351,10 @@ def excitation(bench: Bench) -> np.ndarray:
 
 
 def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
-    """Return what converter and sensor see of a plant under the excitation."""
+    """Return the recording of a plant under the excitation, by converter and sensor."""
     sample_time, node = 1.0 / bench.sample_rate, bench.node(seed)
     voltage = Limits(node.limits, sample_time).simulate(excitation(bench))
-    # what is measured at a sample follows from the voltages before it
+    # a measurement responds to earlier voltages only
     displacement = np.concatenate([[0.0], plant.between(voltage)[:-1, -1]])
     measured = Sensor(node.sensor, sample_time).simulate(displacement)
     units = {"voltage": "V", "measured": "m"}
@@ -363,7 +362,7 @@ def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
 
 
 def identified(recording: Recording, bench: Bench) -> Known:
-    """Return what is known of a plant from a recording of it, by the default identification."""
+    """Return the known data of a plant, by the default identification of its recording."""
     found = identify(recording)
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
@@ -371,5 +370,5 @@ def identified(recording: Recording, bench: Bench) -> Known:
 
 
 def conditions_bench(conditions: Conditions) -> Bench:
-    """Return the usual bench under these conditions."""
+    """Return the default bench under these conditions."""
     return Bench(bits=conditions.bits, noise=conditions.noise)

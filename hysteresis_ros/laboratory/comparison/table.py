@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The comparison of controllers as tables, as JSON, as a page with plots and as the configuration of the best."""
+"""Output of the comparison: tables, JSON, a page with plots, and the configuration of the best combination."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
 
 
 def _label_decades(axis) -> None:
-    """Label 1, 2 and 5 of each decade as plain numbers, of many decades 1 alone: all minor labels would overlap."""
+    """Label 1, 2 and 5 of each decade, or only 1 for many decades, so that the labels do not overlap."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
@@ -64,7 +64,7 @@ def _label_decades(axis) -> None:
 
 
 def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of errors over time, each in a panel of its own scale [% of stroke]."""
+    """Return the figure of errors over time, each in a panel with its own scale [% of stroke]."""
     figure, axes = new_figure(1.9 * len(errors), 1, rows=len(errors))
     for number, (axis, (name, (time, error))) in enumerate(zip(axes, errors.items(), strict=True)):
         axis.axhline(0.0, color=_BACKGROUND, linewidth=0.8)
@@ -77,7 +77,7 @@ def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
 
 
 def write_ranking_page(path, title: str, *, tables, **contents) -> None:
-    """Write a page with tables of ranked combinations that needs nothing beside it."""
+    """Write a self-contained page with tables of ranked combinations."""
     drawn = [
         {**table, "plots": [dict(caption=caption, source=data_uri(figure)) for caption, figure in table["figures"]]}
         for table in tables
@@ -87,7 +87,7 @@ def write_ranking_page(path, title: str, *, tables, **contents) -> None:
 
 TITLE = "Controllers and compensators under honest conditions"
 RANKING = "Ranked by the geometric mean over the references of the RMS error on the worst plant."
-#: Columns of a task: heading, unit, and what it is of the row and its result.
+#: Columns of a task: heading, unit, and function of the row and its result.
 ERRORS = (
     ("median RMS", "%", lambda row, task: 100.0 * np.median(row.results[task].rms)),
     ("worst RMS", "%", lambda row, task: 100.0 * row.results[task].worst),
@@ -95,18 +95,18 @@ ERRORS = (
     ("undelayed", "%", lambda row, task: 100.0 * np.max(row.results[task].undelayed)),
     ("× PI", "", lambda row, task: row.better.get(task, 1.0)),
 )
-#: Columns of what it costs, the largest over the references: heading, unit, what it is of a Result.
+#: Columns of the effort, the largest over the references: heading, unit, and function of a Result.
 COSTS = (
     ("effort", "V/s", lambda result: np.max(result.effort)),
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
-#: Rows of both tables whose errors are plotted besides the best, and the best with this controller.
+#: Controllers of plotted rows: those of both tables besides the best row, and one whose best row is plotted.
 SHOWN = "feedforward"
 
 
 def blocks(table: Table) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return the blocks of columns behind rank, controller and compensator: name, then heading and unit of each."""
+    """Return the blocks of columns after rank, controller and compensator: name, then heading and unit of each."""
     found = [(task, [(heading, unit) for heading, unit, _ in ERRORS]) for task in table.tasks]
     return [("", [("delay", "ms")]), *found, ("largest of both", [(heading, unit) for heading, unit, _ in COSTS])]
 
@@ -122,13 +122,13 @@ def cells(tasks: Sequence[str], rank: str, row: Row) -> list[str]:
 
 
 def delays(row: Row) -> str:
-    """Return the constant delay of a row [ms], or the range of those of its designs."""
+    """Return the constant delay of a row [ms], or the range over its designs."""
     ends = [f"{1e3 * delay:.3g}" for delay in (min(row.delays), max(row.delays))]
     return ends[0] if ends[0] == ends[1] else " … ".join(ends)
 
 
 def ranks(table: Table) -> list[str]:
-    """Return what stands in the first column: the rank, or what keeps a row from having one."""
+    """Return the cell of the first column: the rank, or the reason why a row has none."""
     found, rank = [], 0
     for row in table.rows:
         rank += row.ranked
@@ -143,7 +143,7 @@ def all_cells(table: Table) -> list[list[str]]:
 
 
 def format_table(table: Table) -> str:
-    """Return a table for a terminal, with what its plants are and what was refused or marked."""
+    """Return a table for a terminal, with its plants and its refused and marked rows."""
     rows, parts = all_cells(table), blocks(table)
     heads = ["", "controller", "compensator"] + [heading for _, columns in parts for heading, _ in columns]
     units = ["", "", ""] + [unit for _, columns in parts for _, unit in columns]
@@ -166,7 +166,7 @@ def format_table(table: Table) -> str:
 
 
 def format_comparison(comparison: Comparison) -> str:
-    """Return the tables for a terminal, and how they are judged."""
+    """Return the tables for a terminal, with the rules of evaluation."""
     parts = [TITLE, *map(format_table, comparison.tables)]
     judged = [RANKING, "", "Judged", *(f"- {text}" for text in judgement(comparison.conditions))]
     return "\n\n".join([*parts, "\n".join(judged)])
@@ -178,17 +178,17 @@ def label(row: Row) -> str:
 
 
 def refusals(table: Table) -> list[str]:
-    """Return who was refused and why."""
+    """Return the refused rows with reasons."""
     return [f"{label(row)}: {row.refused}" for row in table.rows if row.refused]
 
 
 def marks(table: Table) -> list[str]:
-    """Return who was marked and why."""
+    """Return the marked rows with reasons."""
     return [f"{label(row)}: {row.marked}" for row in table.rows if row.marked]
 
 
 def unstable(table: Table) -> list[str]:
-    """Return who was unstable, on how many plants, and whether its own margins had said so."""
+    """Return the unstable rows with the number of plants, and whether they were marked."""
     return [
         f"{label(row)}: on {row.unstable} plants, {'marked beforehand' if row.marked else 'not marked beforehand'}"
         for row in table.rows
@@ -287,23 +287,23 @@ def _plain(value):
 
 
 def figures(table: Table) -> list:
-    """Return the plots of a table, captions and figures: ranking, then the error of chosen rows on each reference."""
+    """Return captions and figures of a table: ranking, then the error of chosen rows on each reference."""
     done = [row for row in (*table.rows, table.yardstick) if row.results and not row.unstable]
     values = {task: [100.0 * row.results[task].rms for row in done] for task in table.tasks}
     found = [
         (
-            "RMS error of every combination that stayed stable: each plant a dot, the worst one filled",
+            "RMS error of every stable combination: one dot per plant, the worst one filled",
             ranking_figure([label(row) + (" (marked)" if row.marked else "") for row in done], values),
         )
     ]
     for task in table.tasks:
         shown = {label(row): row.errors[task] for row in chosen_rows(table)}
-        found.append((f"Error on the plant where each does worst, {task}", errors_figure(shown)))
+        found.append((f"Error on the worst plant of each row, {task}", errors_figure(shown)))
     return found
 
 
 def chosen_rows(table: Table) -> list[Row]:
-    """Return the rows whose errors are worth a plot: the yardstick, the best without feedback, the best of all."""
+    """Return the rows to plot: the benchmark, the best without feedback, and the best of all."""
     done = [row for row in table.rows if row.results and not row.unstable]
     found = [table.yardstick]
     for row in [row for row in done if row.controller == SHOWN][:1] + [row for row in done if row.ranked][:1]:
@@ -316,7 +316,7 @@ def best_text(comparison: Comparison) -> str:
     """Return the configuration with the best combination, every parameter written out."""
     best = comparison.best
     if best.candidate is None:
-        raise ConfigurationError("the best row is of no combination: there is nothing to write")
+        raise ConfigurationError("the best row is not a combination: it has no configuration")
     chosen = comparison.configuration.override("motion_controller", **best.candidate.motion_controller)
     chosen = chosen.override("hysteresis_compensator", **best.candidate.hysteresis_compensator)
     figures_ = ", ".join(f"{task}: {100.0 * result.worst:.3g} % RMS" for task, result in best.results.items())
@@ -325,7 +325,7 @@ def best_text(comparison: Comparison) -> str:
         f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
         f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
     )
-    # a waveform with bare steps is refused beside an inverse of the dynamics until the limits are written
+    # with an inverse of the dynamics, a waveform with steps needs the limits in the file
     axis = AxisParameters.from_configuration(chosen, single_axis(comparison.configuration).namespace)
     text = with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)
     single_axis(parse_configuration(text, "the best combination"))
@@ -338,12 +338,12 @@ class Ranking(Comparison):  # numpydoc ignore=PR02
     Parameters
     ----------
     conditions : Conditions
-        What every candidate had to live with.
+        Conditions of all runs.
     around, others : Table or None
-        Of plants around the configured one, and of plants of other classes; None where none were drawn. Each has
+        Tables of plants around the configured one, and of plants of other classes; None without draws. Each has
         ``rows``, the best first.
     configuration : Configuration
-        What the first is about.
+        Configuration of the first table.
     """
 
     def __str__(self) -> str:
@@ -355,12 +355,12 @@ class Ranking(Comparison):  # numpydoc ignore=PR02
         Parameters
         ----------
         path : path-like
-            Where to; the ending decides.
+            File to write; its suffix decides.
 
         Raises
         ------
         ConfigurationError
-            No combination has a rank, or the ending is another.
+            No combination has a rank, or the suffix is unknown.
         HysteresisError
             The file cannot be written, or a page needs Matplotlib and Jinja2.
         """

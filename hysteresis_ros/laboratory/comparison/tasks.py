@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is asked of every candidate, on which plants, and what its runs are worth: conditions, references, judging.
+"""Conditions, references and plants of the comparison, and evaluation of the runs.
 
-No candidate gets one of the plants, see :mod:`hysteresis_ros.laboratory.comparison.candidates`.
+No design has access to the plants, see :mod:`hysteresis_ros.laboratory.comparison.candidates`.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Time before the first judged sample: creep and history of the start have died away then [s], and least periods.
+#: Time before the first evaluated sample, in which creep and start-up effects decay [s], and fewest periods.
 SETTLING = 2.0
 SETTLING_PERIODS = 2
-#: Least periods before the first judged sample of who learns from one to the next.
+#: Fewest periods before the first evaluated sample of a controller with learning.
 LEARNING_PERIODS = 10
-#: Time judged [s], and least periods.
+#: Evaluated time [s], and fewest periods.
 JUDGED = 4.0
 JUDGED_PERIODS = 4
-#: The longest constant delay of the displacement that is forgiven, as a part of the fastest reference's period.
+#: Longest constant delay of the displacement that does not count as error, as a part of the fastest period.
 ALLOWED_DELAY = 0.1
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What every candidate has to live with."""
+    """Conditions of all runs."""
 
     mismatch: float = 0.05  #: Largest relative deviation of each parameter of the plants.
     noise: float = 5e-9  #: Sensor noise [m rms].
@@ -53,8 +53,7 @@ class Conditions:
     draws: int = 20  #: Number of plants around the configured one.
     others: int = 4  #: Number of plants of other classes.
     seed: int = 1  #: Seed of the first plant; the others follow.
-    #: Whether sliding modes are designed for the worst of plants as far from the model as the mismatch, and a sample
-    #: later.
+    #: Whether sliding modes are designed for the worst plants within the mismatch, and a sample later.
     robust: bool = False
     sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
     triangle_frequency: float = 10.0
@@ -62,7 +61,7 @@ class Conditions:
     triangle_stroke: float = 0.2
 
     def __post_init__(self):
-        """Refuse conditions that describe no experiment."""
+        """Refuse impossible conditions."""
         allowed = {
             "mismatch": (0.0 <= self.mismatch <= 0.5, "must be within 0 … 0.5"),
             "noise": (0.0 <= self.noise < 1.0, "must be a noise in metres, 0 or more"),
@@ -84,7 +83,7 @@ class Conditions:
 
     @property
     def longest_delay(self) -> float:
-        """The longest constant delay that a row is judged with [s]."""
+        """Longest constant delay in the evaluation of a row [s]."""
         return ALLOWED_DELAY / max(self.sine_frequency, self.triangle_frequency)
 
     def require_slow(self, sample_rate: float) -> None:
@@ -108,20 +107,20 @@ class Task:
     frequency: float  #: [Hz]
     low: float  #: low, high: Ends [m].
     high: float
-    periods: int = SETTLING_PERIODS  #: Least number of them before the first judged sample.
+    periods: int = SETTLING_PERIODS  #: Fewest periods before the first evaluated sample.
 
     @property
     def settling(self) -> float:
-        """Time before judging [s], whole periods."""
+        """Time before the evaluation [s], in whole periods."""
         return np.ceil(max(SETTLING * self.frequency, self.periods)) / self.frequency
 
     @property
     def duration(self) -> float:
-        """Length of a run [s], whole periods."""
+        """Length of a run [s], in whole periods."""
         return self.settling + np.ceil(max(JUDGED * self.frequency, JUDGED_PERIODS)) / self.frequency
 
     def overrides(self) -> dict:
-        """Return the parameters of the reference generator; both begin at their lower end, which is its setpoint."""
+        """Return the parameters of the reference generator; both references begin at their lower end, its setpoint."""
         half = 0.5 * (self.high - self.low)
         values = {
             "minimum": min(self.low, 0.0) - half,
@@ -136,7 +135,7 @@ class Task:
         return {**values, "waveform.amplitude": 2.0 * half, "waveform.offset": 0.0}
 
     def reference(self, time) -> np.ndarray:
-        """Return the reference [m] at any instants, also between the samples.
+        """Return the reference [m] at any times, also between the samples.
 
         Units: ``time`` [s].
         """
@@ -167,7 +166,7 @@ def make_tasks(conditions: Conditions, reach: tuple[float, float]) -> tuple[Task
 
 
 class DrawnPlant(ABC):
-    """A plant that was drawn."""
+    """A drawn plant."""
 
     @property
     @abstractmethod
@@ -180,7 +179,7 @@ class DrawnPlant(ABC):
 
     @abstractmethod
     def later(self) -> DrawnPlant:
-        """Return the plant with one sample of delay more."""
+        """Return the plant with one more sample of delay."""
 
     @abstractmethod
     def between(self, voltage) -> np.ndarray:
@@ -192,9 +191,9 @@ class DrawnPlant(ABC):
 
 @dataclass(frozen=True)
 class ModelledPlant(DrawnPlant):
-    """A plant of the classes that parameter files know."""
+    """A plant of a class that parameter files can describe."""
 
-    parameters: PlantNodeParameters  #: Of type actuator.
+    parameters: PlantNodeParameters  #: Parameters of type actuator.
 
     @property
     def sample_rate(self) -> float:
@@ -206,7 +205,7 @@ class ModelledPlant(DrawnPlant):
         return ActuatorPlant(self.parameters)
 
     def later(self) -> ModelledPlant:
-        """Return the plant with one sample of delay more."""
+        """Return the plant with one more sample of delay."""
         sample_time, dynamics = 1.0 / self.sample_rate, self.parameters.dynamics
         dynamics = replace(dynamics, delay=dynamics.delay + sample_time, sample_time=sample_time)
         return ModelledPlant(replace(self.parameters, dynamics=dynamics))
@@ -222,7 +221,7 @@ class ModelledPlant(DrawnPlant):
 class ForeignPlant(DrawnPlant):
     """A plant of another class than any model, behind the limits and the sensor of a modelled one."""
 
-    parameters: PlantNodeParameters  #: Limits, sensor and sample rate; nothing else of it is used.
+    parameters: PlantNodeParameters  #: Limits, sensor and sample rate; the rest is not used.
     actuator: ForeignParameters
 
     @property
@@ -235,7 +234,7 @@ class ForeignPlant(DrawnPlant):
         return _ForeignInLoop(replace(self.parameters, overtravel=-1.0), self.actuator)
 
     def later(self) -> ForeignPlant:
-        """Return the plant with one sample of delay more."""
+        """Return the plant with one more sample of delay."""
         return replace(self, actuator=replace(self.actuator, delay=self.actuator.delay + 1.0 / self.sample_rate))
 
     def between(self, voltage) -> np.ndarray:
@@ -244,12 +243,12 @@ class ForeignPlant(DrawnPlant):
 
 
 class _ForeignInLoop(ActuatorPlant):
-    """An actuator whose hysteresis, creep and dynamics are those of another class, all in one block."""
+    """An actuator with hysteresis, creep and dynamics of another class, in one block."""
 
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
-        # what the file has for creep and dynamics is a model of these
+        # creep and dynamics in the file are models of this block
         super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
-        block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # in the place of any hysteresis
+        block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # instead of a hysteresis
         chain = self.actuator
         chain.hysteresis, chain.hysteresis_kernel = block, block.kernel
         chain.ps, chain.xs = chain.ps._replace(hysteresis=block.p), chain.xs._replace(hysteresis=block.x)
@@ -257,26 +256,26 @@ class _ForeignInLoop(ActuatorPlant):
         self.arrays = self.arrays._replace(p=chain.ps, x=chain.xs)
 
 
-#: Delays that are tried, 0 … the longest one; between them a parabola finds the best.
+#: Number of tried delays, from 0 to the longest; a parabola interpolates the best.
 DELAYS = 41
-#: A loop that is stable settles into the period of its reference. What differs from one period to the next may be this
-#: part of the reference, as RMS; the noise of a stable loop is far below.
+#: A stable loop becomes periodic: largest RMS difference between two periods, as a part of the reference; the noise of
+#: a stable loop is far below.
 LOST = 0.1
-#: A limit cycle may lock to that period; then the limits hold it for so large a part of the time at least.
+#: A limit cycle may lock to that period: smallest part of the time at the limits that shows one.
 AT_LIMITS = 0.25
-#: Instants at which they are tried first.
+#: Points of the first search for the delay.
 THIN = 4000
 
 
 class Followed(NamedTuple):
     """A run of one task on one plant."""
 
-    time: np.ndarray  #: shape (N,); Judged instants [s].
-    displacement: np.ndarray  #: shape (N,); True one there [m].
+    time: np.ndarray  #: shape (N,); Evaluated times [s].
+    displacement: np.ndarray  #: shape (N,); True displacement [m].
     effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
     chattering: float  #: ``chattering_m`` of the command [m rms], as there.
-    saturated: float  #: Part of the judged samples at a limit.
-    #: Whether the plant tripped, did not do in one period what it did in the one before, or went from limit to limit.
+    saturated: float  #: Part of the evaluated samples at a limit.
+    #: Whether the plant tripped, was not periodic, or alternated between the limits.
     unstable: bool
 
     def error(self, task: Task, delay: float) -> np.ndarray:
@@ -289,13 +288,13 @@ class Followed(NamedTuple):
 
     @property
     def thin(self) -> Followed:
-        """The same run at fewer instants."""
-        stride = max(len(self.time) // THIN, 1) | 1  # odd: all places within a sample
+        """The same run at fewer points."""
+        stride = max(len(self.time) // THIN, 1) | 1  # odd: all points within a sample occur
         return self._replace(time=self.time[::stride], displacement=self.displacement[::stride])
 
 
 def followed(signals: dict[str, np.ndarray], plant: DrawnPlant, task: Task) -> Followed:
-    """Look at a run between its samples."""
+    """Evaluate a run between its samples."""
     sample_time = 1.0 / plant.sample_rate
     judged = signals["time"] >= task.settling - 0.5 * sample_time
     starts = signals["time"][judged][:, np.newaxis]
@@ -328,9 +327,9 @@ class Result:
     maximum: np.ndarray
     undelayed: np.ndarray  #: shape (plants,); RMS error against the reference itself, as parts of the stroke.
     effort: np.ndarray  #: shape (plants,); RMS rate of the voltage [V/s].
-    chattering: np.ndarray  #: shape (plants,); Of the command [m rms].
-    saturated: float  #: Part of the judged samples at a limit, the largest of the plants.
-    unstable: int  #: Plants that it made unstable.
+    chattering: np.ndarray  #: shape (plants,); Chattering of the command [m rms].
+    saturated: float  #: Part of the evaluated samples at a limit, the largest of the plants.
+    unstable: int  #: Number of unstable plants.
 
     @property
     def worst(self) -> float:
@@ -339,11 +338,11 @@ class Result:
 
 
 def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float:
-    """Return the constant delay [s] with which the score of the runs is least: one for all references and plants."""
+    """Return the constant delay [s] with the smallest score of the runs, common to all references and plants."""
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
     best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)
-    # the mean square of one run is a parabola close by; the largest of several, and its logarithm, are not
+    # the mean square of one run is nearly a parabola; the largest of several, and its logarithm, are not
     around, fine = delays[best - 1 : best + 2], np.linspace(delays[best - 1], delays[best + 1], DELAYS)
     close = {
         task: np.array([_parabola(around, run.mean_squares(task, around), fine) for run in found])
@@ -359,7 +358,7 @@ def _scores(mean_squares: dict[Task, np.ndarray]) -> np.ndarray:
 
 
 def _parabola(places, values, fine) -> np.ndarray:
-    """Return the parabola through three points at the places ``fine``."""
+    """Return the parabola through three points at the positions ``fine``."""
     middle = places[1]
     return np.polyval(np.polyfit(places - middle, values, 2), fine - middle)
 
@@ -385,7 +384,7 @@ def judged(runs: Mapping[Task, Sequence[Followed]], delay: float, stroke: float)
 
 
 def merged(results: Sequence[dict[str, Result]]) -> dict[str, Result]:
-    """Return the results of one combination on several plants, each with what is around it, as those on all of them."""
+    """Return the results of one combination on several groups of plants as one result."""
     arrays = ("rms", "maximum", "undelayed", "effort", "chattering")
     found = {}
     for task in results[0]:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Emulated devices, to try drivers and programs of others without hardware.
+"""Emulated devices, to test drivers and other programs without hardware.
 
 Read ``bench`` (plant, servo, faults) and ``server`` (the link), then a device: ``gcs`` with ``gcs_controller``,
 ``iio``, ``nv200``. ``command`` is ``hysteresis emulate``.

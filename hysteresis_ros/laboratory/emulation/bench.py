@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What stands behind an emulated device: a plant with a clock of its own, amplifier and servo, and faults.
+"""The inside of an emulated device: a plant with its own clock, amplifier and servo, and faults.
 
-Faults are written as the faults of an axis are, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's
-own clock, counted from where the device begins or where the fault is added. Those of single lines happen to the first
-ones in that time, as many as the value says.
+Faults are written like those of an axis, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's own
+clock from its start, or from the time when the fault is added. A fault of single lines affects the first lines in that
+time; the value is their number.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hysteresis_ros.models.linear import zero_order_hold
 
 
 class Kind(NamedTuple):
-    """What a fault of a device is."""
+    """A kind of fault of a device."""
 
     description: str
     #: Default of the value; None: it has none.
@@ -38,27 +38,27 @@ class Kind(NamedTuple):
 
 
 FAULTS = {
-    "busy": Kind("commands are refused as long as something else is being done"),
+    "busy": Kind("commands are refused as busy"),
     "error": Kind("commands are refused with the device's error of that number", 1.0, "code"),
-    "slow": Kind("each answer comes so much later", 0.2, "s"),
-    "silent": Kind("no answer comes"),
-    "cut": Kind("the link is cut and nobody can connect"),
-    "repeat": Kind("a line of an answer comes twice", 1.0, "lines"),
-    "stale": Kind("the last line that was sent comes again before the answer", 1.0, "lines"),
-    "echo": Kind("the last answer comes again, whole, before the answer", 1.0, "answers"),
-    "drop": Kind("a line of an answer does not come", 1.0, "lines"),
-    "garbage": Kind("bytes without sense come in the place of a line", 1.0, "lines"),
-    "half": Kind("half a line comes, without its end", 1.0, "lines"),
-    "close": Kind("half a line comes, then the link is closed; others can connect", 1.0, "lines"),
+    "slow": Kind("each answer is delayed by the value", 0.2, "s"),
+    "silent": Kind("there is no answer"),
+    "cut": Kind("the link is cut and refuses connections"),
+    "repeat": Kind("a line of an answer is repeated", 1.0, "lines"),
+    "stale": Kind("the previous line is repeated before the answer", 1.0, "lines"),
+    "echo": Kind("the whole previous answer is repeated before the answer", 1.0, "answers"),
+    "drop": Kind("a line of an answer is missing", 1.0, "lines"),
+    "garbage": Kind("random bytes replace a line", 1.0, "lines"),
+    "half": Kind("only half a line is sent, without its end", 1.0, "lines"),
+    "close": Kind("only half a line is sent, then the link is closed; new connections are possible", 1.0, "lines"),
 }
 #: Faults of single lines.
 OF_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
-#: What a line without sense is: any bytes, and an end.
+#: Random bytes of a line, with an end.
 GARBAGE = b"\xff\x00=\xb5 1e9\n"
 
 
 class DeviceFaults:
-    """The faults of a device, and when they are there.
+    """The faults of a device with their times.
 
     Units: ``clock`` [s].
     """
@@ -71,7 +71,7 @@ class DeviceFaults:
             self.add(text)
 
     def add(self, text: str) -> None:
-        """Add a fault, its times counted from now on; ``none`` ends all."""
+        """Add a fault, with times from now on; ``none`` ends all."""
         if text == "none":
             self._entries = []
             return
@@ -92,12 +92,12 @@ class DeviceFaults:
         self._entries.append((name, begin, begin + duration, rest[0] if rest else kind.value or 0.0))
 
     def value(self, name: str) -> float | None:
-        """Return the value of a fault that is there now (0 where it has none), None of one that is not."""
+        """Return the value of an active fault (0 if it has none); None if it is not active."""
         now = self._clock()
         return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
 
     def take_line(self) -> str:
-        """Return the fault that happens to the next line, which is counted; empty: none."""
+        """Return the fault of the next line, and count the line; empty: none."""
         now = self._clock()
         for entry in self._entries:
             name, begin, end, value = entry
@@ -111,14 +111,14 @@ class DeviceFaults:
 
 
 class Garbler:
-    """The lines of a link, with what goes wrong with them."""
+    """The lines of a link with their faults."""
 
     def __init__(self, faults: DeviceFaults):
         self._faults, self.closed = faults, False
         self._last = self._answer = b""
 
     def garble(self, answer: bytes) -> bytes:
-        """Return what is sent in the place of an answer."""
+        """Return the bytes to send instead of an answer."""
         sent = []
         for line in answer.splitlines(keepends=True):
             happens = self._faults.take_line()
@@ -142,11 +142,11 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest time that is caught up with [s]: a machine that slept does not make its devices hurry.
+#: Longest time to catch up with [s], so that a device does not run fast after the machine was suspended.
 LONGEST_CATCH_UP = 5.0
 
-#: Stage that stands behind an emulated device when nobody names another one; all of it is assumed: 0.8 µm/V with a loop
-#: of some 12 % of the stroke, 1 % creep a decade, a resonance, 2 nm of noise.
+#: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
+#: creep per decade, a resonance, 2 nm of noise.
 WEIGHTS = (0.6e-6, 0.07e-6, 0.06e-6, 0.05e-6)
 RADII = (0.0, 5.0, 15.0, 30.0)
 CREEP = 0.01
@@ -156,7 +156,7 @@ LIMITS = (-30.0, 130.0)
 
 
 def assumed_stage(cycle: float) -> ActuatorParameters:
-    """Return the stage that stands behind an emulated device by default.
+    """Return the default stage of an emulated device.
 
     Units: ``cycle`` [s].
     """
@@ -182,14 +182,14 @@ def assumed_stage(cycle: float) -> ActuatorParameters:
 
 
 class EmulatedPlant:
-    """An actuator that makes its samples by a clock, as many as are due whenever it is asked.
+    """An actuator that follows a clock: each access computes the samples that are due.
 
     Units: ``cycle`` [s], ``clock`` [s], ``measured`` [m], ``gain`` [m/V].
     """
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
         self._actuator = Actuator(parameters, cycle)
-        self._actuator.advance(self._actuator.measure())  # compiled now, not at the first question
+        self._actuator.advance(self._actuator.measure())  # compile now, not at the first query
         self._actuator.reset()
         self.cycle, self._clock = cycle, clock
         self.limits, self.gain = parameters.limits, self._actuator.hysteresis.gain
@@ -200,11 +200,11 @@ class EmulatedPlant:
 
     @property
     def voltage(self) -> float:
-        """Voltage [V] that the amplifier puts out."""
+        """Output voltage of the amplifier [V]."""
         return self._actuator.voltage
 
     def advance(self) -> None:
-        """Make the samples that are due."""
+        """Compute the samples that are due."""
         due = math.floor((self._clock() - self._begun) / self.cycle) - self.cycles
         most = round(LONGEST_CATCH_UP / self.cycle)
         if due > most:
@@ -217,12 +217,12 @@ class EmulatedPlant:
         self.cycles += max(due, 0)
 
 
-#: Assumed: how fast the servo takes up an error [1/s].
+#: Assumed: integral gain of the servo [1/s].
 INTEGRAL_RATE = 60.0
 
 
 class Servo:
-    """An integrator that takes a plant to a place, or the voltage that somebody wants.
+    """A servo: an integrator that moves a plant to a position, or an open-loop voltage.
 
     Units: ``voltage`` [V], ``way`` [m].
     """
@@ -231,11 +231,11 @@ class Servo:
         self._plant, self.voltage, self.way = plant, plant.voltage, plant.measured
 
     def begin(self) -> None:
-        """Begin where the plant is."""
+        """Begin at the position of the plant."""
         self.way = self._plant.measured
 
     def put_out(self, voltage: float) -> float:
-        """Put out a voltage within the amplifier's range, and return it.
+        """Output a voltage within the amplifier's range, and return it.
 
         Units: ``voltage`` [V].
         """
@@ -244,7 +244,7 @@ class Servo:
         return self.voltage
 
     def follow(self, target: float, velocity: float) -> float:
-        """Go a sample further towards a place, and return the voltage.
+        """Move for one sample towards a position, and return the voltage.
 
         Units: ``target`` [m], ``velocity`` [m/s].
         """
@@ -255,24 +255,24 @@ class Servo:
         return self.put_out(self.voltage + step)
 
 
-#: Time between two samples of an emulated device [s]: slower than a controller, so that Python keeps up beside an axis.
+#: Sample time of an emulated device [s]: slower than a controller, so that Python keeps up beside an axis.
 CYCLE = 2.0e-4
 
 
 @dataclass(frozen=True)
 class Bench:
-    """The plant behind a device, and what goes wrong with that."""
+    """The plant behind a device, and its faults."""
 
     plant: ActuatorParameters = field(default_factory=lambda: assumed_stage(CYCLE))
-    cycle: float = CYCLE  #: Time between two of its samples [s].
-    faults: tuple[str, ...] = ()  #: As :class:`~hysteresis_ros.laboratory.emulation.bench.DeviceFaults` takes them.
+    cycle: float = CYCLE  #: Sample time of the plant [s].
+    faults: tuple[str, ...] = ()  #: As for :class:`~hysteresis_ros.laboratory.emulation.bench.DeviceFaults`.
 
 
 @dataclass(frozen=True)
 class Running:
-    """A device that runs."""
+    """A running device."""
 
-    where: str  #: What it is and where it is found.
-    driver: Parameters  #: With which its driver is opened.
+    where: str  #: Description with its address.
+    driver: Parameters  #: Parameters to open its driver.
     faults: DeviceFaults  #: Faults may be added while it runs.
-    device: object = None  #: The device itself, to look at what it really does.
+    device: object = None  #: The device itself, to inspect its true state.

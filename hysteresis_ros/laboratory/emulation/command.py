@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis emulate``: a device that is not there, with a plant inside, for any program to talk to."""
+"""``hysteresis emulate``: an emulated device with a plant inside, for any program."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from hysteresis_ros.hardware.driver import EmulatedDevice, HardwareDriver
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.laboratory.emulation.bench import FAULTS
 
-_FAULT_HELP = "Make this go wrong: " + "; ".join(f"{name}: {kind.description}" for name, kind in FAULTS.items())
+_FAULT_HELP = "Inject this fault: " + "; ".join(f"{name}: {kind.description}" for name, kind in FAULTS.items())
 
 
 def _option(row: ParameterRow) -> click.Option:
-    """Return the option that a parameter of a device is."""
+    """Return the option for a parameter of a device."""
     kind = click.Choice(row.choices) if row.choices else row.type
     name = f"--{row.name.replace('_', '-')}"
     unit = f" [{row.unit}]" if row.unit else ""
@@ -57,7 +57,7 @@ def _command(declared: HardwareDriver, device: EmulatedDevice) -> click.Command:
 
 
 def _bench_of(config: str):
-    """Return the plant of an axis, with the time between its samples."""
+    """Return the plant of an axis, with its sample time."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.laboratory.emulation.bench import Bench
     from hysteresis_ros.loop.parameters import part
@@ -69,7 +69,7 @@ def _bench_of(config: str):
 
 
 def _take_faults(running) -> None:
-    """Take faults from the lines of standard input, until somebody ends it."""
+    """Read faults from standard input until the end of the command."""
     from hysteresis_ros.errors import ConfigurationError
 
     for line in sys.stdin:
@@ -79,12 +79,12 @@ def _take_faults(running) -> None:
                 click.echo(f"from now on: {line.strip()}")
         except ConfigurationError as error:
             click.echo(f"hysteresis: {error}", err=True)
-    threading.Event().wait()  # nobody types: until a signal comes
+    threading.Event().wait()  # without input: until a signal arrives
 
 
 @click.group(short_help="Emulate a device, with a plant inside and faults.")
 def emulate() -> None:
-    """Emulate a device for its driver, or for programs of others, with a plant inside that has a clock of its own."""
+    """Emulate a device for its driver or for other programs, with a plant inside that has its own clock."""
 
 
 for _declared in DRIVERS.values():

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What an emulated GCS 2.0 controller understands: its commands, and the answers to whatever bytes come."""
+"""The protocol of an emulated GCS 2.0 controller: its commands, and the answers to any bytes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ from hysteresis_ros.laboratory.emulation.server import serving
 
 Command = Callable[[Controller, list[str]], list[str] | None]
 
-#: Commands by name; what they do stands in their docstrings.
+#: Commands by name; their docstrings describe them.
 COMMANDS: dict[str, Command] = {}
 
 
@@ -83,7 +83,7 @@ class Refusal(Exception):
 
 
 def command(*names: str) -> Callable[[Command], Command]:
-    """Return a decorator that enters a command under its names."""
+    """Return a decorator that registers a command under its names."""
 
     def enter(function: Command) -> Command:
         COMMANDS.update(dict.fromkeys(names, function))
@@ -93,7 +93,7 @@ def command(*names: str) -> Callable[[Command], Command]:
 
 
 def real(text: str) -> float:
-    """Return the number that a word is."""
+    """Return the number of a word."""
     try:
         value = float(text)
     except ValueError:
@@ -104,7 +104,7 @@ def real(text: str) -> float:
 
 
 def whole(text: str, low: int, high: int) -> int:
-    """Return the whole number within a range that a word is."""
+    """Return the whole number of a word, within a range."""
     value = real(text)
     if value != int(value) or not low <= value <= high:
         raise Refusal(OUT_OF_RANGE)
@@ -119,7 +119,7 @@ def axis_of(controller: Controller, name: str) -> Axis:
 
 
 def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, float]]:
-    """Go through pairs of axis and number, all of which are looked at before the first is given."""
+    """Yield pairs of axis and number, after a check of all of them."""
     if not words or len(words) % 2:
         raise Refusal(WRONG_COUNT)
     pairs = [(axis_of(controller, name), real(text)) for name, text in zip(words[::2], words[1::2], strict=True)]
@@ -127,7 +127,7 @@ def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, f
 
 
 def require_free(controller: Controller) -> None:
-    """Refuse while something is wrong with the controller, or it does something else."""
+    """Refuse while the controller has an error or is busy."""
     lasting = controller.faults.value("error")
     if lasting is not None:
         raise Refusal(int(lasting))
@@ -135,10 +135,10 @@ def require_free(controller: Controller) -> None:
         raise Refusal(BUSY)
 
 
-#: Points of a table, and how many tables there are.
+#: Points of a table, and number of tables.
 LONGEST_WAVE, TABLES = 65536, 8
-#: Numbers that follow each type: length of the segment, amplitude, offset, length of the curve, start, and those of its
-#: shape; of single points the first one, how many, and they themselves.
+#: Numbers after each type: length of the segment, amplitude, offset, length of the curve, start, and those of its
+#: shape; for single points the first one, their number, and the points.
 SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}
 
 
@@ -166,14 +166,14 @@ def segment(kind: str, numbers: list[float]) -> list[float]:
 
 
 def _sine(point: int, count: int, shape: list[float]) -> float:
-    """Return a point of an inverted cosine whose top is at the centre of the curve."""
+    """Return a point of an inverted cosine with its top at the centre of the curve."""
     centre = shape[0] or 0.5 * count
     part = point / centre if point < centre else 2.0 - (count - point) / max(count - centre, 1.0)
     return 0.5 - 0.5 * math.cos(math.pi * part)
 
 
 def _line(point: int, count: int, shape: list[float]) -> float:
-    """Return a point of a line whose ends are parabolas of so many points."""
+    """Return a point of a line with parabolic ends of ``speed`` points."""
     bend = min(shape[0], 0.5 * count)
     speed = 1.0 / max(count - bend, 1.0)
     if point < bend:
@@ -184,7 +184,7 @@ def _line(point: int, count: int, shape: list[float]) -> float:
 
 
 def _ramp(point: int, count: int, shape: list[float]) -> float:
-    """Return a point of a line up to the centre of the curve and one down again."""
+    """Return a point of a line up to the centre of the curve and a line down."""
     bend, centre = shape
     centre = centre or 0.5 * count
     if point < centre:
@@ -197,7 +197,7 @@ WRITABLE = (AXIS_UNIT, TOLERANCE, SETTLING, RECORD_TABLES, 0x06000500)
 
 
 def _of_each(name: str, text: str, value: Callable[[Axis], str]) -> None:
-    """Add a question that is asked of the axes that are named, or of all."""
+    """Add a query of the named axes, or of all."""
 
     def ask(controller: Controller, words: list[str]) -> list[str]:
         axes = [axis_of(controller, word) for word in words] or list(controller.axes.values())
@@ -231,7 +231,7 @@ _of_each("WGO?", "get wave generator start mode", lambda axis: str(int(axis.gene
 
 
 def _of_inputs(name: str, text: str, value: Callable[[float], str]) -> None:
-    """Add a question that is asked of the input signals that are named, or of all; one without an axis measures 0."""
+    """Add a query of the named input signals, or of all; an input without an axis measures 0."""
 
     def ask(controller: Controller, words: list[str]) -> list[str]:
         """Answer it."""
@@ -319,7 +319,7 @@ def _interface(controller, words):
 
 @command("CCL")
 def _level(controller, words):
-    """Set command level; all parameters are as free at any level."""
+    """Set command level; all parameters are writable at any level."""
     if not words:
         raise Refusal(WRONG_COUNT)
 
@@ -495,7 +495,7 @@ def _define_wave(controller, words):
         raise Refusal(SYNTAX)
     points = segment(kind, [real(word) for word in words[3:]])
     before = controller.waves.get(table, []) if append == "&" else []
-    # PI's own writewavepoints says where further points begin; 1 puts them behind those that there are
+    # writewavepoints of PI gives the position of further points; 1 appends them
     start = whole(words[3], 1, LONGEST_WAVE) - 1 if kind == "PNT" else 0
     if start > len(before):
         raise Refusal(OUT_OF_RANGE)
@@ -560,7 +560,7 @@ def _repeated(controller, words):
 
 
 def _axes_of(controller: Controller, words: list[str]) -> list[Axis]:
-    """Return the axes that are named, or all."""
+    """Return the named axes, or all."""
     return [axis_of(controller, word) for word in words] or list(controller.axes.values())
 
 
@@ -717,13 +717,13 @@ _SINGLE = re.compile(rb"[\x00-\x09\x0b-\x1f]")
 
 
 class Session:
-    """What a controller says to one master."""
+    """The session of a controller with one client."""
 
     def __init__(self, controller: Controller):
         self._controller, self._rest = controller, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to bytes that came, whatever they are."""
+        """Return the answers to any received bytes."""
         answers, self._rest = [], self._rest + data
         while match := re.search(rb"[\x00-\x1f]", self._rest):
             before, mark, self._rest = self._rest[: match.start()], match.group(), self._rest[match.end() :]
@@ -746,7 +746,7 @@ class Session:
         return " \n".join(lines).encode("latin-1") + b"\n" if lines else b""
 
     def answer(self, line: str) -> list[str]:
-        """Return the lines with which a command is answered; none when it sets something, or is refused."""
+        """Return the lines of the answer to a command; none for a setting or a refused command."""
         words, controller = line.split(), self._controller
         if not words:
             return []
@@ -762,7 +762,7 @@ class Session:
             return []
 
     def _status(self) -> int:
-        """Return the status register; assumed: four bits an axis, on target, moving, servo on, generator running."""
+        """Return the status register; assumed: four bits per axis, on target, moving, servo on, generator running."""
         axes = enumerate(self._controller.axes.values())
         return sum(
             (axis.on_target | axis.moving << 1 | axis.servo << 2 | axis.generating << 3) << 4 * place
@@ -791,12 +791,12 @@ class Session:
 
 @dataclass(frozen=True)
 class EmulatedControllerParameters(Parameters):
-    """Which controller is emulated, and where it is found."""
+    """Model and address of the emulated controller."""
 
     model: str = parameter("E-754", choices=tuple(MODELS), description="which controller")
-    host: str = parameter("127.0.0.1", description="address at which it is found")
+    host: str = parameter("127.0.0.1", description="address to listen on")
     port: int = parameter(50000, description="TCP port; 0: a free one", low=0, high=65535)
-    masters: int = parameter(1, description="so many programs may be connected at a time", low=1, high=100)
+    masters: int = parameter(1, description="most simultaneous connections", low=1, high=100)
 
 
 @contextlib.contextmanager

@@ -37,9 +37,9 @@ from hysteresis_ros.hardware.drivers.gcs import (
 from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, EmulatedPlant, Servo
 from hysteresis_ros.models.actuator import ActuatorParameters
 
-#: Points that all tables share.
+#: Total number of points of all tables.
 POINTS = 65536
-#: What can be recorded, in the words of the answer.
+#: Recordable signals, in the words of the answer.
 OPTIONS = {
     0: "Nothing",
     TARGET: "Target Position of axis",
@@ -49,12 +49,12 @@ OPTIONS = {
     OPEN_LOOP: "Open-Loop Control of axis",
     VOLTAGE: "Voltage of output chan",
 }
-#: Triggers: the wave generator, any move too, none is waited for.
+#: Triggers: the wave generator, also any move, immediately.
 BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
 class Recorder:
-    """Tables of what an axis did in each sample, or in each so many of them."""
+    """Tables of signals of an axis, in every sample or in every n-th."""
 
     def __init__(self, axes: list[str]):
         self.configuration = [(name, POSITION) for name in axes]
@@ -68,7 +68,7 @@ class Recorder:
         return POINTS // len(self.tables)
 
     def resize(self, count: int) -> None:
-        """Have so many tables."""
+        """Set the number of tables."""
         first = self.configuration[0][0]
         self.configuration = (self.configuration + [(first, 0)] * count)[:count]
         self.tables, self.running = [[] for _ in range(count)], False
@@ -145,12 +145,12 @@ class Axis:
 
     @property
     def moving(self) -> bool:
-        """Whether the servo is on its way."""
+        """Whether the servo is moving."""
         return self.servo and not self.on_target
 
     @property
     def on_target(self) -> bool:
-        """Whether the position has been in the window for long enough; false without servo."""
+        """Whether the position has been in the window long enough; false without servo."""
         return self.servo and self._inside * self.plant.cycle >= float(self.values[SETTLING])
 
     @property
@@ -159,7 +159,7 @@ class Axis:
         return bool(self.wave)
 
     def switch(self, servo: bool) -> None:
-        """Switch the servo on where the axis is, or off with the voltage that is put out."""
+        """Switch the servo on at the present position, or off at the present voltage."""
         if servo and not self.servo:
             self._hold_here()
         if self.servo and not servo:
@@ -171,7 +171,7 @@ class Axis:
         self.target = self._servo.way
 
     def move(self, target: float) -> None:
-        """Let the servo go to a place.
+        """Move the servo to a position.
 
         Units: ``target`` [m].
         """
@@ -185,7 +185,7 @@ class Axis:
         self.wave, self._cycles, self._rate, self._played = wave, cycles, rate, 0
 
     def stop(self) -> None:
-        """Stop the wave generator, and the servo where the axis is."""
+        """Stop the wave generator, and the servo at the present position."""
         if self.generating:
             self.wave = []
             self.open_value = self._servo.voltage
@@ -193,7 +193,7 @@ class Axis:
             self._hold_here()
 
     def _wanted(self) -> float:
-        """Return what the generator or the master wants in this sample."""
+        """Return the target of the generator or the client in this sample."""
         if not self.wave:
             return self.target if self.servo else self.open_value
         point, length = self._played // self._rate, len(self.wave)
@@ -235,14 +235,14 @@ class Axis:
 
 @dataclass(frozen=True)
 class Model:
-    """One of the controllers that are emulated."""
+    """A model of an emulated controller."""
 
     #: Answer to ``*IDN?``.
     identification: str
     axes: int
-    #: Input signals of sensors and analog inputs.
+    #: Number of input signals of sensors and analog inputs.
     inputs: int
-    #: Whether it leaves leading zeros of the number of a parameter out of its answer.
+    #: Whether its answers omit leading zeros of parameter numbers.
     strips: bool = False
 
 
@@ -272,34 +272,34 @@ class Controller:
         self.recorder = Recorder(names)
         self.axes = {name: Axis(name, EmulatedPlant(plant, cycle, clock), self.recorder) for name in names}
         self.waves: dict[int, list[float]] = {}
-        #: Of each generator: its wave table, how often it is played, how many samples a point is held.
+        #: Of each generator: its wave table, number of cycles, and samples per point.
         self.chosen: dict[str, int] = {}
         self.repeats, self.wave_rate = dict.fromkeys(names, 0), 1
         self._error = NO_ERROR
         self.own = {0x02000200: 0.0, 0x02000300: 1.0, 0x07000A00: 0.0, 0x07000A01: 100.0, 0x06000500: 0.0}
 
     def tick(self) -> None:
-        """Let time go on."""
+        """Advance to the present time."""
         for axis in self.axes.values():
             axis.plant.advance()
 
     @property
     def busy(self) -> bool:
-        """Whether something else is being done."""
+        """Whether the controller is busy."""
         return "busy" in self.faults
 
     def fail(self, code: int) -> None:
-        """Keep an error until it is asked for."""
+        """Store an error until it is queried."""
         self._error = code
 
     def take_error(self) -> int:
-        """Return the error that is kept, and forget it; a fault of the hardware stays."""
+        """Return the stored error and clear it; a hardware fault stays."""
         lasting = self.faults.value("error")
         code, self._error = self._error, NO_ERROR
         return code if lasting is None else int(lasting)
 
     def stop(self, axes: Iterable[Axis]) -> None:
-        """Stop axes, which counts as an error."""
+        """Stop axes, which sets an error."""
         for axis in axes:
             axis.stop()
         self._error = STOPPED

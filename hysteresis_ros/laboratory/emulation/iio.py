@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A folder that looks like sysfs with a DAC and an ADC in it, between which a plant of the package stands."""
+"""A folder like sysfs with a DAC and an ADC, and a simulated plant between them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, Emula
 
 #: Names of the converters.
 DAC, ADC = "emulated-dac", "emulated-adc"
-#: Bits of both; the DAC puts out 0 … 10 V, the ADC takes -10 … 10 V and counts from the least.
+#: Bits of both; the range of the DAC is 0 … 10 V, that of the ADC -10 … 10 V, with 0 at the lowest.
 BITS, SPAN = 16, 10.0
 LEVELS = 2**BITS
 OUTPUT_SCALE, INPUT_SCALE, INPUT_OFFSET = SPAN / LEVELS, 2.0 * SPAN / LEVELS, -(LEVELS // 2)
@@ -37,13 +37,13 @@ OUTPUT_SCALE, INPUT_SCALE, INPUT_OFFSET = SPAN / LEVELS, 2.0 * SPAN / LEVELS, -(
 
 @dataclass(frozen=True)
 class EmulatedConvertersParameters(Parameters):
-    """Where the folder is, and what stands between the converters and the plant."""
+    """Folder of the devices, and scales between converters and plant."""
 
-    directory: str = parameter(description="folder that is made for the devices; it goes at the end")
-    amplifier: float = parameter(10.0, description="volts at the actuator for a volt of the DAC", low=1e-6, high=1e6)
-    sensor: float = parameter(1.0e5, description="volts at the ADC for a metre", unit="V/m", low=1e-6, high=1e12)
+    directory: str = parameter(description="folder to create for the devices; it is removed at the end")
+    amplifier: float = parameter(10.0, description="volts at the actuator per volt of the DAC", low=1e-6, high=1e6)
+    sensor: float = parameter(1.0e5, description="volts at the ADC per metre", unit="V/m", low=1e-6, high=1e12)
     period: float = parameter(
-        1.0e-3, description="how often the files are looked at and written", unit="s", low=1e-4, high=1.0
+        1.0e-3, description="interval at which the files are read and written", unit="s", low=1e-4, high=1.0
     )
 
 
@@ -61,7 +61,7 @@ class Converters:
             root.mkdir()
         except OSError as error:
             raise ConfigurationError(
-                f"{root}: cannot be made ({error}); give a folder that does not exist yet"
+                f"{root}: cannot be created ({error}); give a folder that does not exist yet"
             ) from None
         self._make(self.output, DAC, self._output_files())
         self._make(self.input, ADC, self._input_files())
@@ -91,7 +91,7 @@ class Converters:
         return self._put_out * OUTPUT_SCALE * self._given.amplifier
 
     def look(self) -> None:
-        """Take what the DAC is told, let the plant move and say what the ADC has; or show a fault."""
+        """Read the DAC's file, advance the plant and write the ADC's file; or show a fault."""
         here = self.input.is_dir()
         if "cut" in self._faults:
             shutil.rmtree(self.input, ignore_errors=True)
@@ -99,14 +99,14 @@ class Converters:
         if not here:
             self._make(self.input, ADC, self._input_files())
         with contextlib.suppress(OSError, ValueError, IndexError):
-            # a number that is just being written stays the one before
+            # an incompletely written number keeps the previous value
             told = int((self.output / "out_voltage0_raw").read_text(encoding="ascii").split()[0])
             off = (self.output / "out_voltage0_powerdown").read_text(encoding="ascii").startswith("1")
             self._put_out = 0 if off else min(max(told, 0), LEVELS - 1)
         self._plant.advance()
         raw = self.input / "in_voltage0_raw"
         if "error" in self._faults or "busy" in self._faults:
-            # a folder cannot be read as a file: the nearest to a driver that answers with an error
+            # a folder cannot be read as a file, which imitates a driver that reports an error
             raw.unlink(missing_ok=True) if raw.is_file() else raw.mkdir(exist_ok=True)
         elif "silent" not in self._faults:
             if raw.is_dir():
@@ -119,7 +119,7 @@ class Converters:
 
 @contextlib.contextmanager
 def start(given: EmulatedConvertersParameters, bench: Bench) -> Iterator[Running]:
-    """Run emulated converters from a thread of their own."""
+    """Run emulated converters in a separate thread."""
     faults = DeviceFaults(time.monotonic, bench.faults)
     converters, leaving = Converters(given, bench, faults), threading.Event()
 

@@ -7,11 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An amplifier that speaks the protocol of the NV200/D NET, with a plant of the package behind it.
+"""An emulated NV200/D NET amplifier with its protocol and a simulated plant.
 
-What a command means is taken from the help texts of the makers' package ``nv200`` 1.6. A line is a command, with values
-after commas; its answer is between XOFF and XON, an empty one for what was set; an empty line asks for the device's
-name.
+The commands follow the help texts of the manufacturer's package ``nv200`` 1.6. A line is a command with comma-separated
+values; its answer is between XOFF and XON, and empty for a setting; an empty line requests the device's name.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ LONGEST = 1024
 #: Assumed: largest velocity with the loop closed [m/s].
 VELOCITY = 1.0e-3
 MICROMETRE = 1.0e-6
-#: What belongs to telnet and not to the device.
+#: Telnet commands, which do not belong to the device.
 _TELNET = re.compile(rb"\xff(?:[\xfb-\xfe].|\xfa.*?\xff\xf0|[\xf0-\xf9\xff])", re.DOTALL)
 
-#: Settings that are kept and have no effect here: least, greatest and first value.
+#: Stored settings without effect: smallest, largest and initial value.
 SETTINGS = {
     "modsrc": (0, 3, 0),
     "monsrc": (0, 7, 0),
@@ -82,11 +81,11 @@ class Amplifier:
         return self._servo.follow(self.target, VELOCITY) if self.closed else self._servo.put_out(self.voltage)
 
     def session(self) -> Session:
-        """Return what answers a master."""
+        """Return the session with one client."""
         return Session(self)
 
     def tick(self) -> None:
-        """Let time go on."""
+        """Advance to the present time."""
         self.plant.advance()
 
     @property
@@ -97,7 +96,7 @@ class Amplifier:
         return limits.minimum * scale, limits.maximum * scale
 
     def answer(self, line: str) -> str:
-        """Return the answer to a line: words, or nothing for what was set."""
+        """Return the answer to a line; empty for a setting."""
         self.tick()
         if not line.strip():
             return f"{NAME}>"
@@ -169,7 +168,7 @@ class Amplifier:
         return ""
 
     def _switch(self, closed: bool) -> None:
-        """Close the loop where the plant is, or open it with the voltage that is put out."""
+        """Close the loop at the present position, or open it at the present voltage."""
         if closed and not self.closed:
             self._servo.begin()
             self.target = self._servo.way
@@ -179,13 +178,13 @@ class Amplifier:
 
 
 class Session:
-    """What an amplifier says to one master."""
+    """The session of an amplifier with one client."""
 
     def __init__(self, amplifier: Amplifier):
         self._amplifier, self._rest = amplifier, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to bytes that came, whatever they are."""
+        """Return the answers to any received bytes."""
         *lines, self._rest = _TELNET.sub(b"", self._rest + data).split(b"\r")
         answers = [self._framed(line.strip(b"\n\x00 ")) for line in lines]
         if len(self._rest) > LONGEST:
@@ -199,10 +198,12 @@ class Session:
 
 @dataclass(frozen=True)
 class EmulatedAmplifierParameters(Parameters):
-    """Where the emulated amplifier is found."""
+    """Address of the emulated amplifier."""
 
-    link: str = parameter("tcp", choices=("tcp", "serial"), description="serial: a pseudo terminal, whose name is told")
-    host: str = parameter("127.0.0.1", description="tcp: address at which it is found")
+    link: str = parameter(
+        "tcp", choices=("tcp", "serial"), description="serial: a pseudo terminal, whose name is printed"
+    )
+    host: str = parameter("127.0.0.1", description="tcp: address to listen on")
     port: int = parameter(2300, description="TCP port; 0: a free one", low=0, high=65535)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An emulated device behind TCP or a serial port: its clock goes on, masters connect, and its link may fail."""
+"""The link of an emulated device over TCP or a serial port, with connections of clients and faults."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from typing import Protocol
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, Garbler
 
-#: How often the plant of a device that nobody asks is advanced, and a link is looked at [s].
+#: Interval at which the plant of an idle device is advanced, and its link is checked [s].
 TICK = 0.02
-#: Who hangs up takes a moment until the place is free [s].
+#: Time after which the connection of a disconnected client is free again [s].
 HANGING_UP = 0.3
 
 
 class Session(Protocol):
-    """What a device says to one master."""
+    """The session of a device with one client."""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to bytes that came."""
+        """Return the answers to received bytes."""
         ...
 
 
@@ -60,21 +60,21 @@ class DeviceServer(socketserver.ThreadingTCPServer):
 
     @property
     def port(self) -> int:
-        """Port at which it listens."""
+        """Port to connect to."""
         return self.server_address[1]
 
     def service_actions(self) -> None:
-        """Let the device's time go on, also while nobody asks."""
+        """Advance the time of the device, also while it is idle."""
         with self.lock:
             self._tick()
 
     def verify_request(self, request, client_address) -> bool:
-        """Tell whether somebody may connect: the link is there, and there is a place."""
+        """Return whether a client may connect: the link is up, and a connection is free."""
         return "cut" not in self.faults and self.free.acquire(timeout=HANGING_UP)
 
 
 class _Connection(socketserver.BaseRequestHandler):
-    """Answers one master until that hangs up, or the link is cut."""
+    """Answers one client until it disconnects or the link is cut."""
 
     server: DeviceServer
 
@@ -112,12 +112,12 @@ def serving(
     faults: DeviceFaults,
     masters: int = 1,
 ) -> Iterator[DeviceServer]:
-    """Serve an emulated device from a thread of its own, as long as the context lasts."""
+    """Serve an emulated device in a separate thread while the context lasts."""
     try:
         server = DeviceServer(address, session, tick, faults, masters)
     except (OSError, OverflowError) as error:
         where = f"{address[0]}:{address[1]}"
-        raise ConfigurationError(f"{where}: cannot be listened at ({error}); choose another port or host") from None
+        raise ConfigurationError(f"{where}: cannot listen on it ({error}); choose another port or host") from None
     with server:
         thread = threading.Thread(target=server.serve_forever, args=(TICK,), daemon=True)
         thread.start()
@@ -131,7 +131,7 @@ def serving(
 
 @contextlib.contextmanager
 def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFaults) -> Iterator[str]:
-    """Serve an emulated device from a thread of its own, as long as the context lasts; give the path of its port."""
+    """Serve an emulated device in a separate thread while the context lasts; give the path of its port."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     leaving, garbler = threading.Event(), Garbler(faults)
@@ -148,7 +148,7 @@ def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFau
             if late is not None and answer:
                 time.sleep(late)
             if answer and "silent" not in faults:
-                os.write(ours, garbler.garble(answer))  # a port has no link that could be closed
+                os.write(ours, garbler.garble(answer))  # a serial port has no link to close
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()

@@ -30,7 +30,7 @@ from hysteresis_ros.nodes.spin import LOOK, make_executor
 
 
 def main() -> int:
-    """Serve what the only argument describes until a signal comes; return the exit code."""
+    """Serve the records that the only argument describes until a signal arrives; return the exit code."""
     request = json.loads(sys.argv[1])
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -53,7 +53,7 @@ def main() -> int:
         names = ", ".join(motor.name for motor in settings)
         asyncio.run(serve(motors, request["interfaces"], over.is_set, lambda: print(f"serving {names}", flush=True)))
     except OSError as error:
-        print(f"hysteresis: {' '.join(request['interfaces'])}: cannot be listened on: {error}", file=sys.stderr)
+        print(f"hysteresis: {' '.join(request['interfaces'])}: cannot listen on it: {error}", file=sys.stderr)
         return 2
     finally:
         over.set()
@@ -65,7 +65,7 @@ def main() -> int:
 
 
 def _hear(executor, over: threading.Event) -> None:
-    """Take messages until it is over; the main function of a thread."""
+    """Process messages until the end; the main function of a thread."""
     while not over.is_set():
         executor.spin_once(timeout_sec=LOOK)
 

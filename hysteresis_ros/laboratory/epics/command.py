@@ -21,21 +21,27 @@ from hysteresis_ros.cli.options import ConfigurationName
 @click.command(short_help="Serve axes as EPICS motor records.")
 @click.argument("config", type=ConfigurationName())
 @click.option("--attach", is_flag=True, help="The axes run already: only serve them.")
-@click.option("--prefix", default="hysteresis:", show_default=True, help="Of the records' names.")
+@click.option("--prefix", default="hysteresis:", show_default=True, help="Prefix of the records' names.")
 @click.option("--namespace", help="Only the axis in this namespace.")
 @click.option("--egu", default="um", show_default=True, help="Engineering unit: um, nm, mm, m …")
 @click.option("--precision", default=4, show_default=True, help="Digits behind the point.")
-@click.option("--tolerance", type=float, help="Arrived is so near [EGU]; by default trajectory.goal_tolerance.")
-@click.option("--timeout", default=10.0, show_default=True, help="For a move, beyond what its speed takes [s].")
 @click.option(
-    "--interface", metavar="ADDRESSES", help="Listen there; by default EPICS_CAS_INTF_ADDR_LIST, else 127.0.0.1."
+    "--tolerance", type=float, help="Distance that counts as arrived [EGU]; by default trajectory.goal_tolerance."
 )
-@click.option("--port", type=click.IntRange(1024, 65535), help="By default EPICS_CA_SERVER_PORT, else 5064.")
+@click.option(
+    "--timeout", default=10.0, show_default=True, help="Time for a move beyond its duration at full speed [s]."
+)
+@click.option(
+    "--interface",
+    metavar="ADDRESSES",
+    help="Addresses to listen on; by default EPICS_CAS_INTF_ADDR_LIST, else 127.0.0.1.",
+)
+@click.option("--port", type=click.IntRange(1024, 65535), help="Port; by default EPICS_CA_SERVER_PORT, else 5064.")
 def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, interface, port):
     """Start the axes of CONFIG, which follow setpoints only, and serve each as an EPICS motor record.
 
-    The record of an axis in the namespace left is hysteresis:left, of one without hysteresis:m1. Ends with exit code 0
-    after Ctrl-C, with 1 when a node dies, with 2 for wrong input.
+    The record of an axis in the namespace left is hysteresis:left, that of an axis without namespace hysteresis:m1.
+    Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The link of a motor record to the nodes of its axis: setpoints and stops go out, measurements come in."""
+"""The link of a motor record to the nodes of its axis: it sends setpoints and stops, and receives measurements."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 from hysteresis_ros.nodes.security.policy import RECORDS, Profile
 
-#: Seconds without a measurement, or without anything of the source, after which an axis is taken for dead.
+#: Time without a measurement, or without a message of the reference generator, after which an axis counts as lost [s].
 SILENCE = 1.0
 
 
 class AxisLink:
-    """Says and hears what a record needs; its methods may be called from any thread."""
+    """The ROS node of a record; its methods may be called from any thread."""
 
     def __init__(self, node: Node, settings: MotorSettings):
         self._settings = settings
@@ -77,7 +77,7 @@ class AxisLink:
             self._setpoint, self._told = values.get("setpoint", math.nan), time.monotonic()
 
     def look(self, now: float) -> Seen:
-        """Return what is known of the axis at a time [s] of the monotonic clock."""
+        """Return the state of the axis at a time [s] of the monotonic clock."""
         with self._lock:
             alarm = Alarm()
             if now - min(self._heard, self._told) > SILENCE:
@@ -86,7 +86,7 @@ class AxisLink:
                 alarm = STOPPED
             elif not math.isfinite(self._measured):
                 alarm = UNMEASURED
-            # a motor that was stopped keeps its setpoint for later, and stays
+            # a stopped motor keeps its setpoint but stays where it is
             setpoint = self._measured if self._stopped else self._setpoint
             return Seen(self._measured, setpoint, alarm)
 
@@ -98,7 +98,7 @@ class AxisLink:
         self._setpoints.publish(Float64(data=setpoint))
 
     def stop(self) -> None:
-        """Let whatever moves come to rest: at the next sample, or at the deceleration of the approach."""
+        """Stop any motion: at the next sample, or with the deceleration of the approach."""
         if self._settings.source == signals.MOTOR_SOURCE:
             self._motor["stop"].call_async(Trigger.Request())
             self._stopped = True
@@ -107,7 +107,7 @@ class AxisLink:
 
 
 def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
-    """Return what the server of motor records uses."""
+    """Return the topics and services that the server of motor records uses."""
     node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
     try:
         for axis in axes:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motor record of an axis: its settings, its fields, and what writing them does; no ROS, no Channel Access."""
+"""The motor record of an axis: settings, fields, and the effects of writing them; no ROS, no Channel Access."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from hysteresis_ros.references.approach import HIGH, LOW, effective_limits
 from hysteresis_ros.references.moves import Arrival
 from hysteresis_ros.units import UNITS
 
-#: Part of the range that counts as arrived for an axis that does not say so.
+#: Part of the range that counts as arrived, for an axis without goal tolerance.
 NEAR = 0.01
-#: How long an inchworm's slider has to stay near its setpoint [s].
+#: Time for which an inchworm motor's slider must stay near its setpoint [s].
 DWELL = 0.1
 
 
@@ -33,20 +33,20 @@ DWELL = 0.1
 class MotorSettings:
     """A motor record and the axis behind it."""
 
-    name: str  #: Of the record, with its prefix.
-    #: namespace, source, joint: Where the axis is, which node takes its setpoints, and the joint that is moved.
+    name: str  #: Name of the record, with its prefix.
+    #: namespace, source, joint: Namespace of the axis, node that takes its setpoints, and moved joint.
     namespace: str
     source: str
     joint: str
     low: float  #: low, high: Range of setpoints [m].
     high: float
-    velocity: float  #: velocity, acceleration: Largest ones of the approach [m/s], [m/s²]; 0: unlimited.
+    velocity: float  #: velocity, acceleration: Limits of the approach [m/s], [m/s²]; 0: unlimited.
     acceleration: float
-    tolerance: float  #: tolerance, dwell: A move has arrived when it is so near [m] for so long [s].
+    tolerance: float  #: tolerance, dwell: Distance [m] and dwell time [s] that count as arrived.
     dwell: float
-    timeout: float  #: Time for a move beyond what its speed takes [s].
+    timeout: float  #: Time for a move beyond its duration at full speed [s].
     unit: str  #: Engineering unit, one of length.
-    precision: int  #: Digits behind the point.
+    precision: int  #: Decimal places.
 
     @property
     def metres(self) -> float:
@@ -56,19 +56,19 @@ class MotorSettings:
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What a person wants of motor records."""
+    """Options of motor records."""
 
-    prefix: str  #: Of their names.
+    prefix: str  #: Prefix of their names.
     unit: str  #: Engineering unit.
-    precision: int  #: Digits behind the point.
-    timeout: float  #: Time for a move beyond what its speed takes [s].
-    #: A move has arrived when it is so near, in engineering units; by default what the axis says.
+    precision: int  #: Decimal places.
+    timeout: float  #: Time for a move beyond its duration at full speed [s].
+    #: Distance that counts as arrived, in engineering units; by default that of the axis.
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
         if UNITS.get(self.unit, ("",))[0] != "m":
             known = ", ".join(name for name, (base, _) in UNITS.items() if base == "m" and name.isascii())
-            raise ConfigurationError(f"--egu {self.unit}: no unit of length; allowed: {known}")
+            raise ConfigurationError(f"--egu {self.unit}: not a unit of length; allowed: {known}")
         if not 0 <= self.precision <= 15:
             raise ConfigurationError(f"--precision {self.precision}: allowed: 0 … 15 digits")
         for name, value in (("timeout", self.timeout), ("tolerance", self.tolerance)):
@@ -81,7 +81,7 @@ class RecordOptions:
 
 
 def at_rest(axis: AxisParameters) -> AxisParameters:
-    """Return the axis so that it follows setpoints only: without a waveform."""
+    """Return the axis without its waveform, so that it follows setpoints only."""
     own = axis.reference_generator
     if own is None:
         return axis
@@ -128,30 +128,30 @@ def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSetting
     )
 
 
-#: Time in which the axis has to take a setpoint [s].
+#: Time in which the axis must accept a setpoint [s].
 TAKEN = 2.0
 
 #: Bits of MSTA.
 PLUS, DONE, PROBLEM, MOVING, COMMUNICATION = 1 << 0, 1 << 1, 1 << 9, 1 << 10, 1 << 12
 
-#: Fields that may be written but are what the axis says.
+#: Fields that may be written but keep the values of the axis.
 FIXED = ("VELO", "ACCL", "VMAX", "VBAS", "EGU", "HOMF", "HOMR", "JOGF", "JOGR", "MRES", "ERES", "RVAL", "RDBD")
 
 
 class Alarm(NamedTuple):
-    """Status and severity, in the words of EPICS."""
+    """Status and severity, in the terms of EPICS."""
 
     status: str = "NO_ALARM"
     severity: str = "NO_ALARM"
 
 
-#: Alarms of what may be wrong.
+#: Alarms of the possible problems.
 SILENT, STOPPED, UNMEASURED = Alarm("COMM", "INVALID"), Alarm("STATE", "MAJOR"), Alarm("READ", "INVALID")
 MISSED, TOO_HIGH, TOO_LOW = Alarm("STATE", "MAJOR"), Alarm("HIGH", "MAJOR"), Alarm("LOW", "MAJOR")
 
 
 class Seen(NamedTuple):
-    """What is known of an axis: measurement and setpoint in force [m], NaN: unknown; what is wrong with it."""
+    """State of an axis: measurement and active setpoint [m], NaN if unknown, and its problem."""
 
     position: float
     setpoint: float
@@ -159,16 +159,16 @@ class Seen(NamedTuple):
 
 
 class Axis(Protocol):
-    """What a record asks of an axis."""
+    """Interface of a record to an axis."""
 
     def look(self, now: float) -> Seen:
-        """Return what is known of the axis at a time [s]."""
+        """Return the state of the axis at a time [s]."""
 
     def move(self, setpoint: float) -> None:
         """Give a setpoint [m]."""
 
     def stop(self) -> None:
-        """Let whatever moves come to rest."""
+        """Stop any motion."""
 
 
 class MotorRecord:
@@ -215,10 +215,10 @@ class MotorRecord:
         ends = self._user(fields["DLLM"]), self._user(fields["DHLM"])
         fields["LLM"], fields["HLM"] = min(ends), max(ends)
 
-    # -- what is written -----------------------------------------------------------------------------------------
+    # -- writing fields ------------------------------------------------------------------------------------------
 
     def put(self, field: str, value, now: float):
-        """Write a field, and return the value it has then.
+        """Write a field, and return its resulting value.
 
         Units: ``now`` [s].
         """
@@ -238,7 +238,7 @@ class MotorRecord:
         self._go(user, now)
 
     def _put_dval(self, dial: float, now: float) -> None:
-        if self.fields["SET"] == "Use":  # the axis' own zero is not the record's
+        if self.fields["SET"] == "Use":  # the zero of the axis is not that of the record
             self._go(self._user(dial), now)
 
     def _put_rlv(self, distance: float, now: float) -> None:
@@ -287,7 +287,7 @@ class MotorRecord:
             self._rescale()
 
     def _put_sync(self, pressed: int, now: float) -> None:
-        """VAL stands where the axis is."""
+        """Set VAL to the position of the axis."""
         self.fields["DVAL"] = self.fields["DRBV"]
         self._rescale()
 
@@ -332,7 +332,7 @@ class MotorRecord:
             distance = abs(self._target - self._seen.position)
             self._begin(now, distance / own.velocity if own.velocity else 0.0)
             self._axis.move(self._target)
-        fields["DMOV"] = 0  # one that is refused ends at once, with the alarm
+        fields["DMOV"] = 0  # a refused move ends at once, with the alarm
         self._sum_up()
 
     def _begin(self, now: float, takes: float) -> None:
@@ -342,13 +342,13 @@ class MotorRecord:
         self.fields["DMOV"], self.fields["MOVN"] = 0, 1
 
     def _halt(self, now: float) -> None:
-        """Let the axis come to rest; the move ends where it does."""
+        """Stop the axis; the move ends at its position."""
         self._axis.stop()
         self._begin(now, 0.0)
         self._stopping, self._target = True, math.nan
 
     def tick(self, now: float) -> None:
-        """Look at the axis at a time [s], and go on with what moves."""
+        """Update the record at a time [s], and continue its move."""
         fields, seen = self.fields, self._axis.look(now)
         self._seen = seen
         if math.isfinite(seen.position):
@@ -367,12 +367,12 @@ class MotorRecord:
         self._sum_up()
 
     def _watch(self, now: float, seen: Seen) -> None:
-        """Look whether a move has arrived, or cannot any more."""
+        """Check whether a move has arrived, or has failed."""
         target = seen.setpoint if self._stopping else self._target
         if seen.setpoint == target:
             self._taken = True
         elif self._taken or now - self._begun > TAKEN:
-            self._end(MISSED)  # something else was asked of the axis, or it does not take this
+            self._end(MISSED)  # the axis got another setpoint, or does not accept this one
             return
         if seen.alarm != Alarm() or now - self._begun > self._allowed:
             self._end(MISSED)
@@ -388,12 +388,12 @@ class MotorRecord:
             fields["SPMG"] = "Pause"
 
     def _follow(self) -> None:
-        """Show the setpoint in force, whoever gave it, unless another one waits."""
+        """Show the active setpoint from any source, unless another one is pending."""
         if math.isfinite(self._seen.setpoint) and self._pending is None:
             self.fields["DVAL"] = self._seen.setpoint / self.settings.metres
 
     def _sum_up(self) -> None:
-        """Say in alarm and status what is wrong."""
+        """Set alarm and status to the present problem."""
         fields = self.fields
         wrong = (self._seen.alarm, self._violated, self._missed)
         self.alarm = next((alarm for alarm in wrong if alarm != Alarm()), Alarm())

@@ -22,10 +22,10 @@ from caproto.server import PVGroup, PvpropertyDouble, pvproperty
 
 from hysteresis_ros.laboratory.epics.record import Alarm, Axis, MotorRecord, MotorSettings
 
-#: How often records look at their axes and tell what has changed [s].
+#: Interval at which records read their axes and publish changes [s].
 PERIOD = 0.02
 
-#: What is told goes out so much later than an answer [s], which is to find it told.
+#: Delay of an answer [s], so that the changes are published before it.
 BEHIND = 0.05
 
 #: Fields that clients write: name in caproto → name of the field.
@@ -57,12 +57,12 @@ WRITTEN = {
     "jog_motor_forward": "JOGF",
     "jog_motor_reverse": "JOGR",
 }
-#: Fields after whose writing a client that waits is answered when the move is over.
+#: Fields whose writing is confirmed to a waiting client at the end of the move.
 MOVING = ("VAL", "DVAL", "RLV", "TWF", "TWR")
 
 
 def _writer(field: str):
-    """Return what caproto calls when a client writes a field of a record."""
+    """Return the function that caproto calls when a client writes a field of a record."""
 
     async def write(fields, instance, value):
         return await fields.parent.group.write(field, value)
@@ -71,15 +71,15 @@ def _writer(field: str):
 
 
 async def _write_value(group, instance, value):
-    """Take what a client writes to the record itself."""
+    """Take a value that a client writes to the record itself."""
     return await group.write("VAL", value)
 
 
 class Position(PvpropertyDouble):
-    """A position that the record itself refuses, with its alarm, where caproto would refuse it with an exception."""
+    """A position that the record refuses with its alarm, instead of an exception of caproto."""
 
     async def verify_value(self, value):
-        """Give what a client writes to the record."""
+        """Pass a value from a client to the record."""
         return await self.putter(self, float(list(value)[0] if isinstance(value, Iterable) else value))
 
 
@@ -100,7 +100,7 @@ class Motor(PVGroup):
         self._telling = asyncio.Lock()
 
     async def write(self, field: str, value):
-        """Write a field as a client does; who waits for a move waits until it is over."""
+        """Write a field as a client does; a client that waits for completion waits until the end of the move."""
         taken = self.record.put(field, value, time.monotonic())
         await self.tell()
         if field in MOVING:
@@ -113,7 +113,7 @@ class Motor(PVGroup):
         return taken
 
     async def begin(self) -> None:
-        """Say once what does not change."""
+        """Publish the constant fields once."""
         unit, digits = self.settings.unit, self.settings.precision
         for place in (self.motor, *self._places.values()):
             if isinstance(place, caproto.ChannelDouble):
@@ -123,9 +123,9 @@ class Motor(PVGroup):
         await self._places["UDF"].write(b"\0", verify_value=False)
 
     async def tell(self) -> None:
-        """Tell clients what has changed.
+        """Publish the changes to clients.
 
-        The alarm comes first, and last of all that a move is over: who waits for that finds everything else said.
+        The alarm comes first, and the end of a move last, so that a waiting client then finds all other fields updated.
         """
         async with self._telling:
             record = self.record
@@ -142,7 +142,7 @@ class Motor(PVGroup):
         self._alarm = alarm
         status = caproto.AlarmStatus[alarm.status]
         severity = getattr(caproto.AlarmSeverity, f"{alarm.severity}_ALARM".replace("NO_ALARM_ALARM", "NO_ALARM"))
-        for name in ("VAL", "RBV"):  # the fields share one
+        for name in ("VAL", "RBV"):  # the fields share one timestamp
             await self._places[name].alarm.write(status=status, severity=severity)
         await self._places["STAT"].write(alarm.status, verify_value=False)
         await self._places["SEVR"].write(alarm.severity, verify_value=False)
@@ -155,7 +155,7 @@ class Motor(PVGroup):
             )
 
     async def look(self) -> None:
-        """Look at the axis, and tell what has changed."""
+        """Update the record, and publish the changes."""
         self.record.tick(time.monotonic())
         await self.tell()
 
@@ -165,10 +165,10 @@ for _name, _field in WRITTEN.items():
 
 
 class RefusedWrites(logging.Filter):
-    """Says in a line why a write was refused, which the client is told as well; caproto logs the place in its code."""
+    """Logs in one line why a write was refused, as reported to the client, without the traceback of caproto."""
 
     def filter(self, record) -> bool:
-        """Take the traceback out of the record of a write that was refused."""
+        """Remove the traceback from the log record of a refused write."""
         if record.exc_info and str(record.msg).startswith("Invalid write request"):
             user, host, *_ = (*tuple(record.args or ()), "", "")
             error = record.exc_info[1]
@@ -178,8 +178,8 @@ class RefusedWrites(logging.Filter):
 
 
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
-    """Serve records until it is over."""
-    logging.getLogger("caproto").setLevel(logging.ERROR)  # a busy moment is no news
+    """Serve records until the end."""
+    logging.getLogger("caproto").setLevel(logging.ERROR)  # no messages about busy moments
     logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Starts the process of an EPICS server, and the axes behind it unless they run already; imports no ROS itself."""
+"""Starts the process of an EPICS server, and its axes unless they already run; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hysteresis_ros.laboratory.epics.record import MotorSettings
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.launcher import Graph, die_with_parent, node_environment, require_ros
 
-#: Seconds the server gets to leave before it is killed.
+#: Time that the server gets to exit before it is killed [s].
 PATIENCE = 5.0
-#: Seconds between two looks at a server that serves axes of somebody else.
+#: Polling interval of a server whose axes another process runs [s].
 LOOK = 0.1
 LOOPBACK = "127.0.0.1"
 
@@ -40,13 +40,13 @@ def require_caproto() -> None:
 
 
 def interfaces(given: str | None) -> list[str]:
-    """Return the addresses to listen on: given, or of ``EPICS_CAS_INTF_ADDR_LIST``, else this machine's own only."""
+    """Return the addresses to listen on: given, or of ``EPICS_CAS_INTF_ADDR_LIST``, or the loopback address."""
     text = given or os.environ.get("EPICS_CAS_INTF_ADDR_LIST", "")
     return text.replace(",", " ").split() or [LOOPBACK]
 
 
 def server_environment(addresses: Sequence[str], port: int | None) -> dict[str, str]:
-    """Return the environment of the server: nothing of a server on this machine's own address leaves it."""
+    """Return the environment of the server; a server on the loopback address does not announce itself elsewhere."""
     environment = node_environment()
     if list(addresses) == [LOOPBACK]:
         environment.setdefault("EPICS_CAS_AUTO_BEACON_ADDR_LIST", "NO")
@@ -62,15 +62,15 @@ def serve(
     port: int | None,
     leave: Callable[[], bool],
 ) -> int:
-    """Serve motor records until somebody wants to leave or the server ends; return its exit code."""
+    """Serve motor records until a request to exit or the end of the server; return its exit code."""
     require_ros()
     require_caproto()
-    # clients find axes that are being started once they can be moved
+    # clients find starting axes when these can move
     served = {"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses), "wait": bool(axes)}
     request = json.dumps(served)
     with contextlib.ExitStack() as stack:
         graph = stack.enter_context(Graph(list(axes), log_level="warn")) if axes else None
-        # a process of its own: the pip wheels of ROS restart the interpreter on import
+        # a separate process, because the pip wheels of ROS restart the interpreter on import
         server = subprocess.Popen(
             [sys.executable, "-m", "hysteresis_ros.laboratory.epics", request],
             env=server_environment(addresses, port),
@@ -91,7 +91,7 @@ def serve(
 
 
 def _end(server: subprocess.Popen) -> None:
-    """End the server, which has nothing to bring into order."""
+    """End the server, which needs no cleanup."""
     if server.poll() is None:
         server.terminate()
         try:

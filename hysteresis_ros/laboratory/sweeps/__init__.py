@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The same run many times over: what becomes of an axis when its parameters vary.
+"""Sweeps: many runs of an axis with varied parameters.
 
 Read ``plan`` (which runs), ``study`` (one run and its figures), ``sweep`` (all of them), ``summary`` and ``page``.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis sweep``: the same run many times, with other parameters each."""
+"""``hysteresis sweep``: many runs with varied parameters."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from hysteresis_ros.cli.options import (
 )
 from hysteresis_ros.cli.progress import Progress
 
-#: Longest silence where there is no bar [s].
+#: Maximum interval of progress messages without a bar [s].
 SILENCE = 10.0
-#: Exit code when some of the runs had parameters that no axis may have.
+#: Exit code when some of the runs had invalid parameters.
 REFUSED = 2
 
 
-@click.command(short_help="The same run many times, with other parameters each.")
+@click.command(short_help="Run an axis many times with varied parameters.")
 @click.argument("config", type=ConfigurationName())
 @click.option(
     "--vary",
@@ -41,8 +41,8 @@ REFUSED = 2
     help="0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), loguniform(A,B), normal(MEAN,DEVIATION); "
     "repeatable. plant_simulator=±5% varies gain, opening, slowness and creep_rate of the plant.",
 )
-@click.option("--runs", type=click.IntRange(1), help="How many in all; all levels once, or 1000, by default.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of all draws.")
+@click.option("--runs", type=click.IntRange(1), help="Total number of runs; by default all levels once, or 1000.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all draws.")
 @click.option(
     "--metric",
     "metrics",
@@ -58,7 +58,9 @@ REFUSED = 2
     help="Or NAME=MINIMUM:MAXIMUM: which share of the axes meets it; repeatable.",
 )
 @click.option("--confidence", type=click.FloatRange(0.5, 0.999999), default=0.95, show_default=True)
-@click.option("--sensitivity", type=click.Choice(["sobol", "morris"]), help="On which of them the metrics hang.")
+@click.option(
+    "--sensitivity", type=click.Choice(["sobol", "morris"]), help="Sensitivity of the metrics to the varied parameters."
+)
 @click.option(
     "-o",
     "--output",
@@ -66,7 +68,7 @@ REFUSED = 2
     multiple=True,
     required=True,
     type=click.Path(path_type=pathlib.Path),
-    help="Results, F.parquet or F.npz; besides a page F.html with pictures.",
+    help="File for the results, F.parquet or F.npz; also a page F.html with pictures.",
 )
 @click.option("--json", "json_path", metavar="FILE", help="Summary as JSON; '-' prints it instead of the text.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
@@ -76,11 +78,11 @@ REFUSED = 2
 @reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
 def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, outputs, json_path, **others):
-    """Run CONFIG offline many times, with other parameters each, and say what becomes of the metrics.
+    """Run CONFIG offline many times with varied parameters, and summarise the metrics.
 
-    Levels are all combined, and meet the same draws of the distributions. Only what varies changes: with
-    plant_simulator.… the models of compensator and controller stay. What is done is kept in F.part; the same command
-    again goes on there.
+    All levels are combined, with the same draws of the distributions. Only the named parameters change: with
+    plant_simulator.… the models of compensator and controller stay. Finished runs are stored in F.part; the same
+    command continues there.
     """
     from hysteresis_ros.laboratory.sweeps import summary
     from hysteresis_ros.laboratory.sweeps import sweep as outcome
@@ -113,7 +115,7 @@ def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, 
         with progress.during("sweeping", lambda: f"{done[0]} of {plan.runs} runs", lambda: done[0] / plan.runs):
             found = run(Study(axis, variations, names), plan, path, **options)
     except KeyboardInterrupt:
-        click.echo(f"{done[0]} of {plan.runs} runs are kept; the same command again goes on there", err=True)
+        click.echo(f"{done[0]} of {plan.runs} runs are stored; the same command continues there", err=True)
         raise
     summed = summary.Summary(found, plan, allowed, confidence)
     if page:
@@ -130,7 +132,7 @@ def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, 
 
 
 def _sorted(outputs):
-    """Return the file of the results and that of the page, where one was asked for."""
+    """Return the file of the results and that of the page, None without one."""
     from hysteresis_ros.errors import ConfigurationError
 
     pages = [path for path in outputs if path.suffix.lower() in (".html", ".htm")]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of a sweep: how a metric is distributed, what it depends on, and pictures of it."""
+"""The page of a sweep: distributions of the metrics, and their dependence on the parameters."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from hysteresis_ros.laboratory.sweeps.summary import Summary, lines
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BOUND = dict(color="#222222", linewidth=1.0, linestyle=(0, (4, 3)))
-#: Points of a scatter; of more runs every n-th is drawn.
+#: Most points of a scatter plot; of more runs every n-th is drawn.
 POINTS = 5000
 
 
 class Column(NamedTuple):
     """A metric."""
 
-    label: str  #: With its unit for people.
-    values: np.ndarray  #: shape (runs,); In SI.
-    factor: float  #: Units for people in one SI unit.
+    label: str  #: Label with the displayed unit.
+    values: np.ndarray  #: shape (runs,); Values in SI.
+    factor: float  #: Factor from SI to the displayed unit.
 
     @property
     def shown(self) -> np.ndarray:
-        """Values in the unit for people; NaN where there is none."""
+        """Values in the displayed unit; NaN without a value."""
         return np.where(np.isfinite(self.values), self.values, np.nan) * self.factor
 
 
@@ -45,7 +45,7 @@ def share_figure(column: Column, ends: Sequence[float]):
     """Return the figure of the empirical distribution of a metric."""
     figure, (axis,) = new_figure(3.2)
     known = np.sort(column.shown[np.isfinite(column.values)])
-    share = 100.0 * np.arange(1, known.size + 1) / len(column.values)  # runs without a value are not below anything
+    share = 100.0 * np.arange(1, known.size + 1) / len(column.values)  # all runs count, also without a value
     axis.step(known, share, where="post", color=_COLOURS[0], linewidth=1.4)
     for end in ends:
         axis.axvline(end * column.factor, **_BOUND)
@@ -123,12 +123,12 @@ def influence_figure(found: Mapping[str, tuple[Sequence[str], dict[str, np.ndarr
 
 
 def write_sweep_page(path, title: str, *, figures: Sequence[tuple[str, object]], **contents) -> None:
-    """Write a page that needs nothing beside it."""
+    """Write a self-contained page."""
     plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in figures]
     write_page(path, render_page("sweep.html.j2", title=title, plots=plots, **contents))
 
 
-#: Parameters against which a metric is drawn.
+#: Most parameters against which a metric is drawn.
 MOST_DRAWN = 6
 
 
@@ -158,7 +158,7 @@ def figures(summary: Summary) -> list[tuple[str, object]]:
             continue
         found.append((f"{column.label}: share of the runs below", share_figure(column, ends)))
         if chosen:
-            found.append((f"{column.label} over what varied", scatter_figure(column, chosen, ends)))
+            found.append((f"{column.label} over the varied parameters", scatter_figure(column, chosen, ends)))
         at_levels = summary.at_levels
         if at_levels and len(summary.plan.counts) == 1:
             label = next(iter(at_levels[0][0]))
@@ -169,7 +169,7 @@ def figures(summary: Summary) -> list[tuple[str, object]]:
     if summary.plan.design != RANDOM:
         known = {METRICS[one.metric][0]: (one.labels, one.columns) for one in summary.sensitivities if one.columns}
         if known:
-            found.append(("What the metrics hang on", influence_figure(known)))
+            found.append(("Sensitivity of the metrics", influence_figure(known)))
     return found
 
 

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Which parameters vary over what, and which runs that makes: levels, draws, or the points a sensitivity asks for.
+"""Varied parameters with their ranges, and the resulting runs: levels, draws, or the points of a sensitivity analysis.
 
-``1um:5um:lin10`` and ``0.1:2:log20`` are levels evenly spaced or in a constant ratio, ``12,14,16`` levels one by one.
+``1um:5um:lin10`` and ``0.1:2:log20`` are levels evenly spaced or in a constant ratio, ``12,14,16`` are single levels.
 ``±5%`` is evenly distributed around the configured value, as ``±2nm`` is; ``uniform(A,B)``, ``loguniform(A,B)``,
 ``normal(MEAN,DEVIATION)`` and, around the configured value, ``normal(±5%)``, whose 5 % is the standard deviation.
 
-Run i stands at level i mod L of the L combinations of levels and takes draw i div L of the distributions, so that all
-levels meet the same draws, and a longer sweep begins with the shorter one. Draw j of D distributions is numbers j D …
-(j + 1) D - 1 of the PCG64 generator of the seed: a point depends on seed and number only, not on who computes it.
+Run i has level i mod L of the L combinations of levels and draw i div L of the distributions, so that all levels have
+the same draws, and a longer sweep begins with the shorter one. Draw j of D distributions is numbers j D … (j + 1) D - 1
+of the PCG64 generator of the seed: a point depends only on seed and number, not on the process that computes it.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: What a number does to the configured value.
+#: Effects of a number on the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Most levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance of the numbers that a generator draws: none is at an end, where a normal distribution is infinite.
+#: Half the distance of the drawn numbers, so that none is at an end, where a normal distribution is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -55,15 +55,15 @@ WAYS = "write 0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), logunifo
 
 
 class Range(ABC):
-    """What a parameter varies over, in SI units or in parts of the configured value."""
+    """Range of a parameter, in SI units or in parts of the configured value."""
 
     @abstractmethod
     def over(self, row: ParameterRow) -> Levels | Spread:
-        """Return the levels or the distribution of a parameter; ValueError says why it cannot have them."""
+        """Return the levels or the distribution for a parameter; raise ValueError if they do not suit it."""
 
     @abstractmethod
     def words(self, unit: str = "") -> str:
-        """Return how ``--vary`` writes the range of a parameter with this SI unit."""
+        """Return the text of the range for ``--vary``, for a parameter with this SI unit."""
 
     def __str__(self) -> str:
         return self.words()
@@ -71,12 +71,12 @@ class Range(ABC):
 
 @dataclass(frozen=True)
 class Levels(Range):  # numpydoc ignore=PR02
-    """Values one by one: ``--vary`` writes them ``12,14,16``.
+    """Single values: ``12,14,16`` in ``--vary``.
 
     Parameters
     ----------
     values : sequence of float, int, str or bool
-        Values in the parameter's type, numbers in SI units.
+        Values of the parameter's type, numbers in SI units.
 
     Examples
     --------
@@ -90,7 +90,7 @@ class Levels(Range):  # numpydoc ignore=PR02
     does = VALUE
 
     def __post_init__(self):
-        """Take any sequence."""
+        """Accept any sequence."""
         if isinstance(self.values, (str, bytes)) or not isinstance(self.values, (Sequence, np.ndarray)):
             raise ConfigurationError(f"levels = {self.values!r}: must be a sequence of values, such as [12, 14, 16]")
         object.__setattr__(self, "values", tuple(v.item() if isinstance(v, np.generic) else v for v in self.values))
@@ -165,7 +165,7 @@ class Levels(Range):  # numpydoc ignore=PR02
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Places of what has to be allowed before anything runs: all of them."""
+        """Positions to check before any run: all of them."""
         return tuple(range(len(self.values)))
 
     def at(self, place: float):
@@ -180,16 +180,16 @@ class Spread:
     kind: str  #: One of :data:`SPREADS`.
     first: float  #: first, second: Ends, or mean and standard deviation.
     second: float
-    does: str = VALUE  #: Whether it is of values, of factors or of offsets.
-    whole: bool = False  #: Of whole numbers, both ends included.
+    does: str = VALUE  #: Distribution of values, of factors or of offsets.
+    whole: bool = False  #: Whole numbers, both ends included.
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Places of what has to be allowed before anything runs; a normal distribution has no ends, only its mean."""
+        """Positions to check before any run; a normal distribution has no ends, only its mean."""
         return (0.5,) if self.kind == "normal" else (0.0, 1.0)
 
     def at(self, place: float) -> float:
-        """Return the value at a place of the distribution (the inverse of its distribution function)."""
+        """Return the value at a position, by the inverse of the distribution function."""
         if self.whole:
             return int(min(self.first + math.floor(place * (self.second - self.first + 1.0)), self.second))
         if self.kind == "normal":
@@ -201,7 +201,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Within(Range):
-    """Evenly distributed around the configured value: ``--vary`` writes ``±5%`` or ``±2nm``.
+    """Uniformly distributed around the configured value: ``±5%`` or ``±2nm`` in ``--vary``.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class Within(Range):
 
 @dataclass(frozen=True)
 class Normal(Range):
-    """Normally distributed: ``--vary`` writes ``normal(MEAN,DEVIATION)``.
+    """Normally distributed: ``normal(MEAN,DEVIATION)`` in ``--vary``.
 
     :meth:`around` is the distribution around the configured value, ``normal(±5%)``.
 
@@ -257,7 +257,7 @@ class Normal(Range):
     relative: bool = False
 
     def __post_init__(self):
-        """Refuse a part of a mean that is given."""
+        """Refuse a relative deviation with a given mean."""
         if self.relative and self.mean is not None:
             raise ConfigurationError("normal: relative deviations are around the configured value: mean must be None")
 
@@ -300,7 +300,7 @@ class Normal(Range):
 
 @dataclass(frozen=True)
 class Uniform(Range):
-    """Evenly distributed between two ends: ``--vary`` writes ``uniform(LOW,HIGH)``.
+    """Uniformly distributed between two ends: ``uniform(LOW,HIGH)`` in ``--vary``.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ class Uniform(Range):
 
 @dataclass(frozen=True)
 class LogUniform(Range):
-    """Distributed such that its logarithm is even between two ends: ``--vary`` writes ``loguniform(LOW,HIGH)``.
+    """Log-uniformly distributed between two ends: ``loguniform(LOW,HIGH)`` in ``--vary``.
 
     Parameters
     ----------
@@ -394,19 +394,19 @@ def _written(value: float, unit: str = "") -> str:
 
 
 def _percent(part: float) -> str:
-    """Return a part as percents, such that they read back as the same bits where a float of percents does."""
+    """Return a part in per cent, such that it reads back as the same bits if possible."""
     percents = 100.0 * part
     near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
     return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
 
 
 def parse_words(text: str, row: ParameterRow) -> Range:
-    """Return the range that words write."""
+    """Return the range of a text."""
     text = text.strip()
     around, stepped, distributed = (pattern.match(text) for pattern in (_AROUND, _STEPPED, _DISTRIBUTED))
     if row.type in (str, bool):
         if around or distributed or not text:
-            raise ValueError("has no numbers to draw: give its values, with commas between")
+            raise ValueError("is not a number: give its values, separated by commas")
         words = [word.strip() for word in text.split(",")]
         return Levels(tuple(words if row.type is str else map(parse_value, words)))
     if around:
@@ -421,12 +421,12 @@ def parse_words(text: str, row: ParameterRow) -> Range:
 
 
 def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
-    """Return what a parameter varies over."""
+    """Return the range of a text for a parameter."""
     return parse_words(text, row).over(row)
 
 
 def _width(text: str, row: ParameterRow) -> tuple[float, bool]:
-    """Return a width around the configured value, and whether it is a part of that or in its unit."""
+    """Return a width around the configured value, and whether it is relative."""
     width, unit = quantity(text)
     relative = unit == "1" and text.rstrip().endswith("%")
     return width if relative or row.type is int else _number(text, row), relative
@@ -434,7 +434,7 @@ def _width(text: str, row: ParameterRow) -> tuple[float, bool]:
 
 def _distributed(kind: str, words: list[str], row: ParameterRow) -> Range:
     if kind not in SPREADS:
-        raise ValueError(f"{kind}(): there is no such distribution, there are {', '.join(SPREADS)}")
+        raise ValueError(f"{kind}(): unknown distribution, there are {', '.join(SPREADS)}")
     around = _AROUND.match(words[0]) if kind == "normal" and len(words) == 1 else None
     if around:
         return Normal.around(*_width(around["width"], row))
@@ -465,10 +465,10 @@ def refused(text: str, value, remedy: str) -> ParameterError:
     return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
-#: What a plant as a whole may be off by, of which the models on the controller's side know nothing.
+#: Deviations of a plant as a whole, which the models on the controller's side do not include.
 DEVIATIONS = {
     "gain": "factor on the displacement of the plant's hysteresis",
-    "opening": "factor on the opening of its loops",
+    "opening": "factor on the width of its loops",
     "slowness": "factor on all times of its dynamics",
     "creep_rate": "factor on the rate of its creep",
 }
@@ -482,13 +482,13 @@ _PLACE = re.compile(r"^(?P<name>.*?)(?:\[(?P<place>\d+)\])?$")
 
 @dataclass(frozen=True)
 class Variation:
-    """A parameter, and what it varies over."""
+    """A varied parameter with its range."""
 
-    node: str  #: node, name: Node and dotted name; of the plant also one of :data:`DEVIATIONS`.
+    node: str  #: node, name: Node and dotted name; for the plant also one of :data:`DEVIATIONS`.
     name: str
-    row: ParameterRow  #: Its line of the table.
+    row: ParameterRow  #: Its row in the table of parameters.
     over: Levels | Spread
-    place: int | None = None  #: Which element of an array.
+    place: int | None = None  #: Index of the element of an array.
 
     @property
     def label(self) -> str:
@@ -497,13 +497,13 @@ class Variation:
 
     @property
     def deviates(self) -> bool:
-        """Whether it is no parameter but a deviation of the whole plant."""
+        """Whether it is a deviation of the whole plant instead of a parameter."""
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):
-        """Return the new value of the parameter, and the number that stands for it in the results."""
+        """Return the new value of the parameter, and its number in the results."""
         drawn = self.over.at(place)
-        if isinstance(present, tuple) and self.place is None:  # ranges of whole arrays are factors
+        if isinstance(present, tuple) and self.place is None:  # a range of a whole array is a factor
             return tuple(drawn * value for value in present), drawn
         before = present if self.place is None else present[self.place]
         value = drawn
@@ -519,10 +519,10 @@ class Variation:
 def parse_variations(
     vary: Sequence[str] | Mapping[str, str | Range | Sequence], axis: AxisParameters
 ) -> tuple[Variation, ...]:
-    """Return what varies, of ``NODE.PARAMETER=RANGE`` or of ranges by ``NODE.PARAMETER``."""
+    """Return the variations of texts ``NODE.PARAMETER=RANGE``, or of a mapping from ``NODE.PARAMETER`` to ranges."""
     given: list[tuple[str, str | Range]] = []
     if isinstance(vary, str):
-        raise refused(vary, "", "give a list of such words, or a mapping from NODE.PARAMETER to its range")
+        raise refused(vary, "", "give a list of such texts, or a mapping from NODE.PARAMETER to its range")
     if isinstance(vary, Mapping):
         for target, over in vary.items():
             given.append((target, over if isinstance(over, (str, Range)) else Levels(tuple(over))))
@@ -538,14 +538,14 @@ def parse_variations(
     labels = [one.label for one in found]
     twice = [label for label in labels if labels.count(label) > 1]
     if twice:
-        raise refused(twice[0], "", "varies twice; say it once")
+        raise refused(twice[0], "", "is given twice; give it once")
     for one in found:
         _require_allowed(one, _present(axis, one))
     return tuple(found)
 
 
 def _require_allowed(one: Variation, present) -> None:
-    """Refuse a range with an end, or a level, that the parameter may not have."""
+    """Refuse a range with an end or a level outside the range of the parameter."""
     for place in one.over.ends:
         try:
             one.row.convert(one.setting(present, place)[0])
@@ -565,8 +565,8 @@ def _variation(target: str, words: str | Range, axis: AxisParameters) -> Variati
     node, mark, dotted = target.partition(".")
     nodes = [name for name in NODE_PARAMETERS if getattr(axis, name) is not None]
     if node not in nodes or not mark:
-        remedy = f"there is no such node in this axis; there are {', '.join(nodes)}{did_you_mean(node, nodes)}"
-        raise refused(target, node, remedy if node not in nodes else "which of its parameters? Write NODE.PARAMETER")
+        remedy = f"unknown node in this axis; there are {', '.join(nodes)}{did_you_mean(node, nodes)}"
+        raise refused(target, node, remedy if node not in nodes else "its parameter is missing: write NODE.PARAMETER")
     parts = _PLACE.match(dotted)
     name, place = (parts["name"], parts["place"]) if parts else (dotted, None)
     rows = {row.name: replace(row, name=f"{node}: {row.name}") for row in NODE_PARAMETERS[node].table()}
@@ -590,7 +590,7 @@ def _variation(target: str, words: str | Range, axis: AxisParameters) -> Variati
 
 
 def _present(axis: AxisParameters, one: Variation):
-    """Return the configured value of what varies."""
+    """Return the configured value of a variation."""
     if one.deviates:
         return 1.0
     value: Any = getattr(axis, one.node)
@@ -600,7 +600,7 @@ def _present(axis: AxisParameters, one: Variation):
 
 
 def _require_fitting(target: str, words: str | Range, one: Variation, present) -> None:
-    """Refuse what cannot be done to the configured value."""
+    """Refuse a variation that the configured value does not allow."""
     row, over, place = one.row, one.over, one.place
     if present is None and (over.does != VALUE or place is not None):
         raise refused(target, words, "has no configured value; give values")
@@ -611,14 +611,16 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
         if place is not None and place >= len(present):
             raise refused(target, words, f"has {len(present)} elements, [0] … [{len(present) - 1}]")
     elif place is not None:
-        raise refused(target, words, "is no array: leave the number in brackets out")
+        raise refused(target, words, "is not an array: remove the number in brackets")
     value = present[place] if place is not None else present
     if over.does == FACTOR and not np.any(value):
-        raise refused(target, words, "is configured as 0, of which a part is 0: give ± with a unit, or values")
+        raise refused(
+            target, words, "is configured as 0, and a relative change has no effect: give ± with a unit, or values"
+        )
 
 
 def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tuple[dict[str, dict[str, Any]], list]:
-    """Return the values of a run by nodes and names, and the numbers that stand for them in the results."""
+    """Return the values of a run by nodes and names, and their numbers in the results."""
     numbers: list = []
     changes: dict[str, dict[str, Any]] = {}
     for one, place in zip(variations, point, strict=True):
@@ -650,7 +652,7 @@ def _deviating(plant, gain=1.0, opening=1.0, slowness=1.0, creep_rate=1.0):
     )
 
 
-#: Runs where there are distributions and nobody says how many.
+#: Default number of runs with distributions.
 DRAWS = 1000
 #: Most runs of one sweep.
 MOST_RUNS = 10**9
@@ -664,26 +666,26 @@ class Plan:
 
     variations: tuple[Variation, ...]
     runs: int  #: How many.
-    seed: int = 1  #: Of the draws.
+    seed: int = 1  #: Seed of the draws.
     design: str = RANDOM  #: ``random``, or ``sobol`` or ``morris`` for a sensitivity.
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Numbers of levels of the variations that have some."""
+        """Numbers of levels of the variations with levels."""
         return tuple(len(one.over.values) for one in self.variations if isinstance(one.over, Levels))
 
     @property
     def combinations(self) -> int:
-        """How many combinations of levels there are."""
+        """Number of combinations of levels."""
         return math.prod(self.counts)
 
     @property
     def spreads(self) -> int:
-        """How many distributions there are."""
+        """Number of distributions."""
         return len(self.variations) - len(self.counts)
 
     def points(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the points of some runs, shape (runs, variations): numbers of levels and places in distributions."""
+        """Return the points of some runs, shape (runs, variations): indices of levels, positions in distributions."""
         numbers = np.arange(int(numbers[0]), int(numbers[-1]) + 1)
         found = np.empty((len(numbers), len(self.variations)))
         if self.design != RANDOM:
@@ -706,13 +708,13 @@ class Plan:
 
     @property
     def problem(self) -> dict:
-        """The variations as SALib names them, on the unit cube."""
+        """The problem in the form of SALib, on the unit cube."""
         count = len(self.variations)
         return {"num_vars": count, "names": [one.label for one in self.variations], "bounds": [[0.0, 1.0]] * count}
 
     @functools.cached_property
     def designed(self) -> np.ndarray:
-        """The points that a sensitivity asks for, on the unit cube, shape (runs, variations)."""
+        """The points of a sensitivity analysis, on the unit cube, shape (runs, variations)."""
         from SALib.sample import morris, sobol
 
         if self.design == SOBOL:
@@ -725,7 +727,7 @@ class Plan:
 def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: int = 1, design: str = RANDOM) -> Plan:
     """Return the plan of a sweep."""
     if not variations:
-        raise ConfigurationError("nothing varies: give --vary NODE.PARAMETER=RANGE")
+        raise ConfigurationError("no varied parameter: give --vary NODE.PARAMETER=RANGE")
     plan = Plan(variations, 0, seed, design)
     levels, spreads = plan.combinations, plan.spreads
     asked = runs if runs is not None else (max(DRAWS, levels) if spreads or design != RANDOM else levels)
@@ -734,12 +736,13 @@ def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: 
     if design == RANDOM:
         if asked < levels:
             raise ConfigurationError(
-                f"--runs {asked}: the levels are {levels} together: give at least so many runs, or fewer levels"
+                f"--runs {asked}: there are {levels} combinations of levels: give at least as many runs, or fewer "
+                "levels"
             )
         return Plan(variations, asked if spreads else levels, seed, design)
     count = len(variations)
     if design == SOBOL:
-        base = 2 ** int(math.log2(max(asked // (count + 2), 1)))  # the sequence is even for powers of two only
+        base = 2 ** int(math.log2(max(asked // (count + 2), 1)))  # the sequence is uniform only for powers of two
         least, made = 4 * (count + 2), base * (count + 2)
     else:
         least, made = 4 * (count + 1), asked // (count + 1) * (count + 1)

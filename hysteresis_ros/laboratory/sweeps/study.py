@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One run of a sweep and what it is worth, and several of them as a job for any process."""
+"""One run of a sweep with its metrics, and several runs as a job for any process."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ from hysteresis_ros.models.actuator import Actuator
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 
-#: Moves to a place that did not come to it.
+#: Metric: number of moves that did not arrive.
 NOT_ARRIVED = "not_arrived"
-#: Figures of moves, which one of all moves counts, and how that one is called.
+#: Figures of moves: which one of all moves counts, and its label.
 _WORST: dict[str, tuple[Callable, str]] = {
     "final_error_rms_m": (max, "Final error, worst move"),
     "final_error_max_m": (max, "Final error, largest, worst move"),
@@ -53,14 +53,14 @@ _WORST: dict[str, tuple[Callable, str]] = {
     "overshoot_m": (max, "Overshoot, worst move"),
     "walking_speed_m_s": (min, "Speed of walking, slowest move"),
 }
-#: Of these a motor that does not arrive has none.
+#: Figures that a motor without arrival does not have.
 _OF_ARRIVALS = ("final_error_rms_m", "final_error_max_m", "time_s")
-#: What is the configuration's own, and what is of clocks, says nothing of a run.
+#: Figures of the configuration and of clocks, which do not depend on a run.
 _OF_GAITS = ("gait_speed_m_s", "stroke_m", "period_s", "clamp_threshold_v")
 _OF_RUNS = tuple(row for row in RUN_FIGURES if row[0] not in _OF_GAITS)
 _COMMON = tuple(row for row in COMMON_FIGURES if row[0].startswith(("chattering", "command", "voltage")))
 
-#: What may be asked of a run of a motor: name → label, unit for people, factor from SI; the first one by default.
+#: Metrics of a motor: name → label, displayed unit, factor from SI; the first one is the default.
 MOTOR_METRICS: dict[str, tuple[str, str, float]] = {
     **{
         name: (label, unit, factor)
@@ -76,7 +76,7 @@ MOTOR_METRICS: dict[str, tuple[str, str, float]] = {
 def judged_motor(
     signals: dict[str, np.ndarray], settings: InchwormSequencerParameters, names: Sequence[str]
 ) -> list[float]:
-    """Return metrics of a run of an inchworm motor; NaN where one has no meaning.
+    """Return metrics of a run of an inchworm motor; NaN for those without meaning.
 
     All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a place the worst one
     counts, and a run in which one did not arrive has neither time nor final error.
@@ -93,15 +93,15 @@ def judged_motor(
     return [float("nan") if value is None else float(value) for value in values]
 
 
-#: Figures of clocks, which a simulated run has not.
+#: Figures of clocks, which a simulated run does not have.
 _OF_CLOCKS = {"rate_hz", "jitter_p99_s", "missing_samples", *(name for name, *_ in TIMELINESS)}
-#: What may be asked of a run of an actuator: name → label, unit for people, factor from SI; the first one by default.
+#: Metrics of an actuator: name → label, displayed unit, factor from SI; the first one is the default.
 ACTUATOR_METRICS: dict[str, tuple[str, str, float]] = {
     name: (label, unit, factor) for name, label, unit, factor in FIGURES if name not in _OF_CLOCKS
 }
-#: The same of any axis.
+#: Metrics of any axis.
 METRICS = MOTOR_METRICS | ACTUATOR_METRICS
-#: Judged between the samples, at :data:`INSTANTS` instants of each.
+#: Metrics that are evaluated between the samples, at :data:`INSTANTS` points of each.
 BETWEEN = (
     *("rms_error_m", "max_error_m", "iae_m_s", "rms_error_percent_of_stroke", "max_error_percent_of_stroke"),
     "stroke_m",
@@ -118,19 +118,18 @@ def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) ->
     for name in names:
         if name not in known:
             near = did_you_mean(name, known)
-            text = f"there is no such metric{whose}; there are {', '.join(known)}{near}"
+            text = f"unknown metric{whose}; there are {', '.join(known)}{near}"
             raise ConfigurationError(f"--metric {name}: {text}")
     return tuple(dict.fromkeys(names or [next(iter(known))]))
 
 
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
-    """Return metrics of a run that has just been made; NaN where one has no meaning.
+    """Return metrics of a new run; NaN for those without meaning.
 
     Errors are those of the true displacement between the samples, less the preload of the controller's model, against
-    the reference as late as its preview. That goes in straight lines from sample to sample, but where it jumps.
-    All else is defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of
-    a plant that is seen by a camera, and whatever is asked of an inchworm motor
-    (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+    the reference delayed by its preview. The reference is linear between samples, except at jumps. All else is defined
+    at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of a plant with a
+    camera, and all metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)
@@ -152,7 +151,7 @@ def _between_samples(
 ) -> dict[str, float]:
     """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one.
 
-    Its integral, which takes a good part of the time of a short run, is made only where it is asked for.
+    The integral, which takes a large part of the time of a short run, is computed only on request.
     """
     reference = delayed(signals["reference"], settings.preview)
     sample_time = actuator.dynamics.sample_time
@@ -172,52 +171,52 @@ def _between_samples(
 
 
 def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
-    """Return how far the reference goes within each sample: as far as to the next, but nowhere before a jump."""
+    """Return the change of the reference within each sample: up to the next sample, but 0 before a jump."""
     around = np.concatenate([[0.0], np.abs(step), [0.0]])
     before, size, after = around[:-2], around[1:-1], around[2:]
     return np.where(size - np.maximum(before, after) > JUMP * stroke, 0.0, step)
 
 
-#: Kernels are compiled, and Python runs, in one thread at a time: the others of a worker wait.
+#: Lock for compilation and Python code, which run in one thread of a worker at a time.
 _ONE_AT_A_TIME = threading.Lock()
-#: A block of so many bytes is had and given back before the runs: from then on the C library of Linux keeps what the
-#: runs give back. Otherwise the system hands out every page of their tables anew, 440 pages a run.
+#: A block of this size [bytes] is allocated and freed before the runs; the C library of Linux then keeps the freed
+#: memory of the runs. Otherwise the system maps every page of their tables again, 440 pages per run.
 KEPT = 31 * 2**20
 
 
 class Runs(NamedTuple):
-    """What became of some runs that follow each other."""
+    """Results of consecutive runs."""
 
-    first: int  #: Number of the first of them.
-    rows: list[list[float]]  #: Metrics of each, and whether its axis tripped.
+    first: int  #: Number of the first run.
+    rows: list[list[float]]  #: Metrics of each run, and whether its axis tripped.
     refused: dict[int, str]  #: Number of each run whose axis cannot be built, and why.
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What each run of a sweep is."""
+    """Definition of the runs of a sweep."""
 
     axis: AxisParameters  #: As configured.
     variations: tuple[Variation, ...]
     metrics: tuple[str, ...]
-    version: str = hysteresis_ros.__version__  #: Of the package whose code is to make the runs.
+    version: str = hysteresis_ros.__version__  #: Version of the package for the runs.
 
     @property
     def samples(self) -> int:
-        """Samples of a run as configured; 0 when it has no end."""
+        """Configured number of samples of a run; 0: endless."""
         return Axis(self.axis).default_samples()
 
     @functools.cached_property
     def _of_plant(self) -> bool:
-        """Whether only the plant varies, which what an axis believes that it can reach does not know."""
+        """Whether only the plant varies, which does not affect the expected range of an axis."""
         return all(one.node == PLANT for one in self.variations)
 
     def runs(self, first: int, points: np.ndarray) -> Runs:
-        """Make some runs, each of an axis at rest."""
+        """Execute some runs, each from rest."""
         if self.version != hysteresis_ros.__version__:
             raise ConfigurationError(
-                f"version {hysteresis_ros.__version__} of the package is installed where this should run, "
-                f"{self.version} asks: install the same one"
+                f"version {hysteresis_ros.__version__} of the package is installed on the worker, and the sweep needs "
+                f"{self.version}: install the same version"
             )
         np.empty(KEPT, dtype=np.uint8)
         found = Runs(first, [], {})
@@ -230,7 +229,7 @@ class Study:
         return found
 
     def _builder(self) -> Callable[[AxisParameters], Axis]:
-        """Return what builds the axis of a run at rest; where only the plant varies, all else is made but once."""
+        """Return the function that builds the axis of a run; if only the plant varies, the rest is built once."""
         if not self._of_plant or self.axis.displacement_camera is not None:
             return Axis
         kept = Axis(self.axis)
@@ -245,7 +244,7 @@ class Study:
         return build
 
     def _run(self, point: np.ndarray, build: Callable[[AxisParameters], Axis]) -> tuple[list[float], str]:
-        """Return the metrics of a run and whether it tripped; or why it cannot be made."""
+        """Return the metrics of a run and whether it tripped, or the reason why it cannot be executed."""
         try:
             parameters = varied(self.axis, self.variations, point)
             if not self._of_plant:
@@ -256,7 +255,7 @@ class Study:
                 raise ConfigurationError("the run has no end (samples: 0, endless waveform)")
         except HysteresisError as error:
             return [float("nan")] * (len(self.metrics) + 1), str(error)
-        with np.errstate(all="ignore"):  # an unstable loop has no bounds
+        with np.errstate(all="ignore"):  # an unstable loop may overflow
             signals = axis.run(axis.default_setpoints(samples))
             return [*judged(axis, signals, self.metrics), float(np.any(signals["tripped"] != 0.0))], ""
 
@@ -271,6 +270,6 @@ def _leaves(arrays: tuple | np.ndarray) -> Iterator[np.ndarray]:
 
 
 def make_runs(study: Study, first: int, points: np.ndarray) -> Runs:
-    """Make some runs of a study, one after the other, in whatever thread of whatever process."""
+    """Execute some runs of a study, one after the other, in any thread of any process."""
     with _ONE_AT_A_TIME:
         return study.runs(first, points)

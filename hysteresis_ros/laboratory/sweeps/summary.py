@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a sweep has found: yield, sensitivities and figures, in lines and for JSON.
+"""Summary of a sweep: yield, sensitivities and figures, as text and as JSON.
 
-The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): of all shares under which what was seen is
-not too unlikely. It covers the true share with at least the stated confidence, whatever that share is.
+The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it contains all shares for which the
+observation is not too unlikely, and covers any true share with at least the stated confidence.
 
-The sensitivities are SALib's (Herman and Usher, J. Open Source Software 2 (9), 2017), on the runs of a plan that was
-made for them: Saltelli's for Sobol, trajectories for Morris.
+The sensitivities are SALib's (Herman and Usher, J. Open Source Software 2 (9), 2017), on the runs of a plan for this
+purpose: Saltelli's for Sobol, trajectories for Morris.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hysteresis_ros.laboratory.sweeps.study import BETWEEN, METRICS, require_met
 from hysteresis_ros.laboratory.sweeps.sweep import Results
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Endings of the names of metrics and their SI units; the first that fits counts.
+#: Suffixes of metrics and their SI units; the first match counts.
 _UNITS = {
     "_m_s": "",
     "_v_s": "",
@@ -48,7 +48,7 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Bound:
-    """What a metric may be."""
+    """Bound of a metric."""
 
     metric: str
     low: float  #: low, high: Ends, included, in the unit of the metric.
@@ -70,9 +70,9 @@ class Bound:
 
 @dataclass(frozen=True)
 class Yield:
-    """How many runs meet all bounds."""
+    """Yield: the share of the runs that meet all bounds."""
 
-    good: int  #: good, runs: How many meet them, and of how many.
+    good: int  #: good, runs: Number of runs that meet them, and of all.
     runs: int
     low: float  #: low, high: Interval of the share.
     high: float
@@ -129,7 +129,7 @@ def yield_of(met: np.ndarray, confidence: float = 0.95) -> Yield:
 
 
 def met(results, bounds: Sequence[Bound]) -> np.ndarray:
-    """Return whether each run came to its end and meets all bounds, shape (runs,)."""
+    """Return whether each run finished and meets all bounds, shape (runs,)."""
     found = results.good
     for bound in bounds:
         found = found & bound.met(results.metrics[bound.metric])
@@ -145,14 +145,14 @@ class Sensitivity:
 
     metric: str
     labels: tuple[str, ...]  #: What varies.
-    #: shape (variations,); Of Sobol ``first`` and ``total``, parts of the variance; of Morris ``mean`` (of the sizes
-    #: of the effects) and ``deviation``, in SI. With ``…_interval`` half the width of each interval.
+    #: shape (variations,); For Sobol ``first`` and ``total``, parts of the variance; for Morris ``mean`` (of the
+    #: absolute effects) and ``deviation``, in SI. ``…_interval`` is half the width of each confidence interval.
     columns: dict[str, np.ndarray]
-    why: str = ""  #: Why there is none.
+    why: str = ""  #: Why there is no sensitivity.
 
 
 def require_library() -> None:
-    """Refuse a sensitivity where SALib is not installed."""
+    """Refuse a sensitivity analysis without SALib."""
     try:
         import SALib  # noqa: F401
     except ImportError:
@@ -160,7 +160,7 @@ def require_library() -> None:
 
 
 def sensitivity(plan: Plan, metric: str, values: np.ndarray, confidence: float = 0.95) -> Sensitivity:
-    """Return on which variations a metric hangs."""
+    """Return the sensitivity of a metric to the variations."""
     labels = tuple(one.label for one in plan.variations)
     missing = int(np.count_nonzero(~np.isfinite(values)))
     if missing:
@@ -189,26 +189,26 @@ def _morris(plan: Plan, values: np.ndarray, confidence: float) -> dict[str, np.n
     return {"mean": found["mu_star"], "mean_interval": found["mu_star_conf"], "deviation": found["sigma"]}
 
 
-#: Combinations of levels that are listed one by one.
+#: Most combinations of levels that are listed.
 LISTED = 25
-#: Part of the runs that the stated quantile leaves out.
+#: Part of the runs beyond the stated quantile.
 TAIL = 0.05
-SIX = 6  # digits of a parameter for people
+SIX = 6  # digits of a printed parameter
 
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A sweep, summed up."""
+    """Summary of a sweep."""
 
     results: Results
     plan: Plan
     bounds: tuple[Bound, ...] = ()
-    confidence: float = 0.95  #: Of all intervals.
-    #: Of each metric, worked out here where the plan is made for it.
+    confidence: float = 0.95  #: Confidence of all intervals.
+    #: Sensitivity of each metric, if the plan is made for it.
     sensitivities: tuple[Sensitivity, ...] = field(init=False)
 
     def __post_init__(self):
-        """Work out the sensitivities."""
+        """Compute the sensitivities."""
         found: tuple[Sensitivity, ...] = ()
         if self.plan.design != RANDOM:
             metrics = self.results.metrics.items()
@@ -217,7 +217,7 @@ class Summary:
 
     @property
     def met(self) -> np.ndarray:
-        """Whether each run came to its end and meets all bounds, shape (runs,)."""
+        """Whether each run finished and meets all bounds, shape (runs,)."""
         return met(self.results, self.bounds)
 
     @property
@@ -227,7 +227,7 @@ class Summary:
 
     @property
     def at_levels(self) -> list[tuple[dict, Yield, dict[str, np.ndarray]]]:
-        """Levels, yield and metrics of the runs at each combination of levels; empty where there are none of draws."""
+        """Levels, yield and metrics of the runs at each combination of levels; empty without draws."""
         plan, found = self.plan, []
         if not plan.counts or plan.design != RANDOM or not plan.spreads:
             return []
@@ -241,18 +241,18 @@ class Summary:
         return found
 
     def worst(self, metric: str) -> int | None:
-        """Return the number of the run with the largest size of a metric; None where none has any."""
+        """Return the number of the run with the largest absolute metric; None if no run has a value."""
         values = np.abs(self.results.metrics[metric])
         return int(np.nanargmax(values)) if np.any(np.isfinite(values)) else None
 
 
 def lines(summary: Summary) -> list[str]:
-    """Return a sweep in lines for people."""
+    """Return the summary as text."""
     results, plan = summary.results, summary.plan
     drawn = f", {plan.combinations} levels" if plan.counts else ""
     text = [f"{len(results)} runs, seed {plan.seed}, {plan.design}{drawn}: {', '.join(results.about['labels'])}"]
     text += [_metric_line(summary, name) for name in results.metrics]
-    for count, what in ((np.count_nonzero(results.tripped), "stopped by the axis itself (unstable, out of travel)"),):
+    for count, what in ((np.count_nonzero(results.tripped), "tripped (unstable, out of travel)"),):
         text += [f"{count} of {len(results)} runs {what}"] if count else []
     if summary.bounds:
         text += _yield_lines(summary)
@@ -262,7 +262,7 @@ def lines(summary: Summary) -> list[str]:
 
 
 def refusals(results: Results) -> list[str]:
-    """Return what was wrong with runs whose axis could not be built: how many, and the first one; empty: none was."""
+    """Return a line about the runs whose axis could not be built, with the first reason; nothing without such runs."""
     numbers = np.flatnonzero(results.refused != "")
     if not numbers.size:
         return []
@@ -277,10 +277,10 @@ def _metric_line(summary: Summary, name: str) -> str:
     where = ", between the samples" if name in BETWEEN[:-1] else ""
     largest = summary.worst(name)
     if largest is None:
-        return f"{name} ({label}): no run has any"
+        return f"{name} ({label}): no run has a value"
     quantiles = [" ".join(shown(float(value), unit, factor)) for value in np.quantile(known, (0.5, 1.0 - TAIL))]
     worst = " ".join(shown(float(values[largest]), unit, factor))
-    missing = f"; {values.size - known.size} runs have none" if known.size < values.size else ""
+    missing = f"; {values.size - known.size} runs have no value" if known.size < values.size else ""
     return (
         f"{name} ({label}{where}): median {quantiles[0]}, {100.0 * (1.0 - TAIL):g} % below {quantiles[1]}, "
         f"worst {worst} in run {largest} ({_stood_for(summary.results, largest)}){missing}"
@@ -300,7 +300,7 @@ def _yield_lines(summary: Summary) -> list[str]:
     bounds = " and ".join(map(str, summary.bounds))
     if not summary.plan.spreads or summary.plan.design != RANDOM:
         good = int(np.count_nonzero(summary.met))
-        return [f"{good} of {len(summary.results)} points meet {bounds} (nothing was drawn: no interval)"]
+        return [f"{good} of {len(summary.results)} points meet {bounds} (no draws: no interval)"]
     how = f"{100.0 * summary.confidence:g} % interval of Clopper and Pearson"
     each = summary.at_levels
     if not each:
@@ -317,7 +317,8 @@ def _sensitivity_lines(found: Sensitivity, confidence: float) -> list[str]:
         return [f"{found.metric}: no sensitivity: {found.why}"]
     if "first" in found.columns:
         heading = (
-            f"{found.metric}: part of its variance due to each alone, and with all others (± {confidence:g} interval)"
+            f"{found.metric}: part of its variance by each parameter alone, and including interactions (± "
+            f"{confidence:g} interval)"
         )
         pairs, factor = ("first", "total"), 1.0
     else:
@@ -336,7 +337,7 @@ def _sensitivity_lines(found: Sensitivity, confidence: float) -> list[str]:
 
 
 def to_json(summary: Summary) -> dict:
-    """Return everything JSON can hold, in SI."""
+    """Return the summary as JSON data, in SI."""
     results = summary.results
     metrics = {}
     for name, values in results.metrics.items():

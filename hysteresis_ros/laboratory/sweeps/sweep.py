@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A sweep: the runs of a plan on as many processes as there are, kept as they end, and resumed where they were left.
+"""Execution of a sweep: the runs of a plan in parallel, stored as they finish, and resumed after an interruption.
 
-The first line of the journal says what sweep it is, each further one holds some runs. Numbers are written such that
-they are read as the same doubles. A line that was cut off is left out, and its runs are made again.
+The first line of the journal defines the sweep, each further line contains some runs. Numbers read back as the same
+doubles. A line that was cut off is ignored, and its runs are repeated.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from hysteresis_ros.files import read_arrays, replacing
 from hysteresis_ros.laboratory.sweeps.plan import RANDOM, Plan, settings
 from hysteresis_ros.laboratory.sweeps.study import Runs, Study, make_runs
 
-#: Added to the name of the results.
+#: Suffix of the journal, after the name of the results.
 SUFFIX = ".part"
-#: What a first line begins with.
+#: Beginning of the first line.
 KIND = "hysteresis sweep 1"
 
 
 class Journal:
-    """The file of a sweep that is not finished."""
+    """The file of an unfinished sweep."""
 
     def __init__(self, path, about: dict[str, Any]):
         self.path = pathlib.Path(f"{path}{SUFFIX}")
@@ -50,7 +50,9 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._file.close()
-            raise ConfigurationError(f"{self.path}: another sweep writes there; choose another -o, or wait") from None
+            raise ConfigurationError(
+                f"{self.path}: another sweep writes this file; choose another -o, or wait"
+            ) from None
         try:
             self.found = self._read(about)
         except BaseException:
@@ -63,7 +65,7 @@ class Journal:
         size = len(whole) + 1 if whole else 0
         if cut:
             if not whole and not (KIND.encode() in cut or len(cut) < len(KIND) + 2):
-                raise ConfigurationError(f"{self.path}: is no journal of a sweep; remove it, or choose another -o")
+                raise ConfigurationError(f"{self.path}: is not the journal of a sweep; remove it, or choose another -o")
             self._file.truncate(size)
         if not whole:
             self._write({"kind": KIND, **about})
@@ -78,13 +80,13 @@ class Journal:
             ]
         except (ValueError, KeyError, TypeError, AttributeError):
             raise ConfigurationError(
-                f"{self.path}: is no journal of a sweep; remove it, or choose another -o"
+                f"{self.path}: is not the journal of a sweep; remove it, or choose another -o"
             ) from None
         require_same(self.path, first, about)
         return found
 
     def add(self, runs: Runs) -> None:
-        """Add some runs."""
+        """Append some runs."""
         self._write(runs._asdict())
 
     def _write(self, content: dict[str, Any]) -> None:
@@ -96,16 +98,16 @@ class Journal:
         except OSError as error:
             self._file.truncate(begin)
             raise ConfigurationError(
-                f"{self.path}: cannot be written: {error.strerror}; what was done so far is kept there: make room, and "
-                "give the same command again"
+                f"{self.path}: cannot be written: {error.strerror}; the finished runs are stored there: free some "
+                "space, and repeat the command"
             ) from None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def remove(self) -> None:
-        """Remove the file: the results stand elsewhere."""
+        """Remove the file when the results are written."""
         self.path.unlink(missing_ok=True)
         self.close()
 
@@ -116,12 +118,13 @@ def require_same(path, found: dict[str, Any], asked: dict[str, Any]) -> None:
         if found.get(name) != value:
             here, there = (str(text) if len(str(text)) < 100 else "another" for text in (value, found.get(name)))
             raise ConfigurationError(
-                f"{path}: holds another sweep, {name}: {there} there, {here} asked; choose another -o, or remove it"
+                f"{path}: contains another sweep, with {name} {there} instead of {here}; choose another -o, or remove "
+                "it"
             )
 
 
 PARQUET, NPZ = ".parquet", ".npz"
-#: Name of the text in a file that says which sweep it was.
+#: Name of the text in a file that defines its sweep.
 ABOUT = "hysteresis_sweep"
 EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 
@@ -130,14 +133,14 @@ EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 class Results:
     """The runs of a sweep."""
 
-    about: dict[str, Any]  #: What sweep it was: configuration, variations, seed, design, metrics, version.
-    parameters: dict[str, np.ndarray]  #: shape (runs,); What each run stood for, by labels.
-    metrics: dict[str, np.ndarray]  #: shape (runs,); In SI; NaN where a metric has no meaning.
-    tripped: np.ndarray  #: shape (runs,); Whether the axis stopped itself.
-    refused: np.ndarray  #: shape (runs,); Why an axis could not be built; empty: it was.
+    about: dict[str, Any]  #: Definition of the sweep: configuration, variations, seed, design, metrics, version.
+    parameters: dict[str, np.ndarray]  #: shape (runs,); Varied values of each run, by labels.
+    metrics: dict[str, np.ndarray]  #: shape (runs,); Metrics in SI; NaN without meaning.
+    tripped: np.ndarray  #: shape (runs,); Whether the axis tripped.
+    refused: np.ndarray  #: shape (runs,); Why an axis could not be built; empty if it could.
 
     def __len__(self) -> int:
-        """Return how many runs there are."""
+        """Return the number of runs."""
         return len(self.tripped)
 
     @property
@@ -148,12 +151,12 @@ class Results:
 
     @property
     def good(self) -> np.ndarray:
-        """Whether each run came to its end, shape (runs,)."""
+        """Whether each run finished, shape (runs,)."""
         return ~self.tripped & (self.refused == "")
 
 
 def require_kind(path) -> None:
-    """Refuse a file that results cannot be written to, before they are made."""
+    """Refuse a file that cannot be written, before the runs."""
     suffix = pathlib.Path(path).suffix
     if suffix not in (PARQUET, NPZ):
         raise ConfigurationError(f"{path}: results are written as F.parquet or F.npz; choose one of them")
@@ -165,10 +168,10 @@ def require_kind(path) -> None:
 
 
 def save(results: Results, path) -> None:
-    """Write results, whole or not at all."""
+    """Write results atomically."""
     path = pathlib.Path(path)
     text = json.dumps(results.about)
-    remedy = "all runs are kept in its journal: make room, and give the same command again"
+    remedy = "all runs are stored in its journal: free some space, and repeat the command"
     with replacing(path, ConfigurationError, remedy) as beside, beside.open("wb") as stream:
         if path.suffix == NPZ:
             arrays: dict[str, Any] = {ABOUT: np.array(text), **results.columns}
@@ -191,7 +194,7 @@ def load(path) -> Results:
         metrics = {name: columns[name] for name in about["metrics"]}
         return Results(about, parameters, metrics, columns["tripped"].astype(bool), columns["refused"].astype(str))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{path}: holds no results of a sweep ({error}); choose another -o") from None
+        raise ConfigurationError(f"{path}: does not contain results of a sweep ({error}); choose another -o") from None
 
 
 def _npz(path) -> tuple[dict[str, np.ndarray], str]:
@@ -207,16 +210,16 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
     return {name: table[name].to_numpy() for name in table.column_names}, text
 
 
-#: Samples of one job, about a third of a second of work, and its most runs.
+#: Samples of one job, about a third of a second of work, and most runs per job.
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
-#: Of so many workers on jobs get longer, so that who hands them out keeps up.
+#: Number of workers above which jobs get longer, so that their distribution keeps up.
 CROWD = 64
-#: Samples for which other processes are not worth their start.
+#: Samples below which parallel processes are not worthwhile.
 FEW = 3_000_000
 
 
 def about(study: Study, plan: Plan) -> dict:
-    """Return what sweep it is, as its files say."""
+    """Return the definition of a sweep for its files."""
     return {
         "version": study.version,
         "configuration": study.axis.configuration_text(),
@@ -238,7 +241,7 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Results:
-    """Make the runs of a sweep that are not made yet."""
+    """Execute the unfinished runs of a sweep."""
     if not study.samples:
         raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
     table = _Table(study, plan)
@@ -267,12 +270,12 @@ def sweep(
 
 
 def _fill(table: _Table, keep: Callable[[Runs], None], workers, scheduler, progress) -> None:
-    """Make the runs that are missing, and keep them as they end."""
+    """Execute the missing runs, and store them as they finish."""
     study, missing = table.study, table.missing
     progress(table.done)
     if not missing:
         return
-    # one run here first: what compiles does so once, and all others find it
+    # one run here first, so that the kernels compile once for all processes
     first = study.runs(int(missing[0][0]), table.plan.points(missing[0][:1]))
     table.put(first)
     keep(first)
@@ -290,7 +293,7 @@ def _fill(table: _Table, keep: Callable[[Runs], None], workers, scheduler, progr
 
 
 class _Table:
-    """What is known of all runs."""
+    """Table of all runs."""
 
     def __init__(self, study: Study, plan: Plan):
         self.study, self.plan = study, plan
@@ -308,32 +311,32 @@ class _Table:
 
     @property
     def missing(self) -> list[np.ndarray]:
-        """Numbers of the runs that are not made, in pieces without gaps."""
+        """Number ranges of the missing runs."""
         numbers = np.flatnonzero(~self.made)
         return np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if numbers.size else []
 
     def jobs(self, size: int) -> Iterator[Job]:
-        """Yield a job for each few of the runs that are not made."""
+        """Yield jobs for the missing runs."""
         for piece in self.missing:
             for begin in range(0, len(piece), size):
                 part = piece[begin : begin + size]
                 yield Job(make_runs, (self.study, int(part[0]), self.plan.points(part)))
 
     def put(self, runs: Runs) -> None:
-        """Take what has become of some runs; of a shorter sweep not all are asked for."""
+        """Store the results of some runs that belong to this sweep."""
         rows = np.array(runs.rows)[: max(self.plan.runs - runs.first, 0)]
         self.values[runs.first : runs.first + len(rows)] = rows
         self.made[runs.first : runs.first + len(rows)] = True
         self.refused |= runs.refused
 
     def take(self, known: Results) -> None:
-        """Take the runs of a sweep that was shorter."""
+        """Take over the runs of a shorter sweep."""
         rows = np.column_stack([*known.metrics.values(), np.where(known.refused == "", known.tripped, np.nan)])
         why = {int(number): str(known.refused[number]) for number in np.flatnonzero(known.refused != "")}
         self.put(Runs(0, rows.tolist(), why))
 
     def results(self) -> Results:
-        """Return the whole table."""
+        """Return the complete table."""
         plan, study, count = self.plan, self.study, self.plan.runs
         numbers: list[list] = []
         for begin in range(0, count, JOB_RUNS):

@@ -38,7 +38,7 @@ TOKEN_BYTES = 24
 
 
 def is_loopback(address: str) -> bool:
-    """Tell whether an address can be reached from this machine only."""
+    """Return whether an address can be reached from this machine only."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -98,7 +98,7 @@ class Access:
 
 
 class Control:
-    """Which of several pages may change something: the first, until it closes or another one takes over."""
+    """Write access for one of several pages: the first, until it closes or another one takes over."""
 
     def __init__(self) -> None:
         self._holder: int | None = None
@@ -106,7 +106,7 @@ class Control:
         self._since = 0.0
 
     def ask(self, page: int, place: str, by_force: bool = False) -> bool:
-        """Give the control to a page when no page has it, or by force; tell whether the page has it now."""
+        """Give the control to a page if no page has it, or by force; return whether the page has it now."""
         if self._holder is None or (by_force and self._holder != page):
             self._holder, self._place, self._since = page, place, time.time()
         return self._holder == page

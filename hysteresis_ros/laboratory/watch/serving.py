@@ -70,7 +70,7 @@ class Pages:
     def __enter__(self) -> Pages:
         guard = partial(die_with_parent, os.getpid())
         for request in self._requests:
-            # a process of its own: the pip wheels of ROS restart the interpreter on import
+            # a separate process, because the pip wheels of ROS restart the interpreter on import
             command = [sys.executable, "-m", "hysteresis_ros.laboratory.watch", request]
             options: dict[str, Any] = {"env": node_environment(), "start_new_session": True, "preexec_fn": guard}
             self._processes.append(subprocess.Popen(command, **options))
@@ -88,7 +88,7 @@ class Pages:
                 process.wait()
 
     def over(self) -> bool:
-        """Tell whether a server process has ended."""
+        """Return whether a server process has ended."""
         return any(process.poll() is not None for process in self._processes)
 
     def exit_code(self) -> int:

@@ -116,7 +116,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Tell whether a parameter has no effect: its law is not selected, or its block is absent."""
+    """Return whether a parameter has no effect: its law is not selected, or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True
