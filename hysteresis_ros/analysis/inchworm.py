@@ -84,7 +84,7 @@ class InchwormRun:
     signals: dict  #: shape (N,); All signals.
     steps: Steps
     moves: tuple
-    gait: GaitParameters | None  #: Of the configuration.
+    gait: GaitParameters | None  #: Gait of the configuration.
     tolerance: float  #: Distance at which the motor has arrived [m].
     notes: tuple  #: What a reader must know.
 

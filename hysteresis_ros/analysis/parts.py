@@ -106,7 +106,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
 
     A step may be a jump or a limited move; its time counts from the last sample of the hold before.
 
-    Units: ``time`` [s], ``reference`` [s], ``displacement`` [s].
+    Units: ``time`` [s], ``reference`` [m], ``displacement`` [m].
     """
     holds = [hold for hold in find_holds(reference) if np.isfinite(hold.level)]
     responses = []

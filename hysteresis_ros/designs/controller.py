@@ -142,7 +142,7 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return the certainty of a design's loop.
+    """Return the limits that the known response sets to the loop of a design.
 
     Units: ``sample_time`` [s].
     """

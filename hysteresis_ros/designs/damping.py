@@ -308,7 +308,7 @@ class DampedDesign:
 
     @property
     def times(self) -> float:
-        """Bandwidth over that of the same design without damping; infinite where there is none."""
+        """Bandwidth over that of the same design without damping; infinite without such a design."""
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:

@@ -213,7 +213,7 @@ class AxisResponse:
     #: From voltage or command to the measured displacement; of a closed loop whose controller nobody knows from
     #: reference − measured.
     plant: Analysis
-    loop: MeasuredLoop | None = None  #: Of a closed loop.
+    loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.
     model: np.ndarray | None = None  #: shape (F,); Controller's model of the plant, at the lines.
     model_loop: np.ndarray | None = None  #: shape (F,)
     margins: Margins | None = None  #: Margins of the loop with the model.

@@ -13,9 +13,9 @@ T is the closed loop from reference to measured displacement on the model, T_p t
 period to the next the error is multiplied by Q − G T: every design chooses the highest bandwidth at which |Q − G T_p|
 stays below 1 − :data:`MARGIN` at all frequencies and on all plants, with the truncated filters.
 
-- *inversion*: G = Q L, where L makes the largest |1 − L T_p| of all plants least at each frequency (Lawson's iteration
+- *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
-- *norm_optimal*: m_(j+1) makes the mean over the plants of |e_(j+1)|² + λ |m_(j+1)|² + μ |m_(j+1) − m_j|² least [2]_:
+- *norm_optimal*: m_(j+1) minimises the mean over the plants of |e_(j+1)|² + λ |m_(j+1)|² + μ |m_(j+1) − m_j|² [2]_:
   Q = (μ + E|T|²)/(λ + μ + E|T|²), G = E[T*]/(λ + μ + E|T|²). The weight λ on the correction rises with the frequency.
 - *repetitive*: G = k z^n Q, phase lead n and gain k [3]_.
 

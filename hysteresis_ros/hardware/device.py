@@ -93,7 +93,7 @@ class Device:
             raise DriverError(self.name, text, "check the device, its connection and its driver") from error
 
     def read(self) -> tuple[float, ...]:
-        """Return the position of each joint [position_unit], then the forces [N]; NaN when there is none.
+        """Return the position of each joint [position_unit], then the forces [N]; NaN without a measurement.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Make the device safe in the background, again and again until it is; nobody else uses it meanwhile.
+        """Make the device safe in the background, repeatedly until it is; other calls wait meanwhile.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class Device:
                     over.set()
 
     def desist(self) -> None:
-        """Make the device safe in the background no more; an attempt that is under way is waited for."""
+        """Stop making the device safe in the background, after the end of a running attempt."""
         self._over.set()
         with self._calling:
             pass
@@ -224,8 +224,7 @@ class Device:
         Returns
         -------
         str
-            Problem that the device is left with, for instance a voltage that is still at its output; empty when there
-            is none.
+            Problem that the device is left with, for instance a voltage that is still at its output; otherwise empty.
         """
         self.desist()
         if not self._open:

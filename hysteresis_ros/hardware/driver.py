@@ -110,9 +110,9 @@ NOTHING_NEW = -1
 class Reading(NamedTuple):
     """Measurements of a device in a sample."""
 
-    #: Position of each joint [position_unit]; NaN when there is none. Values that are not finite are not used.
+    #: Position of each joint [position_unit]; NaN without a measurement. Values that are not finite are not used.
     positions: tuple[float, ...]
-    #: Forces [N], as many as in the capabilities; NaN when there is none.
+    #: Forces [N], as many as in the capabilities; NaN without a measurement.
     forces: tuple[float, ...] = ()
 
 

@@ -38,11 +38,11 @@ class Scale(NamedTuple):
     metres_per_pixel: float
     #: Standard deviation of that [m/px].
     uncertainty: float
-    #: Of a motion: 1, or -1 when the place decreases with increasing displacement.
+    #: Direction of a motion: 1, or -1 if the position decreases with increasing displacement.
     sign: int = 1
-    #: Of a motion: displacement at place 0 [m].
+    #: Displacement at position 0, for a motion [m].
     offset: float = math.nan
-    #: Of a motion: rms residual of the line [m].
+    #: RMS residual of the line, for a motion [m].
     residual: float = math.nan
 
 

@@ -57,7 +57,7 @@ def driver_of(name: str) -> HardwareDriver:
     Raises
     ------
     DriverError
-        There is none, or the file is not a driver.
+        The driver does not exist, or the file is not a driver.
     """
     if name in DRIVERS:
         return DRIVERS[name]

@@ -82,7 +82,7 @@ class Scene:
         self._grain = self._make_grain()
 
     def _make_grain(self) -> np.ndarray | None:
-        """Return the grain of the body, seen from its edge: wider than the frame, smooth over two pixels."""
+        """Return the grain of the body from its edge on, wider than the frame and smooth over two pixels."""
         given = self.parameters
         if not given.texture:
             return None
@@ -139,13 +139,13 @@ class Scene:
         return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
 
     def _covered(self, inside: np.ndarray) -> np.ndarray:
-        """Return which part of a pixel's light comes from the body, ``inside`` its edge by so much [px]."""
+        """Return the part of a pixel's light from the body, for a distance ``inside`` its edge [px]."""
         # a pixel gathers light over its width: the integral of the blurred edge
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
         """Return the integral of a blurred edge up to a distance from it [px]."""
-        # at first use: only rendering needs it, but every node imports the parameters
+        # imported at first use, because every node imports the parameters but only rendering needs it
         from scipy.special import erf
 
         sigma = self.parameters.blur

@@ -41,7 +41,7 @@ class FrameError(HysteresisError):
     """An image cannot be read as a frame."""
 
 
-#: Encodings of ``sensor_msgs/Image`` that are read: bytes a channel, channels, place of red, green and blue.
+#: Supported encodings of ``sensor_msgs/Image``: bytes per channel, channels, positions of red, green and blue.
 ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "mono8": (1, 1, ()),
     "8UC1": (1, 1, ()),
@@ -108,36 +108,36 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     return levels.reshape(rows, columns, channels).astype(np.float32) @ weights
 
 
-#: Rows that are taken together to look for the edge, and the distance of two columns that are compared there.
+#: Rows per block in the search for the edge, and distance of the two compared columns.
 BLOCK, LAG = 16, 4
-#: How far a block may be from the line through all of them [px].
+#: Largest distance of a block from the line through all blocks [px].
 STRAY = 6.0
 #: Columns at each end of a window whose mean is the grey level of that side.
 PLATEAU = 4
-#: Least part of the rows that has to show the edge.
+#: Smallest part of the rows that must show the edge.
 LEAST_ROWS = 0.5
-#: Rows further from the line than so many standard deviations are outliers; how often that is looked at.
+#: Distance of outliers from the line in standard deviations, and number of iterations.
 OUTLIER, EDGE_LOOKS = 4.0, 3
-#: Bins a pixel of the profile across the edge.
+#: Bins per pixel of the profile across the edge.
 BINS = 4
 #: Between 16 % and 84 % of a step blurred by a Gaussian lie two standard deviations.
 LOW_PART, HIGH_PART = 0.158655, 0.841345
 
 
 class Place(NamedTuple):
-    """Position of the edge or pattern in a frame, or why there is none."""
+    """Position of the edge or pattern in a frame, or the reason why it was not found."""
 
     #: Column, from the centre of the first one of the frame [px]; NaN with a reason.
     pixels: float
     #: Standard deviation of that from this frame alone [px].
     uncertainty: float
-    #: Grey levels between both sides of the edge, of 255; of a pattern its correlation with the first frame, of 1.
+    #: Contrast of the edge in grey levels, of 255; for a pattern its correlation with the first frame, of 1.
     contrast: float
     #: Standard deviation of the blur [px]; NaN where it is not known.
     blur: float
-    #: Why there is no place; empty: there is one.
+    #: Reason without a position; empty with a position.
     refusal: str = ""
-    #: Of an edge: columns that it moves on from one row to the next.
+    #: Slope of an edge: columns per row.
     slope: float = math.nan
 
 
@@ -178,7 +178,7 @@ def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -
     if not place.blur <= largest_blur:
         text = f"blurred: a standard deviation of {place.blur:.3g} px, largest_blur is {largest_blur:g}"
         return nowhere(text, place.contrast, place.blur)
-    # what does not belong to the edge only adds noise, and light that varies over the frame
+    # the rest of the window only adds noise and varying light
     place = _across(grey, rows, place.line, min(math.ceil(3.5 * place.blur) + PLATEAU, half), smallest_contrast)
     if isinstance(place, Place):
         return place
@@ -198,7 +198,7 @@ class _Found(NamedTuple):
 
 
 def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contrast: float) -> _Found | Place:
-    """Return the edge in windows of ``2 half + 1`` columns around a line, or why there is none."""
+    """Return the edge in windows of ``2 half + 1`` columns around a line, or the reason why it was not found."""
     first = np.rint(line[0] + line[1] * rows).astype(int) - half
     if first.min() < 0 or first.max() + 2 * half + 1 > grey.shape[1]:
         return nowhere("the edge is at the border of the frame or region")
@@ -225,7 +225,7 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
     means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)
     change = np.abs(means[:, LAG:] - means[:, :-LAG])
     column = np.argmax(change, axis=1)
-    # of a blurred edge only part of the step lies between two columns that are compared
+    # for a blurred edge only part of the step lies between the two compared columns
     strong = change[np.arange(blocks), column] >= 0.25 * smallest_contrast
     if np.count_nonzero(strong) < max(LEAST_ROWS * blocks, 2):
         return rows, None
@@ -241,7 +241,7 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
 
 
 def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """Return a line through places over rows: at row 0, its slope, the scatter around it, and which rows it has."""
+    """Return a line through positions over rows: value at row 0, slope, scatter, and the rows used."""
     kept = np.ones(len(rows), dtype=bool)
     slope = place = scatter = 0.0
     for _ in range(EDGE_LOOKS):
@@ -256,7 +256,7 @@ def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np
 
 
 def _blur(distance: np.ndarray, part: np.ndarray) -> float:
-    """Return the blur [px] from how much of each pixel lies on the left of the edge, over its distance from it."""
+    """Return the blur [px] from the bright fraction of each pixel over its distance from the edge."""
     bins = np.floor((distance - distance.min()) * BINS).astype(int).ravel()
     count = np.bincount(bins)
     mean = np.bincount(bins, weights=part.ravel()) / np.maximum(count, 1)
@@ -269,11 +269,11 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
     return 0.5 * (places[1] - places[0])
 
 
-#: Frequencies that are fitted, and those whose light says how sharp a frame is [1/px].
+#: Highest fitted frequency, and frequencies that measure the sharpness of a frame [1/px].
 HIGHEST, FINE = 0.2, 0.08
-#: Largest rest after the whole pixels [px], and how often these are looked for.
+#: Largest remainder after the whole pixels [px], and most searches for them.
 REST, PATTERN_LOOKS = 0.6, 6
-#: Least part of the fine details of the first frame; less is a blurred frame.
+#: Smallest part of the first frame's fine details; less means a blurred frame.
 LEAST_DETAIL = 0.3
 
 LOST = "the pattern of the first frame is not found again"
@@ -312,11 +312,11 @@ class Pattern:
 
     @property
     def has_details(self) -> bool:
-        """Whether the first frame has anything to find again."""
+        """Whether the first frame has a pattern to track."""
         return bool(np.sum(np.abs(self._spectrum[self._low][self._fine])) > 0.0)
 
     def find(self, grey: np.ndarray) -> Place:
-        """Return how far along its rows a frame has moved since the first one.
+        """Return the movement of a frame along its rows since the first one.
 
         Parameters
         ----------
@@ -374,7 +374,7 @@ class TrackingParameters(Parameters):
         "edge",
         choices=("edge", "pattern"),
         read_only=True,
-        description="edge: a straight edge across the direction of motion; pattern: whatever the first frame shows",
+        description="edge: a straight edge across the direction of motion; pattern: the content of the first frame",
     )
     along: str = parameter(
         "x", choices=("x", "y"), read_only=True, description="motion along the rows (x) or along the columns (y)"

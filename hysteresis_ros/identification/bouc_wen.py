@@ -63,7 +63,7 @@ class BoucWenIdentification:
 
     parameters: BoucWenParameters  #: The model: the best point found, converged or not.
     offset: float  #: Constant part of the displacement [m], 0 unless it was free.
-    covariance: np.ndarray  #: shape (4, 4); Of d_e, α, β and γ, for white residuals.
+    covariance: np.ndarray  #: shape (4, 4); Covariance of d_e, α, β and γ, for white residuals.
     rms: float  #: rms, maximum: Residual [m].
     maximum: float
     search: SimplexSearch  #: Trajectories of the parameters, one run for each start.

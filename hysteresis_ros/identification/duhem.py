@@ -72,7 +72,7 @@ def reversal_delay(voltage, displacement, sample_time: float, longest: float | N
     the voltage before it and one after it, which meet in the corner, describe the displacement; the lag is the delay of
     the voltage with the smallest residual. The phase of the first harmonic would also include the hysteresis.
 
-    Units: ``voltage`` [V], ``displacement`` [V].
+    Units: ``voltage`` [V], ``displacement`` [m].
     """
     from scipy.optimize import minimize_scalar  # imported here because only fits need it
 
@@ -121,7 +121,7 @@ def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
     Loops of one amplitude at different frequencies then coincide, if hysteresis is rate independent. Recordings of
     different amplitude must not be mixed here: the scaling would hide how hysteresis depends on the amplitude.
 
-    Units: ``recordings`` [V], ``sample_time`` [s], ``delays`` [s].
+    Units: ``recordings`` [V], [m], ``sample_time`` [s], ``delays`` [s].
     """
     pairs = [checked_signals(*pair) for pair in recordings]
     if not pairs:
@@ -481,7 +481,7 @@ def identify_duhem(
 ) -> DuhemIdentification:
     """Identify f, g and α of the Duhem model from slow or prepared loops (W2, W3).
 
-    Units: ``voltage`` [V], ``displacement`` [V].
+    Units: ``voltage`` [V], ``displacement`` [m].
     """
     settings = dict(alpha=alpha, minor=minor, shape=shape, size=size, seed=seed)
     return _identify(("voltage", "displacement"), (voltage, displacement), **settings)
@@ -676,7 +676,7 @@ def identify_duhem_hammerstein(
 ) -> DuhemHammerstein:
     """Identify v → Duhem → G2 from sines of one amplitude and several frequencies (W2, W3, W5).
 
-    Units: ``recordings`` [V], ``sample_time`` [s], ``delays`` [s].
+    Units: ``recordings`` [V], [m], ``sample_time`` [s], ``delays`` [s].
     """
     recordings = [checked_signals(*pair) for pair in recordings]
     prepared = prepare_loops(recordings, sample_time, delays)

@@ -501,7 +501,7 @@ SHARP = 0.3
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
     """Fit a hysteresis with the dynamics behind it.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
     if "modes" in parts:
         return TurnSearch(fit_function, voltage, displacement, sample_time, parts, skip).run()

@@ -70,7 +70,7 @@ def fit_generalised_play(
 ) -> HammersteinFit:
     """Fit voltage → generalised plays → creep → lag and delay.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
     if freedom != "auto" and freedom not in FREEDOMS:
         raise IdentificationError(f"freedom = {freedom!r}: must be one of auto, {', '.join(FREEDOMS)}")
@@ -89,18 +89,18 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
     plain = without_drift(lambda data: GeneralisedPlays(data, play_count).fit(linear, progress), data)
     if freedom == "none":
         return plain
-    rivals = [plain]
+    competitors = [plain]
     for names in FREEDOMS.values() if freedom == "auto" else (FREEDOMS[freedom],):
         if names:
-            rivals.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
+            competitors.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
     if freedom != "auto":
-        return rivals[-1]
-    chosen, errors = survivor(rivals, thresholds=(LOOPS_OF_ONE_SIZE if simple_loops(data) else STRUCTURE,))
-    chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
+        return competitors[-1]
+    chosen, errors = survivor(competitors, thresholds=(LOOPS_OF_ONE_SIZE if simple_loops(data) else STRUCTURE,))
+    chosen.numbers["held_out_rmse_m"] = errors[competitors.index(chosen)]
     return chosen
 
 
-def rivals(before, progress) -> list[GeneralisedPlays]:
+def competitors(before, progress) -> list[GeneralisedPlays]:
     """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
 
     Fits whose inverse may magnify errors are omitted.

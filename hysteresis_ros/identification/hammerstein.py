@@ -300,7 +300,7 @@ RETIMED_ON = 20000
 def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
     """Return the result of a fit, with the residual on the recording itself by the kernels of the nodes.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
     voltage, displacement = (np.ascontiguousarray(values, dtype=float) for values in (voltage, displacement))
     data = fit.data

@@ -328,12 +328,12 @@ def fit_prandtl_ishlinskii(
     skip: int | None = None,
     history: tuple[float, ...] = (),
     progress=None,
-    rivals=None,
+    competitors=None,
     like=None,
 ) -> HammersteinFit:
     """Fit voltage → plays → dead zones → creep → lag and delay.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
     if density not in DENSITIES:
         raise IdentificationError(f"density = {density!r}: must be one of {', '.join(DENSITIES)}")
@@ -341,7 +341,7 @@ def fit_prandtl_ishlinskii(
         raise IdentificationError("zone_count needs density=free; an exponential density has its own map")
 
     def choose(data):
-        return _chosen(data, play_count, zone_count, density, linear, progress, rivals)
+        return _chosen(data, play_count, zone_count, density, linear, progress, competitors)
 
     def again(before, data):  # without outliers, or behind other dynamics
         fit = before.like(data).fit(linear, progress)
@@ -359,24 +359,24 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     if zone_count is not None:
         return without_drift(lambda data: FreeWeights(data, play_count, zone_count).fit(linear, progress), data)
     if density == "free":
-        rivals = [without_drift(lambda data: FreeWeights(data, play_count, 0).fit(linear, progress), data)]
+        competitors = [without_drift(lambda data: FreeWeights(data, play_count, 0).fit(linear, progress), data)]
     else:
-        rivals = [without_drift(lambda data: SmoothDensity(data, play_count).fit(linear, progress), data)]
+        competitors = [without_drift(lambda data: SmoothDensity(data, play_count).fit(linear, progress), data)]
         if density == "exponential":
-            return rivals[0]
-        rivals.append(FreeWeights(rivals[0].data, play_count, 0).fit(linear, progress))
+            return competitors[0]
+        competitors.append(FreeWeights(competitors[0].data, play_count, 0).fit(linear, progress))
     # dead zones with the best linear part without them; if they are accepted, their linear part is searched again
-    part = min(rivals, key=lambda fit: fit.rms).part
-    zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
-    rivals.append(zones)
+    part = min(competitors, key=lambda fit: fit.rms).part
+    zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(part)
+    competitors.append(zones)
     alone = simple_loops(data) and density == "auto"
-    thresholds = [LOOPS_OF_ONE_SIZE if alone else STRUCTURE] * len(rivals)
-    rivals += others(rivals[0], progress) if others else []
-    thresholds += [ANOTHER_KIND if alone else STRUCTURE] * (len(rivals) - len(thresholds))
-    chosen, errors = survivor(rivals, thresholds=thresholds)
+    thresholds = [LOOPS_OF_ONE_SIZE if alone else STRUCTURE] * len(competitors)
+    competitors += others(competitors[0], progress) if others else []
+    thresholds += [ANOTHER_KIND if alone else STRUCTURE] * (len(competitors) - len(thresholds))
+    chosen, errors = survivor(competitors, thresholds=thresholds)
     if chosen is zones:
         zones.fit(linear, progress)
-    chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
+    chosen.numbers["held_out_rmse_m"] = errors[competitors.index(chosen)]
     return chosen
 
 

@@ -71,7 +71,7 @@ def recover_voltage(
 ) -> InverseValidation:
     """Invert the model for a measured displacement, and compare with the applied voltage.
 
-    Units: ``displacement`` [m], ``voltage`` [m].
+    Units: ``displacement`` [m], ``voltage`` [V].
     """
     y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
     if free_offset:

@@ -49,7 +49,7 @@ def fit_preisach(
 ) -> HammersteinFit:
     """Fit voltage → Preisach map → creep → lag and delay.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
 
     def choose(data):

@@ -483,7 +483,7 @@ def condense(
 ) -> Condensed:
     """Average blocks of samples, so that the fit of a long recording takes seconds.
 
-    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
+    Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
     v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
     if v.ndim != 1 or v.shape != y.shape or v.size < 50:

@@ -39,7 +39,7 @@ from hysteresis_ros.identification.chains import chain_of, identified, with_stag
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
 from hysteresis_ros.identification.dynamics import found_with, gain_and_dynamics
-from hysteresis_ros.identification.generalised_play import fit_generalised_play, rivals
+from hysteresis_ros.identification.generalised_play import competitors, fit_generalised_play
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.plant_model import FittedHysteresis, Identification, Request, grounded
 from hysteresis_ros.identification.polynomial import identify_polynomial
@@ -76,7 +76,7 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 
 def usual(data: IdentificationData, request: Request) -> Identification:
     """Fit the same, or generalised plays if they predict held-out blocks better."""
-    return _hammerstein(partial(fit_prandtl_ishlinskii, rivals=rivals), data, request, _numbers_of_plays)
+    return _hammerstein(partial(fit_prandtl_ishlinskii, competitors=competitors), data, request, _numbers_of_plays)
 
 
 def preisach(data: IdentificationData, request: Request) -> Identification:

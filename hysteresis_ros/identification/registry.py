@@ -71,7 +71,7 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
 #: Name that selects the best predicting model.
 AUTO = "auto"
 #: Name of what is tried by default: a first model, whose parts, options and inverses count, and
-#: its rivals.
+#: its competitors.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
 #: Names of sets of parts.
 WORDS = {"none": (), "auto": PARTS}
@@ -155,7 +155,7 @@ def identify(
     parts, stage = parse_linear(model, linear)
     if entry.block.invertible:
         _refuse_falling(data)
-    rivals = model == USUAL and not options
+    competitors = model == USUAL and not options
     request = Request(
         model=entry.name,
         parts=parts,
@@ -168,7 +168,7 @@ def identify(
         progress=progress or (lambda *_: None),
         separations={} if separations is None else separations,
     )
-    return resolved(RIVALS if rivals else entry.identify)(data, request)
+    return resolved(RIVALS if competitors else entry.identify)(data, request)
 
 
 def _refuse_falling(data: IdentificationData) -> None:

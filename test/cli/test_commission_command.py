@@ -71,7 +71,7 @@ def test_stages_alone_offline_say_what_they_move_and_leave_a_page(tmp_path):
 WRONG = {
     "nobody there": ((), "noise: no terminal to ask for permission to move; give --yes"),
     "no such stage": (("--yes", "--stage", "nois"), "no stage nois; there are noise, gain"),
-    "before its time": (("--yes", "--stage", "creep"), "creep needs what noise, gain"),
+    "before its time": (("--yes", "--stage", "creep"), "creep needs the results of noise, gain"),
     "nothing to resume": (("--resume",), "no commissioning to resume"),
     "unit": (("--yes", "--scan-stroke", "70V"), "--scan-stroke '70V': is in V"),
     "no frequency": (("--yes", "--scan-frequency", "0Hz"), "/commissioning: scan_frequency"),

@@ -70,7 +70,7 @@ def test_nodes_that_answer_nothing_are_said_to(monkeypatch, tmp_path, short):
     monkeypatch.setattr(trial.Trial, "answers", lambda self: trial.Answers(300.0, 30, 0, None, None, None))
     path = tmp_path / "found.json"
     result = CliRunner().invoke(main, ["doctor", "--json", str(path)])
-    assert result.exit_code == 0 and "not one of 30 measurements was answered" in result.output
+    assert result.exit_code == 0 and "none of 30 measurements was answered" in result.output
     assert json.loads(path.read_text(encoding="utf-8"))["messages"]["composed"]["realtime"]["p50"] is None
 
 

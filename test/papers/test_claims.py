@@ -103,7 +103,7 @@ def test_runs_without_steps_or_loop_are_refused():
     flat = Recording(time, {"reference": np.zeros(100), "displacement": np.zeros(100)})
     with pytest.raises(RecordingError, match="step up and back"):
         step_figures(flat)
-    with pytest.raises(RecordingError, match="to and fro"):
+    with pytest.raises(RecordingError, match="does not reverse"):
         loop_width(flat)
 
 

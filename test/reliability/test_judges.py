@@ -97,7 +97,7 @@ def test_a_plant_that_begins_again_knows_nothing_of_the_voltage_before():
 
 @pytest.mark.parametrize("voltage", [-1e-3, 10.001])
 def test_a_voltage_beyond_the_limits_is_not_held(voltage):
-    assert "leave 0 … 10 V" in failures(seen=samples(np.full(1500, voltage)))
+    assert "exceed 0 … 10 V" in failures(seen=samples(np.full(1500, voltage)))
     assert "leave" not in failures(seen=samples(np.full(1500, min(max(voltage, 0.0), 10.0))))
 
 
@@ -172,7 +172,7 @@ def test_every_mishap_can_be_chosen_by_its_name_or_group_and_what_is_none_is_ref
     assert [mishap.name for mishap in chosen(())] == list(CATALOGUE)
     assert chosen(("kill all",)) == (CATALOGUE["kill all"],)
     assert {mishap.group for mishap in chosen(("Machine",))} == {"Machine"}
-    with pytest.raises(ConfigurationError, match="no mishap 'kil all'; did you mean kill all"):
+    with pytest.raises(ConfigurationError, match="no fault case 'kil all'; did you mean kill all"):
         chosen(("kil all",))
     assert chosen_ways("fused, processes") == ["fused", "processes"]
     with pytest.raises(ConfigurationError, match="no way 'fusd'; did you mean fused"):

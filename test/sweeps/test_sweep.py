@@ -227,7 +227,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     kept = journal.read_bytes()
     assert not path.exists() and 20 <= sum(len(json.loads(line)["rows"]) for line in kept.splitlines()[1:]) < 40
     journal.write_bytes(kept[:-7])  # killed while it wrote
-    with pytest.raises(ConfigurationError, match="contains another sweep, seed: 1 there, 2 asked"):
+    with pytest.raises(ConfigurationError, match="contains another sweep, with seed 1 instead of 2"):
         sweep(*asked(runs=40, seed=2), path, workers=1)
     cut_short(*asked(runs=40), path, after=30)
     assert all(map(json.loads, journal.read_text().splitlines()))
@@ -347,7 +347,10 @@ def test_effects_after_morris_are_the_slopes():
         (["--vary", f"{GAIN}=±5%", "--vary", f"{GAIN}=±2%"], "is given twice"),
         (["--vary", "reference_generator.waveform.steps.values=1um"], "is an array"),
         ([], "no varied parameter"),
-        (["--vary", f"{GAIN}=1e-7:2e-7:lin9", "--vary", "plant_simulator=±1%", "--runs", "5"], "levels are 9"),
+        (
+            ["--vary", f"{GAIN}=1e-7:2e-7:lin9", "--vary", "plant_simulator=±1%", "--runs", "5"],
+            "there are 9 combinations",
+        ),
         (["--vary", f"{GAIN}=±5%", "--bound", "rms_error_m=1V"], "is in V"),
         (["--vary", f"{GAIN}=±5%", "--runs", "3", "--sensitivity", "sobol"], "needs at least"),
         (["--vary", f"{GAIN}=±5%", "-o", "g.npz"], "one file"),
@@ -366,7 +369,7 @@ def test_results_of_another_sweep_are_left_alone(config, tmp_path):
     assert run_command(*words).exit_code == 0
     kept = (tmp_path / "f.npz").read_bytes()
     for other, named in (
-        (["--seed", "2"], "seed: 1 there, 2 asked"),
+        (["--seed", "2"], "with seed 1 instead of 2"),
         (["--metric", "iae_m_s"], "metrics"),
         (["--duration", "1"], "configuration"),
     ):
@@ -404,7 +407,7 @@ def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
     journal = tmp_path / f"f.npz{SUFFIX}"
     resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 300, before[1]))
     try:
-        with pytest.raises(ConfigurationError, match="cannot be written.*kept"):
+        with pytest.raises(ConfigurationError, match="cannot be written.*stored"):
             sweep(*asked(runs=40), path, workers=1)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -105,7 +105,7 @@ class Channel:
         self.volts, self.offset = scale * MILLIVOLT, self.number("offset") or 0.0
 
     def attribute(self, name: str) -> str | None:
-        """Return an attribute of the channel, or of all channels of its direction and kind; None when there is none.
+        """Return an attribute of the channel, or of all channels of its direction and kind; None if it does not exist.
 
         Only the first line is read: in a file outside sysfs, the rest of a longer number may follow a shorter one.
 
@@ -138,7 +138,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It is none.
+            It is not a number.
         """
         text = self.attribute(name)
         try:

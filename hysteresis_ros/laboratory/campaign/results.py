@@ -108,21 +108,19 @@ def _trace(values: dict) -> Trace:
     return replace(made, asked=(low, high), broken=tuple(made.broken), notes=tuple(made.notes))
 
 
-HEAD = """# What goes wrong, and what happens then
+HEAD = """# Fault cases and their outcome
 
-Written by `hysteresis faults`: real nodes in a ROS domain of their own, to which everything below was done, and what
-was seen of them. The same on your machine, with your axis, whose plant is simulated then:
-`hysteresis faults my_axis.yaml -o reliability.md`.
+Written by `hysteresis faults`: real nodes in a separate ROS domain, with the faults below. To run it on your machine
+with your axis, whose plant is then simulated: `hysteresis faults my_axis.yaml -o reliability.md`.
 
-In each of them {always}.
+Required of every case: {always}.
 
-A cell says whether all of that, and what stands in the second column, held in that way of running, and the worst
-figures: the voltages that the plant put out; the largest step of the voltage between two samples as a part of what the
-slew rate allows; how far the displacement went beyond the places between rest and what was asked for, as a part of the
-stroke, from 5 % on (allowed is a tenth, and what the slew rate makes of it while voltages are late and the plant does
-not trip yet); where the voltage must become safe, after which time it was; and how long after the end of the mishap the
-axis was where a new setpoint sends it, the time of that move included. Fused every sample is judged, from the
-recording; composed and as processes all that the plant published.
+A cell says whether this and the second column held in that way of running, with the worst figures: the output voltages
+of the plant; the largest step of the voltage between two samples over the allowed one; the displacement beyond the
+range between rest and setpoints, as a part of the stroke, from 5 % on (a tenth is allowed, plus the movement that the
+slew rate allows while voltages are late and the plant has not yet tripped); if the voltage must become safe, the time
+until it was; and the time from the end of the fault until the axis reached a new setpoint, including that move. Fused,
+every sample of the recording counts; composed and as processes, every message of the plant.
 """
 
 
@@ -190,7 +188,7 @@ def page(mishaps: Iterable[Mishap], ways: Sequence[str], results: Results) -> st
             columns = ["what is done", "what must happen", *ways]
             lines += [f"\n## {heading}\n", f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
         mine = [verdict for verdict in verdicts if verdict.trace.mishap == mishap.name]
-        cells = [f"**{mishap.name}**: {mishap.done}", mishap.claim or "what is said above"]
+        cells = [f"**{mishap.name}**: {mishap.done}", mishap.claim or "as above"]
         cells += [_cell(mishap, way, [one for one in mine if one.trace.way == way]) for way in ways]
         lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
     return "\n".join(lines) + "\n"

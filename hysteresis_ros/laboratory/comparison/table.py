@@ -137,7 +137,7 @@ def ranks(table: Table) -> list[str]:
 
 
 def all_cells(table: Table) -> list[list[str]]:
-    """Return the cells of all rows, the yardstick last."""
+    """Return the cells of all rows, the benchmark last."""
     found = [cells(table.tasks, rank, row) for rank, row in zip(ranks(table), table.rows, strict=True)]
     return [*found, cells(table.tasks, "PI", table.yardstick)]
 

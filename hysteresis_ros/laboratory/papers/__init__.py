@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Published experiments, repeated: one folder a paper, each claim beside what the package finds.
+"""Repetition of published experiments: one folder per paper, with each claim beside its reproduction.
 
-Read ``claims`` and ``runs``, then ``reproduction`` of a paper; its ``axis`` has what the paper prints.
+Read ``claims`` and ``runs``, then ``reproduction`` of a paper; its ``axis`` has the published values.
 """

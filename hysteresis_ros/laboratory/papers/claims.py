@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Claims of a paper beside what was found here: one row a claim, as a table, as JSON, and as a page with its plots."""
+"""Claims of a paper beside their reproduction, one row per claim: as a table, as JSON, and as a page with plots."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.recordings.loops import loop_opening
 
 _MICRO = 1e6
 _REFERENCE = "#222222"
-#: Colours of the runs in order: the first one, usually the worst, stays in the background.
+#: Colours of the runs in order; the first run, usually the worst, is in the background.
 _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 
 
@@ -51,7 +51,7 @@ def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
 
 
 def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of loops beside each other [µm]; each title says how far its loop is open."""
+    """Return the figure of loops side by side [µm], with their widths in the titles."""
     figure, axes = new_figure(4.4, len(loops))
     for axis, (label, (reference, displacement)), colour in zip(axes, loops.items(), _COLOURS[1:], strict=False):
         low, high = np.min(reference) * _MICRO, np.max(reference) * _MICRO
@@ -65,7 +65,7 @@ def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
 
 
 def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
-    """Return the figure of loops on top of each other [V, µm], one panel beside the other."""
+    """Return the figure of overlaid loops [V, µm], with panels side by side."""
     figure, axes = new_figure(4.4, len(panels))
     for axis, (title, loops) in zip(axes, panels.items(), strict=True):
         for number, ((label, (voltage, displacement)), colour) in enumerate(
@@ -80,7 +80,7 @@ def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
 
 
 def prediction_figure(run: Recording):
-    """Return the figure of a model beside the truth over time, and of its error [µm, s]."""
+    """Return the figure of a model and the truth over time, and of the error [µm, s]."""
     figure, (whole, error) = new_figure(3.6, 2)
     for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
         label = "truth" if name == "displacement" else "model"
@@ -113,7 +113,7 @@ def response_figure(frequency, measured, fitted):
 
 
 def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
-    """Return the figure of errors over time [µm, s], all of them and once more without the large ones."""
+    """Return the figure of errors over time [µm, s], first all of them, then without the large ones."""
     figure, axes = new_figure(3.6, 2 if smaller else 1)
     for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
         axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)
@@ -153,7 +153,7 @@ def history_figure(histories: dict[str, np.ndarray]):
 
 @dataclass(frozen=True)
 class ClaimsPage:
-    """What stands on a page of claims."""
+    """Content of a page of claims."""
 
     title: str  #: title, summary: Heading, and the result in one line.
     summary: str
@@ -166,12 +166,12 @@ class ClaimsPage:
 
 
 def write_claims_page(path, page: ClaimsPage, plots) -> None:
-    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it."""
+    """Write a self-contained page with a table of claims, plots, remarks and assumptions."""
     sources = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
     write_page(path, render_page("claims.html.j2", **vars(page), plots=sources))
 
 
-#: What people read instead of an SI unit: factor, unit, decimals.
+#: Displayed units by SI unit: factor, unit, decimals.
 SHOWN = {
     "m": (1e6, "µm", 4),
     "s": (1.0, "s", 4),
@@ -192,26 +192,26 @@ HEADINGS = ("row", "quantity", "paper", "here", "unit", "tolerance", "holds", "a
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what was found; SI units (``%`` stays per cent)."""
+    """One claim and its reproduction; SI units (``%`` stays per cent)."""
 
     id: str  #: Name of the row, unique in an experiment.
-    group: str  #: Heading under which the row stands.
-    quantity: str  #: What is measured, under which conditions.
-    measured: float  #: What was found.
+    group: str  #: Heading of the row.
+    quantity: str  #: Measured quantity, with its conditions.
+    measured: float  #: Reproduced value.
     unit: str  #: One of :data:`SHOWN`.
-    #: The paper's value, in words where it gives no number; None where it says nothing.
+    #: The paper's value, as text if it gives no number; None without a statement.
     paper: float | str | None = None
-    low: float | None = None  #: low, high: Inclusive range in which the claim holds; both None: a row for information.
+    low: float | None = None  #: low, high: Inclusive range of the claim; both None: a row for information.
     high: float | None = None
-    #: The value beside ``paper`` was worked out for the assumed plant; the paper itself does not print it.
+    #: Whether ``paper`` was computed for the assumed plant instead of published.
     derived: bool = False
-    assumptions: tuple[str, ...] = ()  #: What the paper leaves open and was assumed, in sentences.
-    reason: str = ""  #: Why the row comes out as it does, where that needs saying.
-    #: The cases of which ``measured`` is the worst, where there are several.
+    assumptions: tuple[str, ...] = ()  #: Sentences about assumptions where the paper is incomplete.
+    reason: str = ""  #: Reason for the result, if needed.
+    #: The cases whose worst value is ``measured``, if there are several.
     details: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
-        """Refuse what no table and no JSON can hold."""
+        """Refuse values that neither a table nor JSON can represent."""
         if self.unit not in SHOWN:
             raise ParameterError([Problem(f"{self.id}: unit", self.unit, f"must be one of {', '.join(SHOWN)}")])
         if not math.isfinite(self.measured):
@@ -228,7 +228,7 @@ class Claim:
 
     @property
     def tolerance(self) -> str:
-        """The tolerance in words, in the unit shown; empty for a row for information."""
+        """The tolerance as text, in the displayed unit; empty for a row for information."""
         if self.low is None:
             return "" if self.high is None else f"≤ {self._bound(self.high)}"
         if self.high is None:
@@ -239,7 +239,7 @@ class Claim:
         return f"{value * SHOWN[self.unit][0]:.5g}"
 
     def to_json(self) -> dict:
-        """Return everything JSON can hold; numbers in SI units, ``tolerance`` in words and as ``low`` and ``high``."""
+        """Return the row as JSON data; numbers in SI units, ``tolerance`` as text and as ``low`` and ``high``."""
         return {
             "id": self.id,
             "group": self.group,
@@ -258,7 +258,7 @@ class Claim:
         }
 
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of the row up to ``holds``, in units for people."""
+        """Return the cells of the row up to ``holds``, in displayed units."""
         factor, unit, decimals = SHOWN[self.unit]
         paper = "–"
         if isinstance(self.paper, str):
@@ -284,9 +284,9 @@ class Reproduction:
     claims : tuple of Claim
         All rows, in order; rows of one group follow each other.
     runs : dict of str to Recording
-        Runs that the plots show.
+        Runs for the plots.
     configuration : str
-        Text of the configuration the runs rest on.
+        Text of the configuration of the runs.
     """
 
     name: str
@@ -316,7 +316,7 @@ class Reproduction:
         return (*claim.cells(), " ".join(numbers))
 
     def remarks(self) -> list[str]:
-        """Return the reasons of rows, rows of the same reason together."""
+        """Return the reasons, each with all its rows."""
         found: dict[str, list[str]] = {}
         for claim in self.claims:
             if claim.reason:
@@ -324,18 +324,18 @@ class Reproduction:
         return [f"{', '.join(rows)}: {reason}" for reason, rows in found.items()]
 
     def summary(self) -> str:
-        """Return in one line how many claims hold."""
+        """Return one line with the number of claims that hold."""
         judged = [claim for claim in self.claims if claim.holds is not None]
         failed = [claim.id for claim in judged if not claim.holds]
         text = f"{len(judged) - len(failed)} of {len(judged)} rows hold"
         return f"{text}; not: {', '.join(failed)}" if failed else text
 
     def to_json(self) -> dict:
-        """Return the whole as JSON holds it; the rows are the list under ``claims``."""
+        """Return the reproduction as JSON data; the rows are the list under ``claims``."""
         return {"experiment": self.name, "title": self.title, "claims": [claim.to_json() for claim in self.claims]}
 
     def page(self) -> ClaimsPage:
-        """Return what stands on the HTML page, but for the plots."""
+        """Return the content of the HTML page without the plots."""
         groups: dict[str, list[tuple[Sequence[str], bool | None]]] = {
             name: [(self.cells(claim), claim.holds) for claim in claims] for name, claims in self.groups().items()
         }

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis reproduce``: a paper's experiments, each claim beside what is found here."""
+"""``hysteresis reproduce``: a paper's experiments, with each claim beside its reproduction."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
 def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str, jobs: int | None) -> None:
     """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
 
-    Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
-    -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    Rows that do not hold are part of the result and listed with their reason; they do not change the exit code. -o adds
+    a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
     from hysteresis_ros.laboratory.papers.claims import format_claims
 
     if output is not None:
         from hysteresis_ros.analysis.page import require_page
 
-        require_page(output)  # now and not after minutes
+        require_page(output)  # before minutes of work
     module = importlib.import_module(EXPERIMENTS[experiment])
     with contextlib.ExitStack() as stack:
         if way == "offline":
@@ -70,7 +70,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
 
 
 def _reproduce_through_nodes(module, jobs: int | None):
-    """Repeat the experiments in the nodes: simulated first to know all runs, which are then made side by side."""
+    """Repeat the experiments in the nodes: a simulation first collects all runs, which then run in parallel."""
     import os
 
     from hysteresis_ros.laboratory.papers.graph_runner import GraphRunner, describe

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The papers whose experiments are repeated, and where: each module has ``reproduce()`` and ``figures(found)``."""
+"""The repeated papers and their modules, each with ``reproduce()`` and ``figures(found)``."""
 
 from __future__ import annotations
 

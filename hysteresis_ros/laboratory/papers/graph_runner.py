@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs axes through their nodes in lockstep and gives what a simulation gives; imports no ROS itself."""
+"""Runs axes by their nodes in lockstep, with the same result as a simulation; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from hysteresis_ros.recordings.files import load_run
 
 
 class GraphRunner:
-    """Runs an axis composed, beside a recorder, in a ROS domain that nobody else uses.
+    """Runs an axis composed, with a recorder, in an isolated ROS domain.
 
-    A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis that has been run already is not run
-    again: lockstep repeats bit for bit.
+    A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis with an earlier run is not run again,
+    because lockstep repeats bit for bit.
     """
 
     def __init__(self, on_run: Callable[[int, int, AxisParameters], None] = lambda number, known, axis: None):
@@ -43,7 +43,7 @@ class GraphRunner:
         self._lock = threading.Lock()
 
     def prepare(self, axes: Iterable[AxisParameters], jobs: int) -> None:
-        """Run axes that will be asked for, several graphs side by side: most of a short run is starting processes."""
+        """Run axes in advance, several graphs in parallel, because starting processes takes most of a short run."""
         distinct = list({axis.configuration_text(): axis for axis in axes}.values())
         self._known = len(distinct)
         with ThreadPoolExecutor(jobs) as pool:
@@ -56,7 +56,7 @@ class GraphRunner:
                 raise
 
     def __call__(self, axis: AxisParameters) -> Recording:
-        """Run an axis, whose parameters say how long, from rest."""
+        """Run an axis from rest, for the length in its parameters."""
         text = axis.configuration_text()
         if text not in self._found:
             with self._lock:
@@ -82,7 +82,7 @@ class GraphRunner:
             return self._run_in(domain, axis, number)
 
     def _run_in(self, domain: Domain, axis: AxisParameters, number: int) -> Recording:
-        # a namespace of its own as well: another graph may enter the domain while this one runs
+        # also in a separate namespace, because another graph may enter the domain
         namespace = f"/reproduce_{os.getpid()}_{number}{axis.namespace}"
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
             bag = pathlib.Path(folder) / "bag"
@@ -97,7 +97,7 @@ class GraphRunner:
 
 
 def describe(axis: AxisParameters) -> str:
-    """Return in words what an axis does in a run."""
+    """Return a description of an axis' run."""
     generator = axis.reference_generator
     parts = (
         f"controller {axis.motion_controller.type}",
@@ -109,7 +109,7 @@ def describe(axis: AxisParameters) -> str:
 
 
 def _in_lockstep(axis: AxisParameters, namespace: str) -> AxisParameters:
-    """Return the axis so that its nodes run it once, in lockstep, and leave."""
+    """Return the axis with parameters for one run in lockstep, after which its nodes exit."""
     mode = dict(time_mode="lockstep", exit_at_end=True, autostart=True)
     there = {name: getattr(axis, name, None) for name in NODE_PARAMETERS}
     nodes = {name: replace(node, **mode) for name, node in there.items() if node is not None}

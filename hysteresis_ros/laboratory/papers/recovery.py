@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the identification procedures of the three papers give on simulated truth: the figures the documentation states.
+"""Results of the identification procedures of the three papers on simulated truth, as quoted in the documentation.
 
-Truths are never of the class that is fitted, but for paper B, where the parameters themselves have to come back.
+The truth is never of the fitted class, except for paper B, where the parameters themselves must be recovered.
 """
 
 from __future__ import annotations

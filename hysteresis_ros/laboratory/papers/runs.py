@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs of the experiments: who runs their axes, the triangles they identify from, and the figures they judge."""
+"""Runs of the experiments: the runner of the axes, triangles for identification, and figures of the runs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def triangles(peaks, samples: int = 250) -> np.ndarray:
     return np.concatenate([[0.0], *(peak * np.concatenate([rise, 1.0 - rise]) for peak in peaks)])
 
 
-#: Runs an axis, whose parameters say how long, from rest to a recording.
+#: Runs an axis from rest, for the length in its parameters, and returns a recording.
 Runner = Callable[[AxisParameters], Recording]
 
 _runner: contextvars.ContextVar[Runner] = contextvars.ContextVar("runner", default=simulate)
@@ -46,7 +46,7 @@ _runner: contextvars.ContextVar[Runner] = contextvars.ContextVar("runner", defau
 
 @contextlib.contextmanager
 def through(runner: Runner):
-    """Let ``runner`` run every axis of the experiments called inside."""
+    """Use ``runner`` for every axis of the experiments inside the context."""
     token = _runner.set(runner)
     try:
         yield
@@ -55,7 +55,7 @@ def through(runner: Runner):
 
 
 class Noting:
-    """A runner that simulates, and notes the axes it was asked for in :attr:`axes`."""
+    """A runner that simulates, and collects the axes in :attr:`axes`."""
 
     def __init__(self):
         self.axes: list[AxisParameters] = []
@@ -73,7 +73,7 @@ def run(configuration: Configuration, duration: float) -> Recording:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """What a run of steps between 0 and one level shows; the worst of its steps."""
+    """Figures of a run of steps between 0 and one level, of the worst step."""
 
     #: 2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
     settling: float
@@ -84,7 +84,7 @@ class StepFigures:
 
 
 def step_figures(run: Recording) -> StepFigures:
-    """Judge a run of steps by its true displacement less the preload's offset."""
+    """Evaluate a run of steps by its true displacement less the preload's offset."""
     displacement = run["displacement"] - axis_settings(run).offset
     reference = judged_reference(run)
     responses = step_responses(run.time, reference, displacement)
@@ -103,21 +103,21 @@ def step_figures(run: Recording) -> StepFigures:
 
 
 def loop_width(run: Recording) -> float:
-    """Return the largest opening of the loop displacement over reference, in % of the stroke of the reference.
+    """Return the largest width of the loop displacement over reference, in % of the stroke of the reference.
 
-    A reference of sample k first shows in the displacement of sample k + 1; the two are compared. With a preview the
-    delayed reference is, at the same sample.
+    The reference of sample k first acts on the displacement of sample k + 1, and these are compared. With a preview the
+    delayed reference is compared with the displacement of the same sample.
     """
     late = 0 if axis_settings(run).preview else 1
     reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
     opening = loop_opening(reference, displacement)
     if opening is None:
-        raise RecordingError("the reference of the run does not go to and fro: it has no loop")
+        raise RecordingError("the reference of the run does not reverse: it has no loop")
     return 100.0 * opening / float(np.ptp(reference))
 
 
 def picard_width(stack: PolynomialParameters, v_max: float, stroke: float, steps: int, rate_times_gain: float) -> float:
-    """Return the opening between the branches of one loop after Picard steps (eq. 16) that know nothing of the past.
+    """Return the width between the branches of one loop after Picard steps (eq. 16) without memory.
 
     Units: ``v_max`` [V], ``stroke`` [m].
     """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The axis of Auwal et al. 2017: what the paper prints, what is assumed, and the conditions of each experiment."""
+"""The axis of Auwal et al. 2017: published values, assumptions, and the conditions of each experiment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hysteresis_ros.models.linear import zero_order_hold
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import configured
 
-# What the paper prints.
+# Published values.
 G2 = ((7.4192,), (1.0, 3.2, 64.5151))  # µm/V
 TABLE_1 = {"m": 0.1348, "b": 0.4313, "K": 8.6957}  # V s²/µm, V s/µm, V/µm
 IDENTIFICATION = {"fit": 98.01, "mse": 0.008147, "fpe": 0.032820}  # %, µm², µm²
@@ -33,9 +33,9 @@ TUNING_ITERATIONS = 50
 IAE = {"none": 67.73e-6, "pid": 3.099e-6, "inverse": 1.478e-6}  # m s
 REDUCTION = {"pid": 95.42, "inverse": 97.82}  # %
 
-# What was worked out for the assumed experiment, see the assumptions below.
+# Computed for the assumed experiment, see the assumptions below.
 LIMITED_IAE = {"pid": 9.65e-6, "inverse": 8.09e-6}  # m s, 0 … 150 V
-#: Reduction of the inverse with a parameter of its model off by that part [%]: lowest, highest.
+#: Reduction by the inverse with a parameter of its model off by that part [%]: lowest, highest.
 OFF = {("d_e", 0.01): (92.0, 93.0), ("alpha", 0.05): (85.0, 87.0)}
 STROKE_150 = 17.19e-6  # m
 MISPRINTED = 93.9e-6  # m
@@ -56,7 +56,7 @@ CAMERA_NOISE = 50e-9  # m rms
 BITS = 16
 CREEP = 0.015  # a decade
 
-#: Ways of driving the axis: label of each.
+#: Labels of the ways of driving the axis.
 METHODS = {
     "none": "V = K ψ",
     "pid": "PID",
@@ -96,7 +96,7 @@ def at_rate(configuration: Configuration, rate: float) -> Configuration:
 
 
 def limited(configuration: Configuration, minimum: float, maximum: float, bits: int = 0) -> Configuration:
-    """Return the axis with these limits of the voltage [V] and converters of so many bits."""
+    """Return the axis with these limits of the voltage [V] and this resolution of the converters [bits]."""
     values = dict(limits__minimum=minimum, limits__maximum=maximum, limits__bits=bits)
     return configuration.override("plant_simulator", **values).override("hysteresis_compensator", **values)
 
@@ -107,7 +107,7 @@ def noisy(configuration: Configuration, noise: float) -> Configuration:
 
 
 def creeping(configuration: Configuration) -> Configuration:
-    """Return the axis whose plant creeps and whose compensator knows nothing of it."""
+    """Return the axis with creep in the plant but not in the compensator's model."""
     return configuration.override("plant_simulator", creep__type="logarithmic", creep__logarithmic__rate=CREEP)
 
 

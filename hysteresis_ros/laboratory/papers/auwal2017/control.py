@@ -36,23 +36,23 @@ from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording
 
 ASSUMED = (auwal.TRIANGLE, auwal.SAMPLED, auwal.CORRECTED, auwal.UNLIMITED)
-#: Assumptions that one way of driving adds.
+#: Additional assumptions of some ways of driving.
 FURTHER = {"none": (auwal.GAIN,), "pid": (auwal.FILTERED,), "combined": (auwal.FILTERED,)}
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """PID gains found by Nelder-Mead from the paper's initial guess."""
+    """PID gains by Nelder-Mead from the paper's initial guess."""
 
     trajectory: np.ndarray  #: shape (iterations + 1, 3); K_P, K_I and K_D after each iteration, model units.
     costs: np.ndarray  #: shape (iterations + 1,); IAE after each iteration [m s].
     published: float  #: IAE with the paper's gains [m s].
-    published_peak: float  #: published_peak, peak: Sensitivity peaks on G2 of the paper's gains and of those found.
+    published_peak: float  #: published_peak, peak: Sensitivity peaks on G2 with the paper's and with the tuned gains.
     peak: float
 
 
 def tune(configuration: Configuration, iterations: int = auwal.TUNING_ITERATIONS) -> Tuning:
-    """Tune the PID on the paper's triangle and the paper's plant, offline as the paper does."""
+    """Tune the PID on the paper's triangle and plant, offline as in the paper."""
     parameters = single_axis(auwal.driven(auwal.at_rate(configuration, auwal.SLOW_RATE), "pid"))
     control = part(parameters.motion_controller, ControllerParameters)
     axis = Axis(parameters)
@@ -138,7 +138,7 @@ def paper_runs(configuration: Configuration) -> dict[str, Recording]:
 
 
 def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
-    """Return the rows of the paper's table of integrals of the absolute error, and of what beats them."""
+    """Return the rows of the paper's table of integrals of the absolute error, and of better controllers."""
     group = "Hysteresis minimisation (section 5, last table)"
     found = {method: auwal.iae(run) for method, run in runs.items()}
     claims = []
@@ -203,7 +203,7 @@ BETTER = "the tolerance of the combination is the better of the paper's two unde
 
 
 def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, Recording]]:
-    """Return the rows of the paper's triangle within 0 … 150 V, and the runs that a plot shows."""
+    """Return the rows of the paper's triangle within 0 … 150 V, and the runs for a plot."""
     group = "Honest conditions: the paper's triangle within 0 … 150 V"
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.ALLOWED)
     runs = {method: auwal.run_triangle(auwal.driven(slow, method)) for method in ALL}
@@ -251,7 +251,7 @@ def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, R
 
 
 def unavoidable() -> float:
-    """Return the integral of the error [m s] where the reference is below what 0 V leaves on the way back."""
+    """Return the integral of the error [m s] while the returning reference is below the displacement at 0 V."""
     element = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME)
     rise = np.linspace(0.0, auwal.ALLOWED[1], 15001)
     peak = float(np.interp(auwal.HEIGHT, element.simulate(rise), rise))
@@ -261,7 +261,7 @@ def unavoidable() -> float:
 
 
 def mismatch_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of a compensator whose parameters are off."""
+    """Return the rows of a compensator with wrong parameters."""
     group = "Honest conditions: compensator's model off, the paper's triangle, no limits"
     slow = auwal.at_rate(configuration, auwal.SLOW_RATE)
     without = auwal.iae(auwal.run_triangle(auwal.driven(slow, "none")))
@@ -299,7 +299,7 @@ def mismatch_claims(configuration: Configuration) -> list[Claim]:
 
 
 def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, Recording]]:
-    """Return the rows of triangles of 0.1 Hz under one condition after the other, and the runs of all at once."""
+    """Return the rows of triangles of 0.1 Hz under each condition, and the runs under all conditions together."""
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.NEGATIVE)
     digital = auwal.noisy(auwal.limited(slow, *auwal.NEGATIVE, bits=auwal.BITS), auwal.NOISE)
     everything = auwal.creeping(digital)
@@ -331,11 +331,11 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
 
 
 def camera_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of an axis that sees no more than the paper's camera."""
+    """Return the rows of an axis with the paper's camera as its sensor."""
     group = "Honest conditions: the camera in the loop, the paper's triangle"
     axis = auwal.noisy(auwal.at_rate(configuration, auwal.FRAME_RATE), auwal.CAMERA_NOISE)
     axis = auwal.limited(axis, *auwal.NEGATIVE)
-    # the plant rings at 1.28 Hz: at this rate an integral alone is what stays stable with a margin
+    # the plant rings at 1.28 Hz: at this rate only an integral controller is stable with a margin
     calm = dict(pid__Kp=0.0, pid__Ki=auwal.TABLE_1["K"], pid__Kd=0.0)
     feedforward = auwal.driven(axis, "combined").override("motion_controller", **calm)
     runs = {"pid": auwal.driven(axis, "pid"), "inverse": auwal.driven(axis, "inverse"), "combined": feedforward}
@@ -353,16 +353,14 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
                 "1",
                 high=high,
                 assumptions=assumed,
-                reason="stable below 1: the gains bear the paper's camera only if a picture takes no time"
-                if frames
-                else "",
+                reason="stable below 1: the gains tolerate the paper's camera only without delay" if frames else "",
             )
         )
     return claims
 
 
 def pole_modulus(configuration: Configuration, delay: int = 0) -> float:
-    """Return the largest modulus of the poles of the paper's PID on the linear part, seen ``delay`` samples late."""
+    """Return the largest modulus of the poles of the paper's PID on the linear part with ``delay`` samples of delay."""
     axis = single_axis(auwal.driven(configuration, "none"))
     control = part(axis.motion_controller, ControllerParameters)
     dynamics = axis.plant_simulator.dynamics
@@ -439,7 +437,7 @@ def _ways(name: str, group: str, words: str, runs: dict[str, Recording], assumed
 
 
 def _judged(name: str, group: str, words: str, errors, assumed, reason: str = "") -> list[Claim]:
-    """Return the rows; what is better than the paper has to be below the better of the paper's two."""
+    """Return the rows; improved controllers must be below the better of the paper's two."""
     shown = {method: worst(list(values.values())) for method, values in errors.items()}
     better = min(shown["pid"], shown["inverse"])
     claims = []

@@ -39,7 +39,7 @@ from hysteresis_ros.laboratory.papers.runs import SAMPLE_TIME, triangles
 from hysteresis_ros.models.hysteresis.bouc_wen import ALPHA, BETA, GAMMA, BoucWenHysteresis, BoucWenParameters
 
 PUBLISHED_BOUC_WEN = BoucWenParameters(d_e=0.206e-6, alpha=8.09e-8, beta=3.80e-3, gamma=-5.40e-3)
-#: Numerator and denominator of G4 (B2), and the m, b, K that the paper reads off G2.
+#: Numerator and denominator of G4 (B2), and m, b, K of G2 in the paper.
 PUBLISHED_G4 = ((3400.0, 62060.0), (1.0, 572.5, 10120.0, 61670.0, 539200.0))
 PUBLISHED_MASS_SPRING_DAMPER = {"m": 0.1348, "b": 0.4313, "K": 8.6957}
 
@@ -50,7 +50,7 @@ class PaperB:
 
     model: BoucWenIdentification
     errors: dict[str, float]  #: Relative error of each parameter.
-    iterations: int  #: Of the simplex (the paper's: 262).
+    iterations: int  #: Iterations of the simplex (in the paper: 262).
 
 
 def paper_b(noise: float = 10e-9, seed: int = 0, peak: float = 150.0) -> PaperB:
@@ -64,7 +64,7 @@ def paper_b(noise: float = 10e-9, seed: int = 0, peak: float = 150.0) -> PaperB:
 
 
 def paper_b_reduction() -> dict[str, float]:
-    """Return by how much m, b and K of the reduced G4 differ from the paper's (B2), as parts of the paper's."""
+    """Return the relative differences of m, b and K of the reduced G4 from the paper's (B2)."""
     reduced = dominant_second_order(*PUBLISHED_G4)
     found = mass_spring_damper(reduced.numerator, reduced.denominator)
     values = {"m": found.mass, "b": found.damping, "K": found.stiffness}
@@ -72,9 +72,9 @@ def paper_b_reduction() -> dict[str, float]:
 
 
 SEED = 0
-#: Numbers of the fit of four poles and one zero.
+#: Number of parameters of the fit with four poles and one zero.
 FITTED = 6
-#: Largest part by which m, b, K and an identified Bouc-Wen parameter may be off.
+#: Largest relative error of m, b, K, and of an identified Bouc-Wen parameter.
 CLOSE = 0.005
 #: Steps of a branch of the misprinted equation.
 STEPS = 20000
@@ -82,7 +82,7 @@ STEPS = 20000
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The transfer function found from the synthetic recording, and what is left of it."""
+    """The transfer function identified from the synthetic recording, and its residual."""
 
     fit: TransferFunctionFit
     validation: Validation
@@ -284,7 +284,7 @@ def _stroke_claims(group: str) -> list[Claim]:
 
 
 def _loop_claims(group: str) -> list[Claim]:
-    """Return the rows of what the element does over cycles: as printed, its class, and where it goes."""
+    """Return the rows of the element over cycles: as printed, its class, and its drift."""
     cycles = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME).simulate(triangles([auwal.PEAK_VOLTAGE] * 5))
     lower = cycles[::250][::2]
     assumed = (auwal.CORRECTED,)

@@ -10,8 +10,8 @@
 """The experiments of Auwal et al. 2017 on the axis of ``config/auwal2017.yaml``, whose assumptions that file names.
 
 The transfer function and its validation (section 2), Bouc-Wen's model and its identification (section 3), PID and
-inverse multiplicative compensation (sections 4 and 5). Then the same within the limits of the stack, with a model that
-is off, with noise, creep, cycles, frequencies and the paper's camera, beside what does better than both.
+inverse multiplicative compensation (sections 4 and 5). Then the same within the limits of the stack, with a wrong
+model, noise, creep, cycles, frequencies and the paper's camera, compared with better controllers.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from hysteresis_ros.laboratory.papers.claims import (
 
 TITLE = "Auwal et al. 2017, d33 piezo stack: PID and inverse multiplicative compensation of Bouc-Wen hysteresis"
 
-# Runs that the plots show: the paper's, within 0 … 150 V, and with everything that is honest at once.
+# Runs in the plots: as in the paper, within 0 … 150 V, and with all honest conditions together.
 LIMITED, HONEST = "limited", "honest"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim."""
+    """Repeat the paper's experiments and check every claim."""
     configuration = load_configuration("auwal2017") if configuration is None else configuration
     runs = control.paper_runs(configuration)
     limited_claims, limited = honest.limit_claims(configuration)

@@ -27,7 +27,7 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 
-# What the abstract prints.
+# Published values in the abstract.
 INTEGRAL_BANDWIDTH, INTEGRAL_MARGIN = 15.0, 2.0  # Hz, dB: integral control
 BANDWIDTH, MARGIN = 490.0, 7.0  # Hz, dB: damping and tracking
 RESONANCE, LOWERED = 934.0, 140.0  # Hz, the second with more mass, gains as before
@@ -88,7 +88,7 @@ def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerPar
 
 
 def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Margins:
-    """Return the margins of a controller with the resonance elsewhere.
+    """Return the margins of a controller with the resonance at another frequency.
 
     Units: ``frequency`` [Hz].
     """
@@ -100,7 +100,7 @@ def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Ma
 
 
 def best_k(frequency: float = RESONANCE) -> float:
-    """Return the k [1/s] with which the resonance is damped most, by the roots of its characteristic polynomial.
+    """Return the k [1/s] with the largest damping of the resonance, by the roots of the characteristic polynomial.
 
     Units: ``frequency`` [Hz].
     """
@@ -116,7 +116,7 @@ def best_k(frequency: float = RESONANCE) -> float:
 
 
 def largest(good: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest gain up to which something is good."""
+    """Return the largest gain that satisfies a condition."""
     for _ in range(STEPS):
         middle = float(np.sqrt(low * high))
         try:
@@ -127,7 +127,7 @@ def largest(good: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def designed(configuration: Configuration) -> dict[str, ControllerParameters]:
-    """Return integral control with 2 dB, damping and tracking with 7 dB, and such that 140 Hz stay stable."""
+    """Return integral control with 2 dB, damping and tracking with 7 dB, and a variant stable down to 140 Hz."""
     return _designed(single_axis(configuration).motion_controller.model.dynamics)
 
 

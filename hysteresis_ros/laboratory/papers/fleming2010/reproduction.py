@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the abstract of Fleming, Aphale & Moheimani 2010 claims of integral resonant control, on an assumed scanner."""
+"""The claims in the abstract of Fleming, Aphale & Moheimani 2010 (integral resonant control), on an assumed scanner."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ STIFF = (
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat what the abstract claims and judge every claim."""
+    """Repeat the experiments of the abstract and check every claim."""
     configuration = load_configuration("fleming2010") if configuration is None else configuration
     designed = fleming.designed(configuration)
     runs = {name: _scan(configuration, designed[name]) for name in RUNS}

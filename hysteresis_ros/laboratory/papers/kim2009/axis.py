@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The axis of Kim, Kim & Park 2009: what the paper prints, what is assumed, and the conditions of each experiment."""
+"""The axis of Kim, Kim & Park 2009: published values, assumptions, and the conditions of each experiment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.laboratory.papers.runs import run
 from hysteresis_ros.recordings.dataset import Recording
 
-# What the paper prints, SI units.
+# Published values, SI units.
 STEP = 1.0  # V before the amplifier
 STEP_TIME = 0.4  # s
 UNCONTROLLED_PEAK = (3.7e-6, 3.8e-6)  # m, section 4.2 and figure 12
@@ -34,11 +34,11 @@ PRELOAD = 5.88  # N
 STIFFNESS = 0.41e6  # N/m
 PRELOAD_VOLTAGE = 20.0  # V at the stack
 
-# What was worked out for the assumed plant.
+# Computed for the assumed plant.
 POLES = (-0.700, -0.122, 0.930)
 NOISE_RATIO = 0.685  # q/r
 DC_GAIN = 2.05e-6  # m per V before the amplifier
-#: Opening of the branches to 120 V after Picard steps, % of the stroke: R g → steps → width.
+#: Loop width of the branches to 120 V after Picard steps, % of the stroke: R g → steps → width.
 WIDTHS = {1.0: {0: 15.0, 1: 8.2, 3: 1.7, 6: 0.26}, 1.12: {1: 9.3, 3: 1.8, 6: 0.10}}
 
 # Assumed here; the amplifier's gain is that of config/kim2009.yaml.
@@ -82,7 +82,7 @@ def real(configuration: Configuration, mismatch: float) -> Configuration:
 
 
 def real_opening(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis of :func:`real` with only the opening of the compensator's loop off by ``mismatch``."""
+    """Return the axis of :func:`real` with only the width of the compensator's loop off by ``mismatch``."""
     model = configuration.node("hysteresis_compensator")
     changed = {}
     for branch in ("rising", "falling"):
@@ -164,5 +164,5 @@ def off_both_ways(change, configuration: Configuration, mismatch: float = MISMAT
 
 
 def both_ways(values, mismatch: float = MISMATCH) -> dict[str, float]:
-    """Name the two values that :func:`off_both_ways` leads to."""
+    """Return the two values of :func:`off_both_ways` by name."""
     return {f"{sign}{100.0 * mismatch:g} %": value for sign, value in zip("−+", values, strict=True)}

@@ -63,7 +63,7 @@ def stack_truth(opening: float = 0.15, stroke: float = 12.45e-6, fading: float =
 
 @dataclass(frozen=True)
 class PaperK:
-    """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a decreasing triangle it has not seen."""
+    """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a held-out decreasing triangle."""
 
     model: PolynomialIdentification
     #: stroke, maximum, rms: Of the decreasing triangle: its range, largest and rms error [m]; the paper's largest
@@ -72,7 +72,7 @@ class PaperK:
     maximum: float
     rms: float
     preload_curve: PreloadIdentification  #: W(L0) from noisy points 0 … 6 N.
-    preload: float  #: What a recording under 5.88 N gives [N].
+    preload: float  #: Preload from a recording under 5.88 N [N].
     #: voltage, truth, predicted: shape (N,); The decreasing triangle [V], the stack's displacement and the model's
     #: [m], at ``SAMPLE_TIME``.
     voltage: np.ndarray
@@ -124,7 +124,7 @@ def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -
     u = random.standard_normal(samples)
     y = LinearDynamics(LinearParameters(**structure, output_scale=1e-6), 1.0 / rate).simulate(u)
     y += noise * y.std() * random.standard_normal(samples)
-    # a block answers at the end of its sample: u[k] shows in y[k] and not in the sample after
+    # a block responds at the end of its sample: u[k] affects y[k], not only the next sample
     response = welch_response(u[1:], y[:-1], 1.0 / rate, segment=8192).band(135.0, 1135.0)
     fit = identify_matrix_fraction(response)
     mode = fit.model.modes[0]
@@ -139,7 +139,7 @@ BAND = (135, 1135)  # Hz: 1 kHz around the resonance
 # Assumed here.
 EXCITATION = 0.1e-6  # m, peak of the multisine
 WORKING_POINT = 4.0e-6  # m
-PERIODS, SETTLING = 8, 2  # of 1 s; those left out until the vibration of the start is gone
+PERIODS, SETTLING = 8, 2  # of 1 s; the second are skipped until the initial vibration has decayed
 
 LOOPS = (
     "truth for K2: Prandtl-Ishlinskii stack of 40 plays, opening 15 % of 12.45 µm; not the polynomial that is fitted; "
@@ -163,7 +163,7 @@ def run_excitation(configuration: Configuration) -> Recording:
 
 
 def structure(excited: Recording) -> tuple[FrequencyResponse, MatrixFractionFit]:
-    """Return the frequency response of a run of :func:`run_excitation` and what is fitted to it (K4)."""
+    """Return the frequency response of a run of :func:`run_excitation`, and its fit (K4)."""
     period = round(1.0 / excited.sample_time)
     u, y = (excited[name][SETTLING * period :] for name in ("command", "measured"))
     units = dict(input_unit="m", output_unit="m")

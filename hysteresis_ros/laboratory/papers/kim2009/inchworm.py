@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of the inchworm axis: moves there and back, spread of the step length, speed, and random sequences.
+"""Figures of the inchworm axis: moves in both directions, spread of the step length, speed, and random sequences.
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.inchworm`` prints them all; ``--moves``, ``--plants`` and
 ``--sequences`` say how many.
@@ -61,14 +61,14 @@ def inchworm(configuration: Configuration | None = None, plant=None, sequencer=N
 
 @dataclass(frozen=True)
 class Move:
-    """What came of one setpoint."""
+    """Result of one setpoint."""
 
     setpoint: float  #: [m].
     error: float  #: RMS of displacement less setpoint over the last part of the move [m].
     overshoot: float  #: Largest displacement beyond the setpoint in the direction of the move [m].
-    duration: float  #: Time until the sequencer says it has arrived, to the next eighth of a second [s].
+    duration: float  #: Time until the sequencer reports arrival, to the next eighth of a second [s].
     steps: int  #: Steps made.
-    arrived: bool  #: False when it did not arrive in time, or with an error.
+    arrived: bool  #: False without arrival in time, or with an error.
 
 
 def sequencer_of(axis: Axis) -> InchwormSequencer:
@@ -79,7 +79,7 @@ def sequencer_of(axis: Axis) -> InchwormSequencer:
 
 
 def _place(axis: Axis) -> float:
-    """Return where the slider of a motor is [m]."""
+    """Return the position of a motor's slider [m]."""
     if not isinstance(axis.plant, MotorPlant):
         raise TypeError(f"{type(axis.plant).__name__}: no inchworm motor")
     return axis.plant.motor.displacement
@@ -102,7 +102,7 @@ def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0)
 
 
 def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
-    """Move an extender that is not what the models say; errors are of 50 ms, from 50 ms after the arrival on.
+    """Move an extender that differs from its models; errors are over 50 ms, from 50 ms after the arrival on.
 
     Units: ``setpoints`` [m].
     """
@@ -147,19 +147,19 @@ def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = 
         if made.size:
             first = made[0]
             errors.append(table["step_commanded"][first] - (table["displacement"][first] - start))
-        axis.run(np.full(4 * wait, setpoint))  # further steps that it may take
+        axis.run(np.full(4 * wait, setpoint))  # time for further steps
     return np.array(errors)
 
 
 @dataclass(frozen=True)
 class Sequences:
-    """What came of random sequences."""
+    """Result of random sequences."""
 
     count: int  #: How many.
     both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
     least_force: float  #: Least over all samples of the larger normal force of the two clamps [N].
     beyond_limits: int  #: Samples at which a voltage was outside of its limits.
-    #: Largest motion beyond what a sequence asked for: start, targets, and the distance of its walking [m].
+    #: Largest motion beyond the requests of a sequence: start, targets, and the distance of its walking [m].
     farthest: float
     unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.
     slowest_stop: float  #: Longest time from a stop to both clamps above the threshold voltage [s].
@@ -185,7 +185,7 @@ def random_inputs(random, samples: int, rate: float):
 
 
 def walking_distance(speeds, before: float, rate: float) -> tuple[float, float]:
-    """Return how far continuous walking may lead backward and forward [m], as two distances.
+    """Return the largest backward and forward distances of continuous walking [m].
 
     Units: ``speeds`` [m/s], ``before`` [m/s], ``rate`` [Hz].
     """
@@ -196,9 +196,9 @@ def walking_distance(speeds, before: float, rate: float) -> tuple[float, float]:
 
 
 def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Sequences:
-    """Run ``count`` random sequences of setpoints, stops, faults and reversals and look for what must never happen.
+    """Run ``count`` random sequences of setpoints, stops, faults and reversals, and count violations.
 
-    Every sequence goes on from where the one before left the motor; every tenth starts from rest.
+    Every sequence continues from the end of the previous one; every tenth starts from rest.
     """
     axis = inchworm(plant=plant)
     gait = sequencer_of(axis).parameters.gait

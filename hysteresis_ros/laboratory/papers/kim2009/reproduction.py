@@ -11,8 +11,8 @@
 
 The paper's section 4: an open-loop triangle with inverse hysteresis model (fig. 13), steps under sliding mode control
 without (fig. 15) and with the model (fig. 17); before them identification, the uncontrolled steps (fig. 12) and the
-preload (fig. 10). Then the same where the compensator does not know the plant so well, and with an estimated
-disturbance; at last one condition at a time, and other tasks.
+preload (fig. 10). Then the same with a less accurate compensator, and with an estimated disturbance; finally one
+condition at a time, and other tasks.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from hysteresis_ros.recordings.dataset import Recording
 
 TITLE = "Kim, Kim & Park 2009, inchworm with piezo stack: hysteresis compensation and sliding mode control"
 
-# Runs that the plots show.
+# Runs in the plots.
 STEP_RUNS = UNCONTROLLED, CONTROLLED, COMPENSATED = "uncontrolled", "sliding mode", "sliding mode and compensator"
 HONEST_RUNS = TRUSTING, ESTIMATING = "compensator off by 5 %", "the same, disturbance estimated"
 TRIANGLE_RUNS = TRIANGLE, STRAIGHT = "no inverse", "exact inverse"
@@ -98,7 +98,7 @@ def figures(found: Reproduction) -> list:
     honest = {name: found.runs[name] for name in HONEST_RUNS}
     # the first step leads up, the second one back to 0 V
     up, back = 0.5 * kim.STEP_TIME, 1.5 * kim.STEP_TIME
-    # a reference of sample k first shows at sample k + 1
+    # the reference of sample k first acts at sample k + 1
     loops = {name: (found.runs[name]["reference"][:-1], found.runs[name]["displacement"][1:]) for name in TRIANGLE_RUNS}
     response, fit = identification.structure(found.runs[EXCITED])
     fitted = fit.model.frequency_response(response.frequency)[:, 0, 0]
@@ -123,7 +123,7 @@ def figures(found: Reproduction) -> list:
 
 
 def _deviation(name: str, quantity: str, found, published, assumption: str) -> Claim:
-    """Return the row of numbers the paper prints, judged by the largest deviation."""
+    """Return the row of published numbers, checked by the largest deviation."""
     return Claim(
         f"model.{name}",
         MODEL_GROUP,
@@ -189,7 +189,7 @@ def _small_loop(configuration: Configuration) -> Recording:
 
 def _branches(run: Recording, part: float) -> tuple[np.ndarray, np.ndarray]:
     """Return voltage and displacement of a loop, less a ``part`` of the displacement at rest."""
-    # a voltage of sample k first shows at sample k + 1
+    # the voltage of sample k first acts at sample k + 1
     displacement = run["displacement"][1:]
     return run["voltage"][:-1], displacement - part * run["displacement"][0]
 

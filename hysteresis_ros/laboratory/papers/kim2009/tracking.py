@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Steps and triangles of Kim, Kim & Park 2009 (figures 12, 13, 15, 17), also where one thing at a time is not ideal."""
+"""Steps and triangles of Kim, Kim & Park 2009 (figures 12, 13, 15, 17), also with one non-ideal condition at a time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hysteresis_ros.models.hysteresis.polynomial import PolynomialParameters
 from hysteresis_ros.models.linear_algebra import rounded
 from hysteresis_ros.recordings.dataset import Recording
 
-#: What the rows "left at 0 V" and "error on the upper level" are judged by.
+#: Tolerances of the rows "left at 0 V" and "error on the upper level".
 REMOVED = dict(paper="removed", high=kim.GOOD_RESIDUAL)
 LEFT: dict[str, Any] = dict(paper=kim.RESIDUAL, low=0.8 * kim.RESIDUAL, high=1.2 * kim.RESIDUAL)
 EXACT = dict(high=kim.GOOD_RESIDUAL)
@@ -98,7 +98,7 @@ def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
 def _rows(
     prefix: str, group: str, figures: list[StepFigures], assumed, residual: dict, level: dict, slow=""
 ) -> list[Claim]:
-    """Return four rows: the worst of several runs, or those of a single one."""
+    """Return four rows, for the worst of several runs or for a single one."""
 
     def row(name, quantity, unit, *own, **more):
         values = [getattr(item, name) for item in figures]
@@ -129,7 +129,7 @@ def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]
 
 
 def honest_step_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of (c) and (d) with a compensator that is off, noise and converters."""
+    """Return the rows of (c) and (d) with a wrong compensator, noise and converters."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.REAL)
     axes = kim.off_both_ways(kim.real, configuration)
     alone = [step_figures(kim.run_steps(kim.uncompensated(axis))) for axis in axes]
@@ -180,7 +180,7 @@ def estimating_claims(configuration: Configuration) -> list[Claim]:
     return rows
 
 
-#: Opening of a closed loop, % of the stroke.
+#: Width of a loop that counts as closed, % of the stroke.
 CLOSED = dict(paper="closed", high=0.01)
 
 
@@ -221,7 +221,7 @@ def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
 
 
 def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
-    """Return the rows of the triangle through an axis whose plant is its hysteresis element alone.
+    """Return the rows of the triangle through an axis whose plant is only the hysteresis element.
 
     Units: ``stroke`` [m].
     """
@@ -293,7 +293,7 @@ def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: f
 
 
 def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[Claim]:
-    """Return the rows of the triangle with a compensator that does not know the plant so well, noise and converters.
+    """Return the rows of the triangle with a less accurate compensator, noise and converters.
 
     Units: ``stroke`` [m].
     """
@@ -342,13 +342,13 @@ OPENING = "opening of the compensator's loop off by +5 %, sensor noise 5 nm rms,
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing that is not ideal."""
+    """One non-ideal condition."""
 
     name: str  #: Middle of the rows' names.
     words: str
-    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes of which the worst is shown.
+    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes, of which the worst counts.
     assumed: tuple[str, ...] = (ALONE,)
-    mismatch: float = 0.0  #: By how much two axes are off both ways; 0: a single axis.
+    mismatch: float = 0.0  #: Deviation of two axes in both directions; 0: a single axis.
     reasons: tuple[tuple[str, str], ...] = ()  #: Row, and why it does not hold.
 
 
@@ -362,7 +362,7 @@ def _plant(**values) -> Callable[[Configuration], list[Configuration]]:
 
 
 def other_structure(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis whose plant has its resonance off by ``mismatch``; the controller does not know."""
+    """Return the axis whose plant has its resonance off by ``mismatch``, unknown to the controller."""
     A = np.array(configuration.node("plant_simulator")["dynamics.A"]).reshape(3, 3)
     poles, vectors = np.linalg.eig(A.astype(complex))
     moved = np.where(np.abs(poles.imag) > 0.0, np.exp((1.0 + mismatch) * np.log(poles)), poles)
@@ -388,7 +388,7 @@ _CREEP = dict(creep__type="logarithmic", creep__logarithmic__rate=CREEP_RATE)
 
 
 def _off_both_ways(mismatch: float) -> Callable[[Configuration], list[Configuration]]:
-    """Return the change of an axis to those with the resonance of the plant off by ``mismatch`` in both directions."""
+    """Return a function that gives the axes with the plant's resonance off by ``mismatch`` in both directions."""
     return lambda axis: kim.off_both_ways(other_structure, axis, mismatch)
 
 
@@ -548,7 +548,7 @@ def task_claims(configuration: Configuration, stroke: float) -> list[Claim]:
 
 
 def _triangle_claims(configuration: Configuration, stroke: float) -> list[Claim]:
-    """Return the rows of triangles with dynamics; for information, since the paper shows one frequency only."""
+    """Return the rows of triangles with dynamics, for information, because the paper has only one frequency."""
     axis = kim.real_opening(configuration, kim.MISMATCH)
 
     def row(name, words, height, frequency, cycles=2):

@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of continuous walking over the phase: how far from its path the slider is, before and after learning.
+"""Figures of continuous walking over the phase: deviation of the slider from its path before and after learning.
 
-``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor is not what the models say: its
-extender is drawn around the configured one, its voltages come a sample late, and it is simulated at four times the
-sample rate and judged by the true displacement there. What is learned at one speed is used at others.
+``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor differs from its models: its
+extender is drawn around the configured one, and its voltages come a sample late. It is simulated at four times the
+sample rate, and its errors are those of the true displacement there. The correction learned at one speed is used at
+others.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_walk import carried
 
-#: Instants at which the motor is simulated within a sample.
+#: Simulated points per sample.
 INSTANTS = 4
-#: Speed of learning [m/s], and at which parts of it the motor walks.
+#: Speed of learning [m/s], and walking speeds as parts of it.
 SPEED = 5.0e-5
 PARTS = (0.2, 0.5, 1.0, 2.0, 3.0)
-#: Cycles of which is learned, those before a judged part, and those that are judged.
+#: Numbers of learned cycles, of cycles before an evaluated part, and of evaluated cycles.
 LEARNED, SETTLED, JUDGED = 15, 1, 2
 #: The slider swings on the extender at 456 Hz; the extender itself lags by 2 ζ/ω.
 WALK = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
@@ -47,7 +48,7 @@ LAG = 1.5e-5
 
 
 def contacts(kick: float) -> dict[str, float]:
-    """Return the plant's parameters of contacts that give way by 20 nm/N and kick by ``kick`` [m/N]; 0: rigid ones."""
+    """Return the plant's parameters with contacts of compliance 20 nm/N and a kick of ``kick`` [m/N]; 0: rigid ones."""
     if not kick:
         return {}
     found = {"inchworm__slider__damping": 0.03, "inchworm__slider__substeps": 0}
@@ -57,7 +58,7 @@ def contacts(kick: float) -> dict[str, float]:
 
 
 def _finer(plant) -> InchwormPlantParameters:
-    """Return the plant's parameters for the shorter sample time: what is linear is continued between the samples."""
+    """Return the plant's parameters for the shorter sample time, with the linear dynamics continued between samples."""
     A = np.reshape(plant.dynamics.A, (2, 2))
     part = np.real(scipy.linalg.fractional_matrix_power(A, 1.0 / INSTANTS))
     B = (np.eye(2) - part) @ np.linalg.solve(np.eye(2) - A, np.asarray(plant.dynamics.B))
@@ -68,13 +69,13 @@ def _finer(plant) -> InchwormPlantParameters:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far the slider is from a constant speed while it is carried, and from standing while the extender returns."""
+    """Deviation of the slider from a constant speed."""
 
     #: RMS of path less slider over whole cycles [m]; the path has the speed that was asked for, and begins in each
     #: cycle where the slider stands.
     off_path: float
-    ripple: float  #: The same with the mean speed and place of the slider: what is left repeats with the cycle [m].
-    speed_error: float  #: Mean speed less that asked for, as a part of it.
+    ripple: float  #: The same against the mean speed and position of the slider, which leaves the periodic part [m].
+    speed_error: float  #: Relative error of the mean speed.
 
 
 class Walker:
@@ -96,7 +97,7 @@ class Walker:
         self._late = (0.0, 100.0, 100.0)
 
     def sample(self) -> np.ndarray:
-        """Make a sample; returns the true displacement at its instants [m]."""
+        """Run one sample; return the true displacement at its points [m]."""
         part, compensator = self.axis.controller, self.axis.compensator.compensator
         slider, extender = self.motor.measure()[:2]
         reference = self.sequencer.step(0.0, slider, extender)
@@ -128,7 +129,7 @@ class Walker:
         return between, found.ravel()
 
     def judge(self, speed: float) -> Deviation:
-        """Walk at ``speed`` [m/s] and judge some cycles."""
+        """Walk at ``speed`` [m/s] and evaluate some cycles."""
         self.walk(speed, SETTLED + 1)
         phase, slider = self.walk(speed, JUDGED + 2)
         p, walk = self.sequencer.p, self.sequencer.parameters.walk
@@ -147,7 +148,7 @@ class Walker:
         return Deviation(float(np.sqrt(np.mean(np.concatenate(off) ** 2))), float(np.std(ripple)), float(line[0] - 1.0))
 
     def learn(self, cycles: float = LEARNED) -> None:
-        """Learn at the speed of learning, and freeze."""
+        """Learn at the speed of learning, then freeze the correction."""
         self.walk(SPEED, 1.0)
         self.sequencer.request(at.LEARN_REQUEST)
         self.walk(SPEED, cycles)
@@ -156,7 +157,7 @@ class Walker:
 
 
 def compared(seed: int, parts=PARTS, cycles: float = LEARNED, **motor) -> dict[float, tuple[Deviation, Deviation]]:
-    """Return what a motor does before and after learning for some cycles, at parts of the speed of learning."""
+    """Return the results of a motor before and after learning for some cycles, at parts of the speed of learning."""
     walker = Walker(seed, **motor)
     for _ in range(100):
         walker.sample()
@@ -165,7 +166,7 @@ def compared(seed: int, parts=PARTS, cycles: float = LEARNED, **motor) -> dict[f
     return {part: (before[part], walker.judge(part * SPEED)) for part in parts}
 
 
-#: The motors whose figures are printed.
+#: The printed cases.
 CASES: dict[str, dict[str, Any]] = {
     "rigid contacts": {},
     "kick of 1 nm/N": {"kick": 1.0e-9},
@@ -176,7 +177,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def main(arguments=None) -> None:
-    """Print the figures: at each speed of the motor that gains least and of the one that gains most."""
+    """Print the figures at each speed, for the motors with the smallest and with the largest improvement."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plants", type=int, default=5, help="how many motors are drawn")
     parser.add_argument("--case", choices=CASES, help="only this one")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The axis of Wang, Alici & Tan 2014: what the paper prints, what is assumed, and the conditions of each experiment."""
+"""The axis of Wang, Alici & Tan 2014: published values, assumptions, and the conditions of each experiment."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.laboratory.papers.runs import run
 from hysteresis_ros.recordings.dataset import Recording
 
-# What the paper prints.
+# Published values.
 VOLTAGE = 1.0  # V, amplitude of the sines
 FREQUENCIES = {"0.5π": 0.25, "π": 0.5, "2π": 1.0}  # rad/s → Hz
 PUBLISHED_ALPHA = 80.0
 REDUCTION = 50.0  # %, of the tracking RMS, at least
 LARGEST_ERROR = 5.0  # % of the amplitude, "about"
 
-# What was worked out for a Prandtl-Ishlinskii truth whose numbers were not written down.
+# Computed for a Prandtl-Ishlinskii truth whose parameters were not recorded.
 DECAYING_ERRORS = {1.0: 1.04, 3.0: 0.46, 10.0: 2.19, 80.0: 3.74}  # α → RMS, % of peak-to-peak
 WRONG_SIGN = (0.06, 0.12)  # RMS, of ±1
 CLOSED_FORM = 1e-5
@@ -35,10 +35,10 @@ AMPLITUDE = 0.75e-3  # m, of the references: ±1 V reaches it at all three frequ
 NOISE = 1e-6  # m rms
 WIDE = 10.0  # V, limits of the axis without limits
 CREEP = 0.01  # a decade
-#: Displacement that stands for a volt while a voltage is played [m/V].
+#: Displacement that represents a volt while a voltage is played [m/V].
 SCALE = 0.75e-3
 RECORDED_CYCLES = {0.25: 3, 0.5: 3, 1.0: 4}
-#: Cycles of each run; the first one, from rest, is not judged.
+#: Cycles of each run; the first one, from rest, does not count.
 CYCLES = {0.25: 2, 0.5: 2, 1.0: 4}
 
 #: Controllers in the order of the rows: configuration and words.
@@ -65,13 +65,13 @@ SOFTENED = "“much smaller” taken as at least 50 % lower"
 
 
 def controllers(configuration: Configuration | None = None) -> dict[str, Configuration]:
-    """Return the axis with each of the controllers that are compared, by name."""
+    """Return the axis with each of the compared controllers, by name."""
     found = {name: load_configuration(path) for name, path in CONFIGURATIONS.items()}
     return found if configuration is None else {**found, BETTER: configuration}
 
 
 def ideal(configuration: Configuration) -> Configuration:
-    """Return the axis without noise, quantisation and limits that matter."""
+    """Return the axis without noise, quantisation and effective limits."""
     open_wide = dict(limits__minimum=-WIDE, limits__maximum=WIDE, limits__bits=0)
     clean = configuration.override("plant_simulator", sensor__noise=0.0, **open_wide)
     return clean.override("hysteresis_compensator", **open_wide)
@@ -120,7 +120,7 @@ def creeping(configuration: Configuration) -> Configuration:
 
 
 def stronger_plant(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis whose plant moves by ``1 + mismatch`` times as much as the one that was identified."""
+    """Return the axis with the gain of the plant multiplied by ``1 + mismatch`` after the identification."""
     names = ("weights", "thresholds")
     values = configuration.node("plant_simulator")
     scaled = {
@@ -133,7 +133,7 @@ def stronger_plant(configuration: Configuration, mismatch: float) -> Configurati
 
 
 def wider_plant(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis whose plant's loops are wider by ``1 + mismatch``: the plays behind the first weigh more."""
+    """Return the axis with loops of the plant wider by ``1 + mismatch``, by larger weights of all later plays."""
     weights = configuration.node("plant_simulator")["hysteresis.prandtl_ishlinskii.weights"]
     wider = [weights[0], *((1.0 + mismatch) * value for value in weights[1:])]
     return configuration.override("plant_simulator", hysteresis__prandtl_ishlinskii__weights=wider)
@@ -151,9 +151,9 @@ def run_sine(configuration: Configuration, frequency: float, amplitude: float, c
 
 
 def delayed_reference(configuration: Configuration, recording: Recording) -> np.ndarray:
-    """Return the reference that the displacement is judged by, shape (N,) [m]: the received one, ``preview`` later.
+    """Return the reference for the error, shape (N,) [m]: the received one, ``preview`` later.
 
-    The preview is that of ``configuration``: cheaper than reading the text of it in every recording.
+    The preview comes from ``configuration``, which is faster than reading its text from every recording.
     """
     preview = int(configuration.node("motion_controller").get("feedforward.preview", 0))
     return delayed(recording["reference"], preview)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tracking of the axis of Wang, Alici & Tan 2014: linear inverse beside hysteresis inverses, then honest conditions."""
+"""Tracking of the axis of Wang, Alici & Tan 2014: linear and hysteresis inverses, then honest conditions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HONEST = "π"  # rad/s of the honest rows, unless they say otherwise
 MISMATCHES = (0.01, 0.05)
 MISMATCHED_CYCLES = 1.5
 MANY_CYCLES = 10
-#: Frequency [Hz] → cycles; the first quarter of a cycle is not judged up to 0.1 Hz, above the first cycle.
+#: Frequency [Hz] → cycles; up to 0.1 Hz the first quarter of a cycle does not count, above the first cycle.
 SWEEP = {0.02: 0.75, 0.1: 0.75, 2.0: 4.0, 5.0: 8.0, 10.0: 15.0}
 CREEPING_CYCLES = 4
 #: Feedback beside the feedforward: crossover about 5 Hz, the zero of the PID on the first pole.
@@ -50,11 +50,11 @@ FED_BACK = "PID: K_p 0.5, K_i 30 /s; sliding mode: Φ 0.7, rejection pole 0.5, d
 class Figures:
     """Errors of one run, in % of the amplitude of its reference.
 
-    Units: ``frequency`` [Hz], ``amplitude`` [Hz], ``start`` [s].
+    Units: ``frequency`` [Hz], ``amplitude`` [m], ``start`` [s].
     """
 
     def __init__(self, configuration, recording: Recording, frequency, amplitude, start=None):
-        """Judge the run; ``harmonics`` is the rms over its last cycle of all but the fundamental."""
+        """Evaluate the run; ``harmonics`` is the rms over its last cycle of all but the fundamental."""
         error = wang.tracking_error(configuration, recording, 1.0 / frequency if start is None else start)
         self.rms = 100.0 * wang.rms(error) / amplitude
         self.maximum = 100.0 * float(np.max(np.abs(error))) / amplitude
@@ -138,7 +138,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
 
 
 def _expected_reduction(paper: bool, full: bool) -> dict:
-    """Return what is expected of a reduction: the paper's model is worse than the linear one inside its loop."""
+    """Return the expected range of a reduction: inside its loop the paper's model is worse than the linear one."""
     if paper and not full:
         reason = "the model with α = 80 jumps to the branches of the one loop it was made of; inside it is wrong"
         return dict(paper="worse", derived=True, high=0.0, reason=reason)
@@ -161,7 +161,7 @@ def _honest_row(name, group, quantity, values, key, *more, reference=None) -> Cl
 
 
 def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of conditions that the paper leaves out, for every controller."""
+    """Return the rows of conditions that the paper does not consider, for every controller."""
     frequency = wang.FREQUENCIES[HONEST]
     rows = []
 
@@ -244,7 +244,7 @@ def sweep_claims(axes: dict[str, Configuration]) -> list[Claim]:
 
 
 def feedback_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of feedback and feedforward together, on plants that are off."""
+    """Return the rows of feedback and feedforward together, on plants that differ from the model."""
     frequency = wang.FREQUENCIES[HONEST]
     conditions = {
         "real": ("as identified", lambda axis: axis),

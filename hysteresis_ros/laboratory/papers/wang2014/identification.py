@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification of the axis of Wang, Alici & Tan 2014 from recordings of the truth, and the files that come of it.
+"""Identification of the axis of Wang, Alici & Tan 2014 from recordings of the truth, and the resulting files.
 
 ``python -m hysteresis_ros.laboratory.papers.wang2014.identification`` makes the recordings, identifies the four models
 and prints what it found; with ``-o DIR`` it writes ``wang2014.yaml`` (Prandtl-Ishlinskii), ``wang2014_duhem.yaml`` (α
-from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. Nothing is read from the
-parameters of the truth but what an experimenter knows: the range of the voltage and the sample time.
+from minor loops), ``wang2014_duhem80.yaml`` (the paper's) and ``wang2014_linear.yaml`` there. Of the parameters of the
+truth only those that an experimenter knows are used: the range of the voltage and the sample time.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class PaperW:
     identified: DuhemIdentification  #: identified, published: With α from a decaying loop, and with the paper's α = 80.
     published: DuhemIdentification
     inverse: DuhemIdentification  #: W4.
-    opening: float  #: Of the loop.
+    opening: float  #: Loop width.
     compensated: float  #: Largest error of the truth behind the inverse along the major loop.
     #: decaying, decaying_published: Rms error on decaying loops that were not used: with the identified α and with the
     #: paper's.
@@ -117,21 +117,21 @@ ZONES = 6
 DYNAMIC_VOLTAGE = 0.7  # V, of the sweep
 SWEEP = (0.3, 8.0, 15.0)  # Hz, Hz, s
 DECAYING = (0.3, 8)  # Hz, cycles
-#: Numbers of a model are written with so many digits.
+#: Digits of the written numbers of a model.
 DIGITS = 10
 
 
 @dataclass(frozen=True)
 class Models:
-    """What was identified."""
+    """Results of the identification."""
 
     published: DuhemHammerstein  #: Steps W1, W2, W3 and W5 with α = 80, from the three sines.
     inverse: DuhemParameters  #: W4: from the displacement of the hysteresis [m] to the voltage.
     minor: DuhemParameters  #: α from loops of decreasing amplitude.
     minor_alpha: float  #: Its α, for a normalised input.
-    minor_dynamics: LinearParameters  #: Behind it, from a sweep.
+    minor_dynamics: LinearParameters  #: Its linear part, from a sweep.
     plays: PrandtlIshlinskiiParameters  #: From loops of decreasing amplitude.
-    plays_dynamics: LinearParameters  #: Behind it, from a sweep.
+    plays_dynamics: LinearParameters  #: Its linear part, from a sweep.
 
 
 def record_decreasing(configuration: Configuration):
@@ -149,7 +149,7 @@ def record_sweep(configuration: Configuration):
 
 
 def identify_published(sines, sample_time: float) -> tuple[DuhemHammerstein, DuhemParameters]:
-    """Go through the paper's steps W1-W5 with α = 80.
+    """Execute the paper's steps W1-W5 with α = 80.
 
     Units: ``sample_time`` [s].
     """
@@ -178,7 +178,7 @@ def identify_minor(sines, decreasing, sweep, sample_time: float) -> tuple[DuhemP
     model = replace(found.hysteresis.parameters, input_start=0.0, output_start=0.0)
     passed = DuhemHysteresis(model, sample_time).simulate(sweep[0])
     dynamics, _ = _dynamics(passed, sweep[1], sample_time)
-    # the sweep does not reach the ends of the loop, so the gain comes from where the loop was measured
+    # the sweep does not reach the ends of the loop, so the gain comes from the measurement of the loop
     gain = 1.0 / float(abs(linear_response(dynamics, [min(wang.RECORDED_CYCLES)])[0]))
     model = replace(model, output_low=gain * model.output_low, output_high=gain * model.output_high)
     return model, found.hysteresis.alpha, dynamics
@@ -219,7 +219,7 @@ def identify(configuration: Configuration) -> Models:
 
 
 class _Watched(LoopOperator):
-    """Keeps the rms error of every network that is tried on the loop."""
+    """Stores the rms error of every network that is tried on the loop."""
 
     def __init__(self, loop: MajorLoop, alpha: float):
         super().__init__(loop.grid, alpha, loop.rising[0])
@@ -269,7 +269,7 @@ _LINEAR = ("A", "B", "C", "D", "output_scale", "input_scale", "sample_time")
 
 
 def files(models: Models, text: str) -> dict[str, str]:
-    """Return the texts of the four parameter files: that of ``wang2014`` with other models in their places."""
+    """Return the texts of the four parameter files: that of ``wang2014`` with replaced models."""
     published = models.published
     linear_gain = published.linear_only.model.dc_gain
     duhem80, dynamics80 = published.parameters
@@ -313,7 +313,7 @@ def files(models: Models, text: str) -> dict[str, str]:
 
 
 def replace_identified(text: str, mark: str, lines: str) -> str:
-    """Return the text of a file with other lines in one of its identified parts."""
+    """Return the text of a file with new lines in one of its identified parts."""
     begin, end = f"# identified: {mark}\n", f"# end: {mark}\n"
     before, rest = text.split(begin)
     inside, after = rest.split(end)

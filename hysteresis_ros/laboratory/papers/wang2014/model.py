@@ -48,7 +48,7 @@ VARIANTS = {
 
 
 class Element:
-    """The truth's hysteresis element alone: what a slow recording without noise would show."""
+    """The truth's hysteresis element alone, as in a slow recording without noise."""
 
     def __init__(self, configuration: Configuration):
         self.parameters = single_axis(configuration).plant_simulator.hysteresis
@@ -75,7 +75,7 @@ class Element:
 
 
 def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
-    """Return the rms error, of ±1, with which the Duhem equation runs along a loop by W3 and its misreadings."""
+    """Return the rms error (of ±1) of the Duhem equation along a loop, by W3 and by its misreadings."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     rising, falling = (CubicSpline(loop.grid, branch) for branch in (loop.rising, loop.falling))
@@ -94,7 +94,7 @@ def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
 
 
 def shape_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of W3: the functions f and g, and what α does to minor loops."""
+    """Return the rows of W3: the functions f and g, and the effect of α on minor loops."""
     element = Element(configuration)
     loop = element.loop()
     group = "W3: Duhem functions from the branches of the loop to ±1 V (equations 10-13)"
@@ -180,7 +180,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
 
 
 def _alone(element: Element, alpha: float) -> float:
-    """Return the rms error on the decaying cycles without the undamped one before, in parts of their peak-to-peak."""
+    """Return the rms error on the decaying cycles without the first undamped one, in parts of their peak-to-peak."""
     voltage = element.decaying[SAMPLES:]
     truth = element.displacement(voltage)
     error = (element.duhem(alpha).simulate(voltage) - truth)[SAMPLES // 4 :]
@@ -188,7 +188,7 @@ def _alone(element: Element, alpha: float) -> float:
 
 
 def _wrong_way(element: Element, alpha: float) -> float:
-    """Return how far the output falls while the input rises again from inside the loop [m]."""
+    """Return the fall of the output while the input rises again from inside the loop [m]."""
     down, up = REVERSALS
     model = element.duhem(alpha)
     model.simulate(element.cycle)
@@ -199,7 +199,7 @@ def _wrong_way(element: Element, alpha: float) -> float:
 
 
 def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
-    """Return the rows of W2: how well loops of three frequencies coincide, and what normalising hides."""
+    """Return the rows of W2: agreement of loops at three frequencies, and effects hidden by normalising."""
     group = "W2: preparation of the recordings (equations 7 and 8)"
     sample_time = 1.0 / axes[wang.PAPER].node("plant_simulator")["sample_rate"]
     openings = _openings(full, sample_time)
@@ -241,14 +241,14 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
 
 
 def _openings(records, sample_time) -> list[float]:
-    """Return the openings of prepared loops, % of peak-to-peak."""
+    """Return the widths of prepared loops, % of peak-to-peak."""
     prepared = prepare_loops(records, sample_time)
     pairs = zip(prepared.voltage, prepared.displacement, strict=True)
     return [100.0 * major_loop([voltage], [displacement]).opening for voltage, displacement in pairs]
 
 
 def predict(configuration: Configuration, voltage) -> np.ndarray:
-    """Return what a controller's models say about a voltage [m], shape (N,): hysteresis, then linear part, from rest.
+    """Return the prediction of a controller's models (hysteresis, linear part) for a voltage [m], shape (N,).
 
     Units: ``voltage`` [V].
     """
@@ -260,7 +260,7 @@ def predict(configuration: Configuration, voltage) -> np.ndarray:
 
 
 def hysteresis_output(configuration: Configuration, voltage) -> np.ndarray:
-    """Return what a compensator's model of the hysteresis makes of a voltage [m], shape (N,), from rest.
+    """Return the output of a compensator's hysteresis model for a voltage [m], shape (N,), from rest.
 
     Units: ``voltage`` [V].
     """
@@ -299,7 +299,7 @@ def model_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
 
 
 def _model_row(prefix, group, frequency, key, error, linear) -> Claim:
-    """Return the row of a model's error [% of the amplitude], beside the rms of the linear one's."""
+    """Return the row of a model's error [% of the amplitude], with the rms of the linear model."""
     judged = key == wang.PAPER and prefix.endswith("full") or key == wang.BETTER
     assumed: tuple[str, ...] = (wang.TRUTH, wang.DYNAMICS, wang.RECORDED)
     if key == wang.BETTER:

@@ -12,8 +12,8 @@
 The truth is a modified Prandtl-Ishlinskii element with a second-order linear part, never the Duhem model that the paper
 identifies. Four controllers are compared in every row: the paper's linear inverse, its inverse Duhem model with α = 80,
 a Duhem model whose α comes from minor loops, and a Prandtl-Ishlinskii model. Their parameters are those of the files
-``config/wang2014*.yaml``, which :mod:`.wang2014_identification` makes of recordings; nothing is identified anew here
-but the Duhem functions of the element alone (W3).
+``config/wang2014*.yaml``, which :mod:`.identification` derives from recordings; only the Duhem functions of the element
+alone are identified here (W3).
 """
 
 from __future__ import annotations
