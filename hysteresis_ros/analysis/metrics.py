@@ -15,6 +15,7 @@ The configuration in the recording decides which reference and limits apply (:cl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -227,22 +228,24 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     if settings.preview:
         late = f"errors are computed from the reference {settings.preview} samples later (feedforward.preview)"
         notes["recording"] = [*notes["recording"], late]
-    time, reference, displacement = (
-        recording.time,
-        judged_reference(recording, settings.preview),
-        recording[actual] - offset,
-    )
-    good = np.isfinite(reference) & np.isfinite(displacement)
+    tracked = _Tracked(recording.time, judged_reference(recording, settings.preview), recording[actual] - offset)
+    good = np.isfinite(tracked.reference) & np.isfinite(tracked.displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
     figures: dict = {name: None for name, *_ in FIGURES}
     off = stopped(recording)[good]
-    time, reference, displacement = time[good], reference[good], displacement[good]
+    time, reference, displacement = tracked = tracked.at(good)
     found = find_parts(reference, displacement, off)
-    figures["stroke_m"] = float(np.ptp(reference))
+    figures["stroke_m"] = stroke = float(np.ptp(reference))
     judged = np.flatnonzero(~off)
     if judged.size:
-        _judge(figures, found, time, reference, displacement, judged, recording, notes, good)
+        running = tracked.at(judged)
+        start = 0 if recording.metadata.get("excerpt") else scan_start(running.reference, running.displacement)
+        figures.update(_error_figures(running, start, stroke, notes))
+        figures.update(_step_figures(found, tracked, notes))
+        figures.update(_residual_figure(running, stroke, notes))
+        driven = recording["voltage"][good][judged] if recording.has("voltage") else None
+        figures.update(_loop_figures(running, driven, stroke, notes))
     else:
         notes |= {name: NOT_JUDGED[Kind.SHUTDOWN] for name, *_ in FIGURES if name in _JUDGED}
     if judged.size < off.size:
@@ -256,7 +259,6 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     figures = {name: _plain(value) for name, value in figures.items()} | {"notes": notes}
     if not parts:
         return figures
-    stroke = figures["stroke_m"]
     each = [
         dict(part=str(part.kind), from_s=float(time[part.start]), to_s=float(time[part.stop - 1]))
         | part_figures(part, time, reference, displacement, stroke)
@@ -273,21 +275,25 @@ _JUDGED = (
 )
 
 
-def _judge(figures, parts, time, reference, displacement, judged, recording, notes, good) -> None:
-    """Fill in errors, steps and loops, from the samples in which the axis was not stopped."""
-    voltage = recording["voltage"][good][judged] if recording.has("voltage") else None
-    inside = reference[judged], displacement[judged]
-    start = 0 if recording.metadata.get("excerpt") else scan_start(*inside)
-    stroke = figures["stroke_m"]
-    figures.update(_error_figures(time[judged], *inside, start, stroke, notes))
-    figures.update(_step_figures(parts, time, reference, displacement, notes))
-    zero = [hold for hold in find_holds(inside[0]) if abs(hold.level) <= 1e-9 * stroke]
-    zero = [hold for hold in zero if np.any(np.abs(inside[0][: hold.start]) > 1e-9 * stroke)]
-    if zero:
-        figures["residual_m"] = float(np.mean(inside[1][zero[-1].final]))
-    else:
+class _Tracked(NamedTuple):
+    """Reference and displacement of a run, shape (N,) [s], [m], [m]."""
+
+    time: np.ndarray
+    reference: np.ndarray
+    displacement: np.ndarray
+
+    def at(self, which: np.ndarray | slice) -> _Tracked:
+        """Return the chosen samples."""
+        return _Tracked(*(values[which] for values in self))
+
+
+def _residual_figure(run: _Tracked, stroke: float, notes: dict) -> dict[str, float]:
+    zero = [hold for hold in find_holds(run.reference) if abs(hold.level) <= 1e-9 * stroke]
+    zero = [hold for hold in zero if np.any(np.abs(run.reference[: hold.start]) > 1e-9 * stroke)]
+    if not zero:
         notes["residual_m"] = "the reference does not return to zero and stay there"
-    figures.update(_loop_figures(*inside, voltage, stroke, notes))
+        return {}
+    return {"residual_m": float(np.mean(run.displacement[zero[-1].final]))}
 
 
 def actual_name(recording: Recording) -> str:
@@ -323,12 +329,12 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     return {"parts": [], **{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
 
-def _error_figures(time, reference, displacement, start, stroke, notes) -> dict:
+def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dict:
     if start:
-        text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
+        text = f"errors count from {run.time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
         notes["recording"] = [*notes["recording"], text]
-    error = (reference - displacement)[start:]
-    figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(time[start:], error)}
+    error = (run.reference - run.displacement)[start:]
+    figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(run.time[start:], error)}
     if stroke == 0.0:
         notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
     return figures
@@ -350,16 +356,16 @@ def error_figures(error, stroke: float) -> dict[str, float]:
 def absolute_integral(time, error) -> float:
     """Return the integral of the absolute error [m s], by trapezoids.
 
-    Units: ``time`` [s], ``error`` [s].
+    Units: ``time`` [s], ``error`` [m].
     """
     size = np.abs(error)
     return float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1])))
 
 
-def _step_figures(parts, time, reference, displacement, notes) -> dict:
+def _step_figures(parts, run: _Tracked, notes: dict) -> dict:
     """Return the worst figures of all steps."""
     inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
-    each = [step_figures(time[part], reference[part], displacement[part]) for part in inside]
+    each = [step_figures(*run.at(part)) for part in inside]
     each = [figures for figures in each if figures["steps"]]
     if not each:
         for name in ("overshoot_percent", "settling_time_s", "steady_state_error_m"):
@@ -374,15 +380,15 @@ def _step_figures(parts, time, reference, displacement, notes) -> dict:
     return found
 
 
-def _loop_figures(reference, displacement, voltage, stroke, notes) -> dict:
+def _loop_figures(run: _Tracked, voltage: np.ndarray | None, stroke: float, notes: dict) -> dict:
     figures: dict = {}
-    opening = loop_opening(reference, displacement)
+    opening = loop_opening(run.reference, run.displacement)
     if opening is None or stroke <= 0.0:
         why = "no loop: the reference does not rise and fall through at least ten levels"
         notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
         return figures
     figures["loop_width_percent"] = 100.0 * opening / stroke
-    opening = loop_opening(voltage, displacement) if voltage is not None else None
+    opening = loop_opening(voltage, run.displacement) if voltage is not None else None
     if opening is None:
         notes["voltage_loop_width_percent"] = "no reversing voltage in the recording"
     else:
@@ -397,7 +403,7 @@ def _signals(recording, good):
 def chattering_figures(time, reference, command, voltage, notes: dict | None = None) -> dict:
     """Return chattering of the command and effort of the voltage as :func:`compute_metrics` defines them.
 
-    Units: ``time`` [s], ``reference`` [s], ``command`` [m], ``voltage`` [m].
+    Units: ``time`` [s], ``reference`` [m], ``command`` [m], ``voltage`` [V].
     """
     figures: dict = {}
     missing = {} if notes is None else notes
