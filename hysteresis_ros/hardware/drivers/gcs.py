@@ -268,35 +268,11 @@ class GcsLink:
         return self._line(name).decode("latin-1").rstrip()
 
     def find(self, question: str, item: str) -> str | None:
-        """Return the value of an item, for instance ``2.5`` of item ``1`` from ``1=2.5``; None when it is refused.
-
-        Parameters
-        ----------
-        question : str
-        item : str
-            Text before the equals sign.
-
-        Raises
-        ------
-        DriverError
-            There is no answer, or it does not match the query.
-        """
+        """Return the value of an item, such as ``2.5`` of item ``1`` from ``1=2.5``; None when the query is refused."""
         return self._asked(question, item)[0]
 
     def value(self, question: str, item: str) -> str:
-        """Return the value of an item.
-
-        Parameters
-        ----------
-        question : str
-        item : str
-            Text before the equals sign.
-
-        Raises
-        ------
-        DriverError
-            It is refused, there is no answer, or it does not match the query.
-        """
+        """Return the value of an item; raise DriverError when the query is refused or the answer does not match it."""
         text, code = self._asked(question, item)
         if text is None:
             problem = f"does not answer '{question} {item}': {meaning(code)}"
@@ -319,19 +295,7 @@ class GcsLink:
         return right.strip()
 
     def number(self, question: str, item: str) -> float:
-        """Return the value of an item as a number.
-
-        Parameters
-        ----------
-        question : str
-        item : str
-            Text before the equals sign.
-
-        Raises
-        ------
-        DriverError
-            There is no number.
-        """
+        """Return the value of an item as a number; raise DriverError when it is not a number."""
         return self._real(f"{question} {item}", self.value(question, item))
 
     def _real(self, asked: str, text: str) -> float:
@@ -452,7 +416,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            It does not answer, or something else is wrong.
+            It does not answer, or reports another error.
         """
         self._put(STOP, f"#{ord(STOP)}")
         code = self.error()
