@@ -254,7 +254,7 @@ def bad(name):
         "short": (voltage[:30], y[:30], header, "too short"),
         "constant": (voltage, np.full(800, 1e-6), header, "constant"),
         "missing": (voltage, np.where(np.arange(800) % 100 < 8, np.nan, y), header, "missing"),
-        "single branch": (np.linspace(0.0, 100.0, 800), np.linspace(0.0, 1e-5, 800), header, "turns"),
+        "single branch": (np.linspace(0.0, 100.0, 800), np.linspace(0.0, 1e-5, 800), header, "reverses"),
         "without units": (voltage, y, "t_s,control_V,gauge", "has no unit"),
         "wrong way round": (voltage, -y, header, "--negate"),
         "two columns in V": (voltage, y, "t_s,left_V,right_V", "which column is the"),
