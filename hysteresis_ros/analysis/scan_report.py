@@ -206,7 +206,7 @@ def scan_figures(run: ScanRun) -> dict:
     turning = run.measured & (run.clock.line < 0)
     coupling = None
     if scan.slow_axis:
-        samples = np.diff(np.append(np.flatnonzero(_begins(run)), on.sum()))
+        samples = np.diff(np.append(np.flatnonzero(_begins(run)), on.sum())).astype(float)
         coupling = float(np.sqrt(np.average(lines.across**2, weights=samples)))
     difference = sides.trace - sides.retrace
     largest = float(np.max(run.size[on]))
