@@ -1,0 +1,340 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+
+"""Structure of several actuators: linear dynamics from all inputs to all outputs, hysteresis inside them.
+
+Of m inputs u [V], q outputs y [m] and n states x:
+
+    z_i = g_i u_i + C_z,i x,   w_i = Σ_j a_ij play_rj(z_i),   x⁺ = A x + B u + B_w w,   y = C x + D u.
+
+Each actuator i has its own hysteresis, driven by what acts on it: its voltage and, through C_z, the motion of the
+structure at it. The play operators are those of Prandtl and Ishlinskii [1]_, collocated with the actuators, so that the
+modes shift with the level of the excitation, which no hysteresis in front of linear dynamics can do. C_z has no
+feedthrough: w in a sample needs the state of that sample only, and there is no algebraic loop.
+
+States have no unit of their own; z, w and the radii are in volts, the weights and g have no unit.
+
+References
+----------
+.. [1] Brokate & Sprekels, Hysteresis and Phase Transitions, 1996, section 2.3 (play operators).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.block import compiled, composite, interpreted, kernel
+from hysteresis_ros.models.linear import NOTHING, SAMPLE_TIME_TOLERANCE, StateSpace, accumulate
+from hysteresis_ros.models.linear_algebra import product, solve
+
+#: Maximum number of inputs and of outputs.
+MOST_CHANNELS = 16
+#: Fixed-point steps of a rest point, and the relative change below which it has settled.
+REST_STEPS, REST_CHANGE = 1000, 1e-13
+
+# Layout of p: sizes, and for each row of A its first column that is not zero and the one behind the last; then the
+# matrices row by row in the order A, B, B_w, C, D, C_z, g, radii, weights.
+ORDER = 0
+INPUTS = 1
+OUTPUTS = 2
+PLAYS = 3  # of each input
+ROWS = 4
+
+# Layout of x: n states, n numbers of scratch for the next ones, w of the m inputs, the plays input by input.
+
+
+@dataclass(frozen=True)
+class StructureParameters(Parameters):
+    """Structure of m inputs, q outputs and n states with r plays at each input; matrices are numbers row by row."""
+
+    inputs: int = parameter(description="number of inputs m (actuators)", low=1, high=MOST_CHANNELS)
+    outputs: int = parameter(description="number of outputs q (sensors)", low=1, high=MOST_CHANNELS)
+    A: tuple[float, ...] = parameter(
+        description="state matrix, n·n numbers, or 2·n numbers: the 2×2 blocks of a block-diagonal matrix (modes) one "
+        "after the other"
+    )
+    B: tuple[float, ...] = parameter(description="input matrix, n·m numbers [1/V]")
+    C: tuple[float, ...] = parameter(description="output matrix, q·n numbers [m]")
+    D: tuple[float, ...] = parameter((), description="feedthrough, q·m numbers [m/V], or empty for none")
+    B_w: tuple[float, ...] = parameter(
+        (), description="input matrix of the hysteresis, n·m numbers [1/V], or empty for none"
+    )
+    C_z: tuple[float, ...] = parameter(
+        (), description="motion of the structure that acts on the hysteresis, m·n numbers [V], or empty for none"
+    )
+    input_gains: tuple[float, ...] = parameter(
+        (), description="voltage that acts on the hysteresis: gains g, m numbers, or empty for ones"
+    )
+    radii: tuple[float, ...] = parameter((), description="radii of the plays, r numbers ≥ 0", unit="V")
+    weights: tuple[float, ...] = parameter((), description="weights a of the plays, m·r numbers, input by input")
+    sample_time: float = parameter(
+        0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
+    )
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return len(self.B) // self.inputs
+
+    @property
+    def state_matrix(self) -> np.ndarray:
+        """A, shape (n, n)."""
+        n, A = self.order, np.array(self.A, dtype=float)
+        if len(A) == n * n:
+            return A.reshape(n, n)
+        full = np.zeros((n, n))
+        for block, values in enumerate(A.reshape(-1, 2, 2)):
+            full[2 * block : 2 * block + 2, 2 * block : 2 * block + 2] = values
+        return full
+
+    def _matrix(self, name: str, rows: int, columns: int) -> np.ndarray:
+        values = np.array(getattr(self, name), dtype=float)
+        return values.reshape(rows, columns) if values.size else np.zeros((rows, columns))
+
+    @property
+    def linear(self) -> StateSpace:
+        """The dynamics without the hysteresis, from u to y."""
+        n, m, q = self.order, self.inputs, self.outputs
+        return StateSpace(self.state_matrix, self._matrix("B", n, m), self._matrix("C", q, n), self._matrix("D", q, m))
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Gains g, shape (m,)."""
+        return np.array(self.input_gains, dtype=float) if self.input_gains else np.ones(self.inputs)
+
+    @property
+    def play_weights(self) -> np.ndarray:
+        """Weights a, shape (m, r)."""
+        return np.array(self.weights, dtype=float).reshape(self.inputs, len(self.radii))
+
+    @property
+    def hysteresis_input(self) -> np.ndarray:
+        """B_w, shape (n, m)."""
+        return self._matrix("B_w", self.order, self.inputs)
+
+    @property
+    def hysteresis_motion(self) -> np.ndarray:
+        """C_z, shape (m, n)."""
+        return self._matrix("C_z", self.inputs, self.order)
+
+    def sliding(self, slopes) -> StateSpace:
+        """Return the linear system from u to y with w_i = ``slopes``_i z_i.
+
+        Small motions have the weights of the plays of radius 0 as slopes, large ones the sums of all weights.
+        """
+        linear, into = self.linear, self.hysteresis_input * np.asarray(slopes, dtype=float)
+        A = linear.A + product(into, self.hysteresis_motion)
+        return StateSpace(A, linear.B + into * self.gains, linear.C, linear.D)
+
+    @property
+    def small(self) -> StateSpace:
+        """The linear system for motions too small for any play."""
+        return self.sliding(self.play_weights[:, np.array(self.radii, dtype=float) == 0.0].sum(axis=1))
+
+    @property
+    def large(self) -> StateSpace:
+        """The linear system for motions against which all radii are small."""
+        return self.sliding(self.play_weights.sum(axis=1))
+
+    def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
+        """Refuse to run the matrices at another sample time [s] than the one they state."""
+        if self.sample_time and abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
+            allowed = (
+                f"the matrices are for this sample time, the loop runs at {sample_time:.9g} s: set its rate to "
+                f"{1.0 / self.sample_time:.9g} Hz, or give matrices for its sample time"
+            )
+            raise ParameterError([Problem(name, self.sample_time, allowed)])
+
+    def check(self):
+        """Yield what is wrong: sizes that do not fit, negative radii, an unstable structure."""
+        m, q, r = self.inputs, self.outputs, len(self.radii)
+        n = self.order
+        problems = []
+        if not n or len(self.B) % m:
+            problems.append(Problem("B", self.B, f"must be n·{m} numbers, {m} for each of the n ≥ 1 states"))
+        elif len(self.A) not in (n * n, 2 * n) or (len(self.A) != n * n and n % 2):
+            blocks = f", or {2 * n} numbers, its 2×2 blocks" if n % 2 == 0 else ""
+            problems.append(Problem("A", self.A, f"must be {n * n} numbers, as B has {n} rows{blocks}"))
+        sizes = {"C": (q * n, "q·n", False), "D": (q * m, "q·m", True), "B_w": (n * m, "n·m", True)}
+        sizes |= {"C_z": (m * n, "m·n", True), "input_gains": (m, "m", True), "weights": (m * r, "m·r", False)}
+        for name, (size, words, optional) in sizes.items():
+            value = getattr(self, name)
+            if len(value) != size and not (optional and not value):
+                problems.append(Problem(name, value, f"has {len(value)} numbers and must have {words} = {size}"))
+        if any(radius < 0.0 for radius in self.radii):
+            problems.append(Problem("radii", self.radii, "must be ≥ 0 V"))
+        yield from problems
+        if problems:
+            return
+        for system, words in ((self.linear, "without hysteresis"), (self.small, "small"), (self.large, "large")):
+            radius = max(np.abs(system.poles), default=0.0)
+            if radius >= 1.0:
+                which = words if words.startswith("without") else f"for {words} motions, with the slopes of the plays"
+                allowed = f"is unstable {which}: its largest pole has modulus {radius:.6g}; all must be below 1"
+                yield Problem("A", self.A, allowed)
+                return
+
+
+@kernel
+def structure_output(p, x, u, y):
+    """Fill ``y`` (q) with C x + D u of the present state and the inputs ``u`` (m)."""
+    n, m, q = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS])
+    c = ROWS + 2 * n + n * n + 2 * n * m
+    d = c + q * n
+    for i in range(q):
+        y[i] = accumulate(accumulate(0.0, p, d + i * m, u, 0, m), p, c + i * n, x, 0, n)
+
+
+@kernel
+def structure_advance(p, x, u):
+    """Hold the inputs ``u`` (m) for one sample: plays and states go on to the next one."""
+    n, m, q, r = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS]), int(p[PLAYS])
+    a = ROWS + 2 * n
+    b = a + n * n
+    bw = b + n * m
+    cz = bw + n * m + q * n + q * m
+    gain = cz + m * n
+    radius = gain + m
+    weight = radius + r
+    drive = 2 * n
+    for i in range(m):
+        z = accumulate(p[gain + i] * u[i], p, cz + i * n, x, 0, n)
+        w = 0.0
+        for j in range(r):
+            place = drive + m + i * r + j
+            value = x[place]
+            if z - p[radius + j] > value:
+                value = z - p[radius + j]
+            elif z + p[radius + j] < value:
+                value = z + p[radius + j]
+            x[place] = value
+            w += p[weight + i * r + j] * value
+        x[drive + i] = w
+    for i in range(n):
+        # a block-diagonal A, of modes, costs two products a row
+        first, behind = int(p[ROWS + 2 * i]), int(p[ROWS + 2 * i + 1])
+        total = accumulate(0.0, p, b + i * m, u, 0, m)
+        total = accumulate(total, p, bw + i * m, x, drive, m)
+        x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
+    for i in range(n):
+        value = x[n + i]
+        # so asked, what is no number stays as it is
+        x[i] = 0.0 if -NOTHING < value < NOTHING else value
+
+
+@composite("void", "array", "array", "table", "table")
+def run_structure(p, x, u, y):
+    """Fill ``y`` (N, q) sample by sample for the inputs ``u`` (N, m)."""
+    for k in range(u.shape[0]):
+        structure_output(p, x, u[k], y[k])
+        structure_advance(p, x, u[k])
+
+
+class Structure:
+    """A structure that runs: output of the present state, then one sample further.
+
+    Parameters
+    ----------
+    parameters : StructureParameters
+        Matrices and plays.
+    sample_time : float
+        Of the loop [s].
+
+    Raises
+    ------
+    ParameterError
+        The parameters are wrong, or state another sample time.
+    """
+
+    def __init__(self, parameters: StructureParameters, sample_time: float):
+        parameters.validated().require_sample_time(sample_time)
+        self.parameters = parameters
+        self.sample_time = float(sample_time)
+        self.p = packed(parameters)
+        self.x = self.initial_state()
+
+    def initial_state(self) -> np.ndarray:
+        """Return x at rest with zero input and plays that never moved, shape (2 n + m + m r,)."""
+        n, m = self.parameters.order, self.parameters.inputs
+        return np.zeros(2 * n + m + m * len(self.parameters.radii))
+
+    @property
+    def state(self) -> np.ndarray:
+        """A copy of the state array; assign it to restore exactly."""
+        return self.x.copy()
+
+    @state.setter
+    def state(self, value) -> None:
+        self.x[:] = value
+
+    def reset(self) -> None:
+        """Return to the state at rest."""
+        self.x[:] = 0.0
+
+    def step(self, u) -> np.ndarray:
+        """Return the output [m], shape (q,), of the present state and the inputs ``u`` [V], shape (m,); go on."""
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        y = np.empty(self.parameters.outputs)
+        interpreted(structure_output)(self.p, self.x, u, y)
+        structure_advance(self.p, self.x, u)
+        return y
+
+    def simulate(self, u) -> np.ndarray:
+        """Return the outputs [m], shape (N, q), for the inputs ``u`` [V], shape (N, m), from the present state on."""
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        if u.ndim != 2 or u.shape[1] != self.parameters.inputs:
+            allowed = f"must have shape (N, {self.parameters.inputs}), a column for each input"
+            raise ParameterError([Problem("u", u.shape, allowed)])
+        y = np.empty((len(u), self.parameters.outputs))
+        compiled(run_structure)(self.p, self.x, u, y)
+        return y
+
+    def settle(self, u) -> None:
+        """Put the state to rest under the constant inputs ``u`` [V], reached from zero without turning back.
+
+        Raises
+        ------
+        ParameterError
+            The hysteresis and the structure have no common rest point that is reached step by step.
+        """
+        given, u = self.parameters, np.asarray(u, dtype=float)
+        n, m, r = given.order, given.inputs, len(given.radii)
+        linear, radii = given.linear, np.array(given.radii, dtype=float)
+        still = np.eye(n) - linear.A
+        plays, w = np.zeros((m, r)), np.zeros(m)
+        for _ in range(REST_STEPS):
+            x = solve(still, product(linear.B, u) + product(given.hysteresis_input, w))
+            z = given.gains * u + product(given.hysteresis_motion, x)
+            # from zero a play moves to the nearest value within its radius of z
+            plays = np.sign(z)[:, None] * np.maximum(np.abs(z)[:, None] - radii, 0.0)
+            before, w = w, (given.play_weights * plays).sum(axis=1)
+            if np.all(np.abs(w - before) <= REST_CHANGE * np.abs(w)):
+                break
+        else:
+            allowed = "has no rest point that is reached step by step: the hysteresis outweighs the structure"
+            raise ParameterError([Problem("u", u.tolist(), allowed)])
+        self.x[:] = np.concatenate([x, np.zeros(n), w, plays.ravel()])
+
+
+def packed(parameters: StructureParameters) -> np.ndarray:
+    """Return p of the kernels."""
+    linear, n = parameters.linear, parameters.order
+    used = linear.A != 0.0
+    rows = [(int(np.argmax(row)), n - int(np.argmax(row[::-1]))) if row.any() else (0, 0) for row in used]
+    parts = [np.array([n, parameters.inputs, parameters.outputs, len(parameters.radii)], dtype=float)]
+    parts += [np.array(rows, dtype=float).ravel(), linear.A.ravel(), linear.B.ravel()]
+    parts += [parameters.hysteresis_input.ravel(), linear.C.ravel(), linear.D.ravel()]
+    parts += [parameters.hysteresis_motion.ravel(), parameters.gains]
+    parts += [np.array(parameters.radii, dtype=float), np.array(parameters.weights, dtype=float)]
+    return np.ascontiguousarray(np.concatenate(parts))
