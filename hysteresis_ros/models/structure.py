@@ -14,10 +14,12 @@ Of m inputs u [V], q outputs y [m] and n states x:
 
     z_i = g_i u_i + C_z,i x,   w_i = Σ_j a_ij play_rj(z_i),   x⁺ = A x + B u + B_w w,   y = C x + D u.
 
-Each actuator i has its own hysteresis, driven by what acts on it: its voltage and, through C_z, the motion of the
-structure at it. The play operators are those of Prandtl and Ishlinskii [1]_, collocated with the actuators, so that the
-modes shift with the level of the excitation, which no hysteresis in front of linear dynamics can do. C_z has no
-feedthrough: w in a sample needs the state of that sample only, and there is no algebraic loop.
+Each actuator has its own hysteresis, driven by what acts on it: its voltage and, through C_z, the motion of the
+structure at it. There may be several for each actuator, as of its ceramic and of its joints: of h = m, 2 m …
+hystereses number i is driven by input i mod m. The play operators are those of Prandtl and Ishlinskii [1]_, collocated
+with the actuators, so that the modes shift with the level of the excitation, which no hysteresis in front of linear
+dynamics can do. C_z has no feedthrough: w in a sample needs the state of that sample only, and there is no algebraic
+loop.
 
 States have no unit of their own; z, w and the radii are in volts, the weights and g have no unit.
 
@@ -48,15 +50,16 @@ REST_STEPS, REST_CHANGE = 1000, 1e-13
 ORDER = 0
 INPUTS = 1
 OUTPUTS = 2
-PLAYS = 3  # of each input
-ROWS = 4
+HYSTERESES = 3
+PLAYS = 4  # of each hysteresis
+ROWS = 5
 
-# Layout of x: n states, n numbers of scratch for the next ones, w of the m inputs, the plays input by input.
+# Layout of x: n states, n numbers of scratch for the next ones, w of the h hystereses, their plays one after the other.
 
 
 @dataclass(frozen=True)
 class StructureParameters(Parameters):
-    """Structure of m inputs, q outputs and n states with r plays at each input; matrices are numbers row by row."""
+    """Structure of m inputs, q outputs, n states and h hystereses of r plays; matrices are numbers row by row."""
 
     inputs: int = parameter(description="number of inputs m (actuators)", low=1, high=MOST_CHANNELS)
     outputs: int = parameter(description="number of outputs q (sensors)", low=1, high=MOST_CHANNELS)
@@ -68,16 +71,16 @@ class StructureParameters(Parameters):
     C: tuple[float, ...] = parameter(description="output matrix, q·n numbers [m]")
     D: tuple[float, ...] = parameter((), description="feedthrough, q·m numbers [m/V], or empty for none")
     B_w: tuple[float, ...] = parameter(
-        (), description="input matrix of the hysteresis, n·m numbers [1/V], or empty for none"
+        (), description="input matrix of the hystereses, n·h numbers [1/V], or empty for none"
     )
     C_z: tuple[float, ...] = parameter(
-        (), description="motion of the structure that acts on the hysteresis, m·n numbers [V], or empty for none"
+        (), description="motion of the structure that acts on the hystereses, h·n numbers [V], or empty for none"
     )
     input_gains: tuple[float, ...] = parameter(
-        (), description="voltage that acts on the hysteresis: gains g, m numbers, or empty for ones"
+        (), description="voltage that acts on the hystereses: gains g, h numbers, or empty for ones"
     )
     radii: tuple[float, ...] = parameter((), description="radii of the plays, r numbers ≥ 0", unit="V")
-    weights: tuple[float, ...] = parameter((), description="weights a of the plays, m·r numbers, input by input")
+    weights: tuple[float, ...] = parameter((), description="weights a of the plays, h·r numbers; h is a multiple of m")
     sample_time: float = parameter(
         0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
     )
@@ -86,6 +89,11 @@ class StructureParameters(Parameters):
     def order(self) -> int:
         """Number of states n."""
         return len(self.B) // self.inputs
+
+    @property
+    def hystereses(self) -> int:
+        """Number of hystereses h, a multiple of the inputs."""
+        return len(self.weights) // len(self.radii) if self.radii else self.inputs
 
     @property
     def state_matrix(self) -> np.ndarray:
@@ -110,23 +118,31 @@ class StructureParameters(Parameters):
 
     @property
     def gains(self) -> np.ndarray:
-        """Gains g, shape (m,)."""
-        return np.array(self.input_gains, dtype=float) if self.input_gains else np.ones(self.inputs)
+        """Gains g, shape (h,)."""
+        return np.array(self.input_gains, dtype=float) if self.input_gains else np.ones(self.hystereses)
+
+    @property
+    def hysteresis_gains(self) -> np.ndarray:
+        """Gains from all inputs to the hystereses, shape (h, m): g_i in column i mod m."""
+        rows = np.arange(self.hystereses)
+        matrix = np.zeros((self.hystereses, self.inputs))
+        matrix[rows, rows % self.inputs] = self.gains
+        return matrix
 
     @property
     def play_weights(self) -> np.ndarray:
-        """Weights a, shape (m, r)."""
-        return np.array(self.weights, dtype=float).reshape(self.inputs, len(self.radii))
+        """Weights a, shape (h, r)."""
+        return np.array(self.weights, dtype=float).reshape(self.hystereses, len(self.radii))
 
     @property
     def hysteresis_input(self) -> np.ndarray:
-        """B_w, shape (n, m)."""
-        return self._matrix("B_w", self.order, self.inputs)
+        """B_w, shape (n, h)."""
+        return self._matrix("B_w", self.order, self.hystereses)
 
     @property
     def hysteresis_motion(self) -> np.ndarray:
-        """C_z, shape (m, n)."""
-        return self._matrix("C_z", self.inputs, self.order)
+        """C_z, shape (h, n)."""
+        return self._matrix("C_z", self.hystereses, self.order)
 
     def sliding(self, slopes) -> StateSpace:
         """Return the linear system from u to y with w_i = ``slopes``_i z_i.
@@ -135,7 +151,7 @@ class StructureParameters(Parameters):
         """
         linear, into = self.linear, self.hysteresis_input * np.asarray(slopes, dtype=float)
         A = linear.A + product(into, self.hysteresis_motion)
-        return StateSpace(A, linear.B + into * self.gains, linear.C, linear.D)
+        return StateSpace(A, linear.B + product(into, self.hysteresis_gains), linear.C, linear.D)
 
     @property
     def small(self) -> StateSpace:
@@ -159,19 +175,22 @@ class StructureParameters(Parameters):
     def check(self):
         """Yield what is wrong: sizes that do not fit, negative radii, an unstable structure."""
         m, q, r = self.inputs, self.outputs, len(self.radii)
-        n = self.order
+        n, h = self.order, self.hystereses
         problems = []
         if not n or len(self.B) % m:
             problems.append(Problem("B", self.B, f"must be n·{m} numbers, {m} for each of the n ≥ 1 states"))
         elif len(self.A) not in (n * n, 2 * n) or (len(self.A) != n * n and n % 2):
             blocks = f", or {2 * n} numbers, its 2×2 blocks" if n % 2 == 0 else ""
             problems.append(Problem("A", self.A, f"must be {n * n} numbers, as B has {n} rows{blocks}"))
-        sizes = {"C": (q * n, "q·n", False), "D": (q * m, "q·m", True), "B_w": (n * m, "n·m", True)}
-        sizes |= {"C_z": (m * n, "m·n", True), "input_gains": (m, "m", True), "weights": (m * r, "m·r", False)}
+        sizes = {"C": (q * n, "q·n", False), "D": (q * m, "q·m", True), "B_w": (n * h, "n·h", True)}
+        sizes |= {"C_z": (h * n, "h·n", True), "input_gains": (h, "h", True)}
         for name, (size, words, optional) in sizes.items():
             value = getattr(self, name)
             if len(value) != size and not (optional and not value):
                 problems.append(Problem(name, value, f"has {len(value)} numbers and must have {words} = {size}"))
+        if len(self.weights) % (m * r) if r else self.weights:
+            needed = f"{m * r} numbers, or a multiple" if r else "empty without radii"
+            problems.append(Problem("weights", self.weights, f"has {len(self.weights)} numbers and must have {needed}"))
         if any(radius < 0.0 for radius in self.radii):
             problems.append(Problem("radii", self.radii, "must be ≥ 0 V"))
         yield from problems
@@ -190,7 +209,7 @@ class StructureParameters(Parameters):
 def structure_output(p, x, u, y):
     """Fill ``y`` (q) with C x + D u of the present state and the inputs ``u`` (m)."""
     n, m, q = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS])
-    c = ROWS + 2 * n + n * n + 2 * n * m
+    c = ROWS + 2 * n + n * n + n * m + n * int(p[HYSTERESES])
     d = c + q * n
     for i in range(q):
         y[i] = accumulate(accumulate(0.0, p, d + i * m, u, 0, m), p, c + i * n, x, 0, n)
@@ -199,20 +218,20 @@ def structure_output(p, x, u, y):
 @kernel
 def structure_advance(p, x, u):
     """Hold the inputs ``u`` (m) for one sample: plays and states go on to the next one."""
-    n, m, q, r = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS]), int(p[PLAYS])
+    n, m, q, h, r = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS]), int(p[HYSTERESES]), int(p[PLAYS])
     a = ROWS + 2 * n
     b = a + n * n
     bw = b + n * m
-    cz = bw + n * m + q * n + q * m
-    gain = cz + m * n
-    radius = gain + m
+    cz = bw + n * h + q * n + q * m
+    gain = cz + h * n
+    radius = gain + h
     weight = radius + r
     drive = 2 * n
-    for i in range(m):
-        z = accumulate(p[gain + i] * u[i], p, cz + i * n, x, 0, n)
+    for i in range(h):
+        z = accumulate(p[gain + i] * u[i % m], p, cz + i * n, x, 0, n)
         w = 0.0
         for j in range(r):
-            place = drive + m + i * r + j
+            place = drive + h + i * r + j
             value = x[place]
             if z - p[radius + j] > value:
                 value = z - p[radius + j]
@@ -225,7 +244,7 @@ def structure_advance(p, x, u):
         # a block-diagonal A, of modes, costs two products a row
         first, behind = int(p[ROWS + 2 * i]), int(p[ROWS + 2 * i + 1])
         total = accumulate(0.0, p, b + i * m, u, 0, m)
-        total = accumulate(total, p, bw + i * m, x, drive, m)
+        total = accumulate(total, p, bw + i * h, x, drive, h)
         x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
     for i in range(n):
         value = x[n + i]
@@ -265,9 +284,9 @@ class Structure:
         self.x = self.initial_state()
 
     def initial_state(self) -> np.ndarray:
-        """Return x at rest with zero input and plays that never moved, shape (2 n + m + m r,)."""
-        n, m = self.parameters.order, self.parameters.inputs
-        return np.zeros(2 * n + m + m * len(self.parameters.radii))
+        """Return x at rest with zero input and plays that never moved, shape (2 n + h + h r,)."""
+        n, h = self.parameters.order, self.parameters.hystereses
+        return np.zeros(2 * n + h + h * len(self.parameters.radii))
 
     @property
     def state(self) -> np.ndarray:
@@ -309,13 +328,13 @@ class Structure:
             The hysteresis and the structure have no common rest point that is reached step by step.
         """
         given, u = self.parameters, np.asarray(u, dtype=float)
-        n, m, r = given.order, given.inputs, len(given.radii)
+        n, h, r = given.order, given.hystereses, len(given.radii)
         linear, radii = given.linear, np.array(given.radii, dtype=float)
         still = np.eye(n) - linear.A
-        plays, w = np.zeros((m, r)), np.zeros(m)
+        plays, w = np.zeros((h, r)), np.zeros(h)
         for _ in range(REST_STEPS):
             x = solve(still, product(linear.B, u) + product(given.hysteresis_input, w))
-            z = given.gains * u + product(given.hysteresis_motion, x)
+            z = product(given.hysteresis_gains, u) + product(given.hysteresis_motion, x)
             # from zero a play moves to the nearest value within its radius of z
             plays = np.sign(z)[:, None] * np.maximum(np.abs(z)[:, None] - radii, 0.0)
             before, w = w, (given.play_weights * plays).sum(axis=1)
@@ -330,9 +349,10 @@ class Structure:
 def packed(parameters: StructureParameters) -> np.ndarray:
     """Return p of the kernels."""
     linear, n = parameters.linear, parameters.order
+    sizes = parameters.inputs, parameters.outputs, parameters.hystereses, len(parameters.radii)
     used = linear.A != 0.0
     rows = [(int(np.argmax(row)), n - int(np.argmax(row[::-1]))) if row.any() else (0, 0) for row in used]
-    parts = [np.array([n, parameters.inputs, parameters.outputs, len(parameters.radii)], dtype=float)]
+    parts = [np.array([n, *sizes], dtype=float)]
     parts += [np.array(rows, dtype=float).ravel(), linear.A.ravel(), linear.B.ravel()]
     parts += [parameters.hysteresis_input.ravel(), linear.C.ravel(), linear.D.ravel()]
     parts += [parameters.hysteresis_motion.ravel(), parameters.gains]

@@ -81,20 +81,32 @@ def test_one_input_and_output_is_the_single_axis():
 
 def by_hand(p: StructureParameters, u):
     """The equations of the module in NumPy, written for the test."""
-    linear, x, plays = p.linear, np.zeros(p.order), np.zeros((p.inputs, len(p.radii)))
+    linear, x, plays = p.linear, np.zeros(p.order), np.zeros((p.hystereses, len(p.radii)))
     found = []
     for now in u:
         found.append(linear.C @ x + linear.D @ now)
-        z = (p.gains * now + p.hysteresis_motion @ x)[:, None]
+        driven = np.tile(now, p.hystereses // p.inputs)
+        z = (p.gains * driven + p.hysteresis_motion @ x)[:, None]
         plays = np.clip(plays, z - np.array(p.radii), z + np.array(p.radii))
         x = linear.A @ x + linear.B @ now + p.hysteresis_input @ (p.play_weights * plays).sum(axis=1)
     return np.array(found)
 
 
-def test_the_equations_hold_compiled_interpreted_and_step_by_step():
+#: Each actuator with a second hysteresis, of its joint, that feels the motion alone.
+JOINTED = replace(
+    HYSTERETIC,
+    B_w=flat(np.hstack([0.2 * B, 0.1 * B])),
+    C_z=flat(np.vstack([np.linalg.pinv(B) * 0.02, np.linalg.pinv(B) * 0.03])),
+    input_gains=(1.0, 0.8, 0.0, 0.0),
+    weights=(*HYSTERETIC.weights, 0.1, 0.2, 0.3, 0.2, 0.1, 0.1),
+)
+
+
+@pytest.mark.parametrize("parameters", [HYSTERETIC, JOINTED])
+def test_the_equations_hold_compiled_interpreted_and_step_by_step(parameters):
     u = RNG.standard_normal((250, 2))
-    expected = by_hand(HYSTERETIC, u)
-    block = Structure(HYSTERETIC, SAMPLE_TIME)
+    expected = by_hand(parameters, u)
+    block = Structure(parameters, SAMPLE_TIME)
     y = block.simulate(u)
     np.testing.assert_allclose(y, expected, atol=1e-12 * np.abs(expected).max())
     plain = np.empty_like(y)
@@ -116,7 +128,7 @@ def test_a_state_that_is_restored_goes_on_with_the_same_bits():
 def test_small_and_large_motions_have_their_linear_limits():
     """Far below the smallest radius, and far above the largest, the structure is linear with other modes."""
     u = RNG.standard_normal((400, 2))
-    p = HYSTERETIC
+    p = JOINTED
     for scale, limit, tolerance in ((1e-4, p.small, 1e-12), (1e6, p.large, 1e-4)):
         y = Structure(p, SAMPLE_TIME).simulate(scale * u)
         _, expected, _ = dlsim((limit.A, limit.B, limit.C, limit.D, 1.0), scale * u)
@@ -143,7 +155,7 @@ def test_a_rest_point_stays_and_is_where_a_slow_ramp_ends():
         ({"B": flat(B)[:-1]}, r"B = .*must be n·2 numbers"),
         ({"A": flat(np.eye(3) * 0.5)}, r"A = .*must be 16 numbers, as B has 4 rows, or 8 numbers"),
         ({"C": (1.0,)}, r"C = .*has 1 numbers and must have q·n = 8"),
-        ({"weights": (1.0,)}, r"weights = .*must have m·r = 6"),
+        ({"weights": (1.0,)}, r"weights = .*must have 6 numbers, or a multiple"),
         ({"radii": (0.0, -0.1, 0.3)}, r"radii = .*must be ≥ 0 V"),
         ({"A": flat(1.02 * np.array(BLOCKS))}, r"A = .*is unstable without hysteresis"),
         ({"C_z": flat(np.linalg.pinv(B) * 5.0)}, r"A = .*is unstable for (small|large) motions"),
