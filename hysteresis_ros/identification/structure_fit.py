@@ -1,0 +1,363 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+
+"""Refinement of a structure on recordings in time: Gauss-Newton on the error of the simulation.
+
+The error is that of a simulation from the inputs alone, never that of an equation with a measured z in it: such an
+equation has a trivial solution that looks perfect. Sensitivities run forward with the states,
+
+    dx⁺ = A dx + B_w dw + (∂A x + ∂B u + ∂B_w w),   dz_i = C_z,i dx + ∂C_z,i x + ∂g_i u_i,
+    dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
+
+where a play that slides takes dplay = dz ∓ ∂r, and one that is stuck keeps what it has. Linear dynamics in time are the
+case without plays. Outputs are in units of ``scale``, so that all numbers are near one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.identification.levenberg_marquardt import Minimum, minimise
+from hysteresis_ros.identification.linear_systems import LinearModel
+from hysteresis_ros.identification.subspace import RADIUS, modal_matrix, within
+from hysteresis_ros.models.block import compiled, specialised
+from hysteresis_ros.models.structure import StructureParameters, packed, run_structure
+
+#: Groups of parameters that run through the states, in the order in which the sensitivities number them; C and D enter
+#: the output only.
+DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
+LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
+#: Parameters whose sensitivities run at a time: so many stay in the cache of a core.
+CHUNK = 96
+#: JᵀJ is taken from every sample, or from every second to fourth where so many numbers a parameter are left; the
+#: gradient from all of them.
+STRIDE, ROWS = 4, 60
+
+
+def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, row, column, u, y, X, J, x, S, inner):
+    """Fill y (N, q), X (N, n) and J (N, q P) for the inputs u; the first rows of u beyond N only run in.
+
+    ``x``: n states, n of scratch, w (h), plays (h r); ``S`` (2 n, P); ``inner`` (2 h + h r, P): dz, dw, dplay.
+    """
+    n, m, q, P = B.shape[0], B.shape[1], C.shape[0], kind.shape[0]
+    h, r = weights.shape
+    run_in = u.shape[0] - y.shape[0]
+    x[:] = 0.0
+    S[:, :] = 0.0
+    inner[:, :] = 0.0
+    for k in range(u.shape[0]):
+        now = u[k]
+        if k >= run_in:
+            at = k - run_in
+            for j in range(n):
+                X[at, j] = x[j]
+            for i in range(q):
+                total = 0.0
+                for j in range(m):
+                    total += D[i, j] * now[j]
+                for j in range(n):
+                    total += C[i, j] * x[j]
+                y[at, i] = total
+                first = i * P
+                for p in range(P):
+                    J[at, first + p] = 0.0
+                for b in range(0, n, 4):
+                    if b + 3 < n:
+                        c0, c1, c2, c3 = C[i, b], C[i, b + 1], C[i, b + 2], C[i, b + 3]
+                        for p in range(P):
+                            J[at, first + p] += (c0 * S[b, p] + c1 * S[b + 1, p]) + (
+                                c2 * S[b + 2, p] + c3 * S[b + 3, p]
+                            )
+                    else:
+                        c0, c1 = C[i, b], C[i, b + 1]
+                        for p in range(P):
+                            J[at, first + p] += c0 * S[b, p] + c1 * S[b + 1, p]
+        if r:
+            for i in range(h):
+                z = gains[i] * now[i % m]
+                for j in range(n):
+                    z += C_z[i, j] * x[j]
+                for p in range(P):
+                    inner[i, p] = 0.0
+                for b in range(0, n, 2):
+                    c0, c1 = C_z[i, b], C_z[i, b + 1]
+                    for p in range(P):
+                        inner[i, p] += c0 * S[b, p] + c1 * S[b + 1, p]
+                for p in range(P):
+                    if kind[p] == 4 and row[p] == i:
+                        inner[i, p] += x[column[p]]
+                    elif kind[p] == 5 and row[p] == i:
+                        inner[i, p] += now[i % m]
+                w = 0.0
+                for p in range(P):
+                    inner[h + i, p] = 0.0
+                for j in range(r):
+                    place = 2 * n + h + i * r + j
+                    value, rate = x[place], 2 * h + i * r + j
+                    sign = 0.0
+                    if z - radii[j] > value:
+                        value, sign = z - radii[j], 1.0
+                    elif z + radii[j] < value:
+                        value, sign = z + radii[j], -1.0
+                    if sign != 0.0:
+                        for p in range(P):
+                            inner[rate, p] = inner[i, p]
+                        for p in range(P):
+                            if kind[p] == 7 and row[p] == j:
+                                inner[rate, p] -= sign
+                    x[place] = value
+                    share = weights[i, j]
+                    w += share * value
+                    for p in range(P):
+                        inner[h + i, p] += share * inner[rate, p]
+                    for p in range(P):
+                        if kind[p] == 6 and row[p] == i and column[p] == j:
+                            inner[h + i, p] += value
+                x[2 * n + i] = w
+        for b in range(0, n, 2):
+            s, beta, g = blocks[b // 2, 0], blocks[b // 2, 1], blocks[b // 2, 2]
+            for p in range(P):
+                S[n + b, p] = s * S[b, p] + beta * S[b + 1, p]
+                S[n + b + 1, p] = g * S[b, p] + s * S[b + 1, p]
+            upper, lower = s * x[b] + beta * x[b + 1], g * x[b] + s * x[b + 1]
+            for j in range(m):
+                upper += B[b, j] * now[j]
+                lower += B[b + 1, j] * now[j]
+            if r:
+                for j in range(h):
+                    into, below = B_w[b, j], B_w[b + 1, j]
+                    upper += into * x[2 * n + j]
+                    lower += below * x[2 * n + j]
+                    for p in range(P):
+                        S[n + b, p] += into * inner[h + j, p]
+                        S[n + b + 1, p] += below * inner[h + j, p]
+            x[n + b], x[n + b + 1] = upper, lower
+        for p in range(P):
+            i = row[p]
+            if kind[p] == 0:
+                S[n + 2 * i, p] += x[2 * i]
+                S[n + 2 * i + 1, p] += x[2 * i + 1]
+            elif kind[p] == 1:
+                S[n + 2 * i + 1, p] += x[2 * i]
+            elif kind[p] == 2:
+                S[n + i, p] += now[column[p]]
+            elif kind[p] == 3:
+                S[n + i, p] += x[2 * n + column[p]]
+        for j in range(n):
+            x[j] = x[n + j]
+            for p in range(P):
+                S[j, p] = S[n + j, p]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalStructure:
+    """A structure in modes, as the fit moves it: blocks [[σ, β], [γ, σ]], outputs in units of ``scale`` [m]."""
+
+    sigma: np.ndarray  #: shape (n/2,)
+    gamma: np.ndarray  #: shape (n/2,)
+    beta: np.ndarray  #: shape (n/2,), fixed.
+    B: np.ndarray  #: shape (n, m)
+    C: np.ndarray  #: shape (q, n)
+    D: np.ndarray  #: shape (q, m)
+    B_w: np.ndarray  #: shape (n, h)
+    C_z: np.ndarray  #: shape (h, n)
+    gains: np.ndarray  #: shape (h,)
+    weights: np.ndarray  #: shape (h, r)
+    radii: np.ndarray  #: shape (r,) [V]
+    sample_time: float  #: [s]
+    scale: float  #: [m]
+
+    @classmethod
+    def linear(cls, model: LinearModel, scale: float) -> ModalStructure:
+        """Return a modal model (:func:`~hysteresis_ros.identification.subspace.modal`) as a structure without plays."""
+        n, m = model.B.shape
+        return cls(
+            np.diag(model.A)[::2].copy(),
+            np.diag(model.A, -1)[::2].copy(),
+            np.diag(model.A, 1)[::2].copy(),
+            model.B,
+            model.C / scale,
+            model.D / scale,
+            np.zeros((n, m)),
+            np.zeros((m, n)),
+            np.ones(m),
+            np.zeros((m, 0)),
+            np.zeros(0),
+            model.sample_time,
+            scale,
+        )
+
+    def parameters(self) -> StructureParameters:
+        """Return the parameters of the block, in SI units."""
+        A = modal_matrix(self.sigma, self.beta, self.gamma)
+        blocks = [A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)]
+        plays = len(self.radii) > 0
+        return StructureParameters(
+            inputs=self.B.shape[1],
+            outputs=len(self.C),
+            A=_flat(blocks),
+            B=_flat(self.B),
+            C=_flat(self.C * self.scale),
+            D=_flat(self.D * self.scale),
+            B_w=_flat(self.B_w) if plays else (),
+            C_z=_flat(self.C_z) if plays else (),
+            input_gains=_flat(self.gains) if plays else (),
+            radii=_flat(self.radii),
+            weights=_flat(self.weights),
+            sample_time=self.sample_time,
+        )
+
+    def within(self, radius: float) -> ModalStructure:
+        """Return the structure with the poles of its modes within ``radius`` and no negative radius of a play."""
+        sigma, gamma = within(self.sigma, self.beta, self.gamma, radius)
+        return replace(self, sigma=sigma, gamma=gamma, radii=np.maximum(self.radii, 0.0))
+
+    @property
+    def stable(self) -> bool:
+        """Whether the structure is stable for motions against which all radii are small."""
+        A = modal_matrix(self.sigma, self.beta, self.gamma) + self.B_w * self.weights.sum(axis=1) @ self.C_z
+        return bool(np.abs(np.linalg.eigvals(A)).max() < 1.0)
+
+
+def _flat(values) -> tuple[float, ...]:
+    return tuple(np.ravel(values).tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Experiments:
+    """Recordings to fit: inputs with their run-in, and what was measured after it."""
+
+    u: np.ndarray  #: shape (R, L + N, m) [V]; the first L samples run in.
+    y: np.ndarray  #: shape (R, N, q) [m]
+    deviation: np.ndarray  #: shape (R,); Size of an error that counts as one, for each realisation [m].
+
+    def part(self, chosen) -> Experiments:
+        """Return some of the realisations."""
+        return Experiments(self.u[chosen], self.y[chosen], self.deviation[chosen])
+
+    def simulated(self, structure: StructureParameters) -> np.ndarray:
+        """Return what a structure says after the run-in from rest, shape (R, N, q) [m]."""
+        p = packed(structure)
+        found = np.empty_like(self.y)
+        whole = np.empty((self.u.shape[1], self.y.shape[2]))
+        size = 2 * structure.order + structure.hystereses * (1 + len(structure.radii))
+        for one, u in zip(found, self.u, strict=True):
+            compiled(run_structure)(p, np.zeros(size), u, whole)
+            one[:] = whole[len(whole) - len(one) :]
+        return found
+
+    def cost(self, structure: StructureParameters) -> float:
+        """Return the mean square error of a structure in units of the deviation."""
+        rest = self.simulated(structure) - self.y
+        value = float(np.mean((rest / self.deviation[:, None, None]) ** 2))
+        return value if np.isfinite(value) else np.inf
+
+
+def refine_in_time(
+    start: ModalStructure,
+    data: Experiments,
+    groups: Sequence[str],
+    *,
+    steps: int,
+    held_out: Experiments | None = None,
+    radius: float = RADIUS,
+    patience: int = 3,
+    progress=None,
+) -> tuple[ModalStructure, Minimum]:
+    """Refine groups of parameters; with ``held_out`` return the point that is best there and stop when it is passed."""
+    shapes = {name: getattr(start, name).shape for name in (*DYNAMIC, "C", "D") if name in groups}
+    sizes = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
+    places = {name: slice(a, b) for name, a, b in zip(shapes, sizes[:-1], sizes[1:], strict=True)}
+
+    def structure(theta) -> ModalStructure:
+        return replace(start, **{name: theta[places[name]].reshape(shape) for name, shape in shapes.items()})
+
+    def cost(theta) -> float:
+        model = structure(theta)
+        return data.cost(model.parameters()) if model.stable else np.inf
+
+    def vector(model: ModalStructure) -> np.ndarray:
+        return np.concatenate([np.ravel(getattr(model, name)) for name in shapes])
+
+    def normal(theta):
+        return _normal_equations(structure(theta), data, places, shapes)
+
+    best = [np.inf, None, 0]
+
+    def accepted(theta, value) -> bool:
+        judged = value if held_out is None else held_out.cost(structure(theta).parameters())
+        if progress is not None:
+            progress(f"{value:.6g} {judged:.6g}")
+        if judged < best[0]:
+            best[:] = judged, theta, 0
+            return True
+        best[2] += 1
+        return best[2] < patience
+
+    def allowed(theta):
+        return vector(structure(theta).within(radius))
+
+    theta = allowed(vector(start))
+    accepted(theta, cost(theta))
+    found = minimise(theta, cost, normal, steps=steps, tolerance=1e-5, allowed=allowed, accepted=accepted)
+    return structure(best[1]), found
+
+
+def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
+    """Return JᵀJ and Jᵀr of the mean square error, summed realisation by realisation."""
+    (n, m), q, (h, r) = model.B.shape, len(model.C), model.weights.shape
+    # the groups that run through the states come first, in the order of their numbers
+    entries = [
+        (number, index[0], index[1] if len(index) > 1 else 0)
+        for number, name in enumerate(DYNAMIC)
+        if name in shapes
+        for index in np.ndindex(*shapes[name])
+    ]
+    numbers = np.array(entries, dtype=np.int64).reshape(-1, 3)
+    P, N = len(numbers), data.y.shape[1]
+    y, X, x = np.empty((N, q)), np.empty((N, n)), np.empty(2 * n + h + h * r)
+    blocks = np.column_stack([model.sigma, model.beta, model.gamma])
+    matrices = [np.ascontiguousarray(part) for part in (blocks, model.B, model.B_w, model.C_z)]
+    matrices += [model.gains, model.radii, np.ascontiguousarray(model.weights)]
+    matrices += [np.ascontiguousarray(model.C), np.ascontiguousarray(model.D)]
+    chunks = []
+    for first in range(0, max(P, 1), CHUNK):
+        some = numbers[first : first + CHUNK]
+        scratch = np.empty((N, q * len(some))), x, np.empty((2 * n, len(some))), np.empty((2 * h + h * r, len(some)))
+        chunks.append((slice(first, first + len(some)), [np.ascontiguousarray(part) for part in some.T], scratch))
+    total = max(part.stop for part in places.values())
+    matrix, gradient = np.zeros((total, total)), np.zeros(total)
+    stride = int(np.clip(data.y.size // (ROWS * total), 1, STRIDE))
+    columns, rates = chunks[0][1], chunks[0][2]
+    run = specialised(run_sensitivities, *matrices, *columns, data.u[0], y, X, *rates)
+    tables = np.empty((q, N, P + n * ("C" in places) + m * ("D" in places)))
+    for u, measured, deviation in zip(data.u, data.y, data.deviation, strict=True):
+        for where, columns, rates in chunks:
+            run(*matrices, *columns, u, y, X, *rates)
+            tables[:, :, where] = rates[0].reshape(N, q, -1).transpose(1, 0, 2)
+        share = (model.scale / deviation) ** 2 / data.y.size
+        if "C" in places:
+            tables[:, :, P : P + n] = X
+        if "D" in places:
+            tables[:, :, -m:] = u[len(u) - N :]
+        for i, table in enumerate(tables):
+            at = [np.arange(P)]
+            if "C" in places:
+                at.append(places["C"].start + i * n + np.arange(n))
+            if "D" in places:
+                at.append(places["D"].start + i * m + np.arange(m))
+            at = np.concatenate(at)
+            gradient[at] += share * ((y[:, i] - measured[:, i] / model.scale) @ table)
+            some = np.ascontiguousarray(table[::stride])
+            matrix[np.ix_(at, at)] += share * stride * (some.T @ some)
+    return matrix, gradient
