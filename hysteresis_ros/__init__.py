@@ -53,6 +53,12 @@ if TYPE_CHECKING:
         mismatched,
     )
     from hysteresis_ros.exchange import from_control, to_control, to_scipy, with_dynamics
+    from hysteresis_ros.identification.coupled import (
+        IdentifiedStructure,
+        StructureData,
+        StructureEstimator,
+        identify_structure,
+    )
     from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
     from hysteresis_ros.laboratory.sweeps.plan import Levels, LogUniform, Normal, Uniform, Within
     from hysteresis_ros.loop.faults import Fault
@@ -71,6 +77,7 @@ __all__ = [
     "Fault",
     "HysteresisError",
     "Identified",
+    "IdentifiedStructure",
     "Levels",
     "LogUniform",
     "Normal",
@@ -78,6 +85,8 @@ __all__ = [
     "Reproduction",
     "Response",
     "Run",
+    "StructureData",
+    "StructureEstimator",
     "Swept",
     "Uncertainty",
     "Uniform",
@@ -90,6 +99,7 @@ __all__ = [
     "frequency_response",
     "from_control",
     "identify",
+    "identify_structure",
     "inverses",
     "load",
     "metrics",
@@ -117,6 +127,10 @@ _MODULES = {
 #: Modules of the names that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
+    **dict.fromkeys(
+        ("IdentifiedStructure", "StructureData", "StructureEstimator", "identify_structure"),
+        "hysteresis_ros.identification.coupled",
+    ),
     **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),
     **dict.fromkeys(("Levels", "LogUniform", "Normal", "Uniform", "Within"), "hysteresis_ros.laboratory.sweeps.plan"),
     **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.laboratory.swept"),

@@ -361,6 +361,7 @@ FULL_MODULES = {
     "api.py",
     "designing.py",
     "exchange.py",
+    "identification/coupled.py",
     "identification/workflow.py",
     "laboratory/studies.py",
     "laboratory/swept.py",

@@ -22,6 +22,7 @@ case without plays. Outputs are in units of ``scale``, so that all numbers are n
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,20 +38,26 @@ from hysteresis_ros.models.structure import StructureParameters, packed, run_str
 #: the output only.
 DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
 LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
+#: Precision of the sensitivities: they decide on the way, not on where it ends. The error itself is a double.
+PRECISION = np.float32
 #: Parameters whose sensitivities run at a time: so many stay in the cache of a core.
-CHUNK = 96
+CHUNK = 192
 #: JᵀJ is taken from every sample, or from every second to fourth where so many numbers a parameter are left; the
 #: gradient from all of them.
 STRIDE, ROWS = 4, 60
 
 
-def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, row, column, u, y, X, J, x, S, inner):
+def run_sensitivities(
+    blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, row, column, u, y, X, J, x, S, inner, rates
+):
     """Fill y (N, q), X (N, n) and J (N, q P) for the inputs u; the first rows of u beyond N only run in.
 
-    ``x``: n states, n of scratch, w (h), plays (h r); ``S`` (2 n, P); ``inner`` (2 h + h r, P): dz, dw, dplay.
+    ``x``: n states, n of scratch, w (h), plays (h r); ``S`` (2 n, P); ``inner`` (2 h + h r, P): dz, dw, dplay;
+    ``rates``: blocks, B_w, C_z, weights and C in the precision of the sensitivities.
     """
     n, m, q, P = B.shape[0], B.shape[1], C.shape[0], kind.shape[0]
     h, r = weights.shape
+    blocks_s, B_w_s, C_z_s, weights_s, C_s = rates
     run_in = u.shape[0] - y.shape[0]
     x[:] = 0.0
     S[:, :] = 0.0
@@ -73,13 +80,13 @@ def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, ro
                     J[at, first + p] = 0.0
                 for b in range(0, n, 4):
                     if b + 3 < n:
-                        c0, c1, c2, c3 = C[i, b], C[i, b + 1], C[i, b + 2], C[i, b + 3]
+                        c0, c1, c2, c3 = C_s[i, b], C_s[i, b + 1], C_s[i, b + 2], C_s[i, b + 3]
                         for p in range(P):
                             J[at, first + p] += (c0 * S[b, p] + c1 * S[b + 1, p]) + (
                                 c2 * S[b + 2, p] + c3 * S[b + 3, p]
                             )
                     else:
-                        c0, c1 = C[i, b], C[i, b + 1]
+                        c0, c1 = C_s[i, b], C_s[i, b + 1]
                         for p in range(P):
                             J[at, first + p] += c0 * S[b, p] + c1 * S[b + 1, p]
         if r:
@@ -90,7 +97,7 @@ def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, ro
                 for p in range(P):
                     inner[i, p] = 0.0
                 for b in range(0, n, 2):
-                    c0, c1 = C_z[i, b], C_z[i, b + 1]
+                    c0, c1 = C_z_s[i, b], C_z_s[i, b + 1]
                     for p in range(P):
                         inner[i, p] += c0 * S[b, p] + c1 * S[b + 1, p]
                 for p in range(P):
@@ -116,8 +123,8 @@ def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, ro
                             if kind[p] == 7 and row[p] == j:
                                 inner[rate, p] -= sign
                     x[place] = value
-                    share = weights[i, j]
-                    w += share * value
+                    w += weights[i, j] * value
+                    share = weights_s[i, j]
                     for p in range(P):
                         inner[h + i, p] += share * inner[rate, p]
                     for p in range(P):
@@ -125,19 +132,20 @@ def run_sensitivities(blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, ro
                             inner[h + i, p] += value
                 x[2 * n + i] = w
         for b in range(0, n, 2):
-            s, beta, g = blocks[b // 2, 0], blocks[b // 2, 1], blocks[b // 2, 2]
+            c0, c1, c2 = blocks_s[b // 2, 0], blocks_s[b // 2, 1], blocks_s[b // 2, 2]
             for p in range(P):
-                S[n + b, p] = s * S[b, p] + beta * S[b + 1, p]
-                S[n + b + 1, p] = g * S[b, p] + s * S[b + 1, p]
+                S[n + b, p] = c0 * S[b, p] + c1 * S[b + 1, p]
+                S[n + b + 1, p] = c2 * S[b, p] + c0 * S[b + 1, p]
+            s, beta, g = blocks[b // 2, 0], blocks[b // 2, 1], blocks[b // 2, 2]
             upper, lower = s * x[b] + beta * x[b + 1], g * x[b] + s * x[b + 1]
             for j in range(m):
                 upper += B[b, j] * now[j]
                 lower += B[b + 1, j] * now[j]
             if r:
                 for j in range(h):
-                    into, below = B_w[b, j], B_w[b + 1, j]
-                    upper += into * x[2 * n + j]
-                    lower += below * x[2 * n + j]
+                    upper += B_w[b, j] * x[2 * n + j]
+                    lower += B_w[b + 1, j] * x[2 * n + j]
+                    into, below = B_w_s[b, j], B_w_s[b + 1, j]
                     for p in range(P):
                         S[n + b, p] += into * inner[h + j, p]
                         S[n + b + 1, p] += below * inner[h + j, p]
@@ -272,9 +280,13 @@ def refine_in_time(
     held_out: Experiments | None = None,
     radius: float = RADIUS,
     patience: int = 3,
+    deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; with ``held_out`` return the point that is best there and stop when it is passed."""
+    """Refine groups of parameters; with ``held_out`` return the point that is best there and stop when it is passed.
+
+    No step begins after ``deadline``, of ``time.perf_counter`` [s].
+    """
     shapes = {name: getattr(start, name).shape for name in (*DYNAMIC, "C", "D") if name in groups}
     sizes = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
     places = {name: slice(a, b) for name, a, b in zip(shapes, sizes[:-1], sizes[1:], strict=True)}
@@ -292,25 +304,26 @@ def refine_in_time(
     def normal(theta):
         return _normal_equations(structure(theta), data, places, shapes)
 
-    best = [np.inf, None, 0]
-
-    def accepted(theta, value) -> bool:
-        judged = value if held_out is None else held_out.cost(structure(theta).parameters())
-        if progress is not None:
-            progress(f"{value:.6g} {judged:.6g}")
-        if judged < best[0]:
-            best[:] = judged, theta, 0
-            return True
-        best[2] += 1
-        return best[2] < patience
-
     def allowed(theta):
         return vector(structure(theta).within(radius))
 
     theta = allowed(vector(start))
+    best, least, passed = theta, np.inf, 0
+
+    def accepted(theta, value) -> bool:
+        nonlocal best, least, passed
+        judged = value if held_out is None else held_out.cost(structure(theta).parameters())
+        if progress is not None:
+            progress(f"{value:.6g} {judged:.6g}")
+        if judged < least:
+            best, least, passed = theta, judged, 0
+        else:
+            passed += 1
+        return passed < patience and time.perf_counter() < deadline
+
     accepted(theta, cost(theta))
     found = minimise(theta, cost, normal, steps=steps, tolerance=1e-5, allowed=allowed, accepted=accepted)
-    return structure(best[1]), found
+    return structure(best), found
 
 
 def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
@@ -333,14 +346,16 @@ def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
     chunks = []
     for first in range(0, max(P, 1), CHUNK):
         some = numbers[first : first + CHUNK]
-        scratch = np.empty((N, q * len(some))), x, np.empty((2 * n, len(some))), np.empty((2 * h + h * r, len(some)))
+        sizes = (N, q * len(some)), (2 * n, len(some)), (2 * h + h * r, len(some))
+        J, S, inner = (np.empty(size, dtype=PRECISION) for size in sizes)
+        scratch = J, x, S, inner, tuple(matrices[at].astype(PRECISION) for at in (0, 2, 3, 6, 7))
         chunks.append((slice(first, first + len(some)), [np.ascontiguousarray(part) for part in some.T], scratch))
     total = max(part.stop for part in places.values())
     matrix, gradient = np.zeros((total, total)), np.zeros(total)
     stride = int(np.clip(data.y.size // (ROWS * total), 1, STRIDE))
     columns, rates = chunks[0][1], chunks[0][2]
     run = specialised(run_sensitivities, *matrices, *columns, data.u[0], y, X, *rates)
-    tables = np.empty((q, N, P + n * ("C" in places) + m * ("D" in places)))
+    tables = np.empty((q, N, P + n * ("C" in places) + m * ("D" in places)), dtype=PRECISION)
     for u, measured, deviation in zip(data.u, data.y, data.deviation, strict=True):
         for where, columns, rates in chunks:
             run(*matrices, *columns, u, y, X, *rates)
@@ -351,12 +366,12 @@ def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
         if "D" in places:
             tables[:, :, -m:] = u[len(u) - N :]
         for i, table in enumerate(tables):
-            at = [np.arange(P)]
+            columns_of = [np.arange(P)]
             if "C" in places:
-                at.append(places["C"].start + i * n + np.arange(n))
+                columns_of.append(places["C"].start + i * n + np.arange(n))
             if "D" in places:
-                at.append(places["D"].start + i * m + np.arange(m))
-            at = np.concatenate(at)
+                columns_of.append(places["D"].start + i * m + np.arange(m))
+            at = np.concatenate(columns_of)
             gradient[at] += share * ((y[:, i] - measured[:, i] / model.scale) @ table)
             some = np.ascontiguousarray(table[::stride])
             matrix[np.ix_(at, at)] += share * stride * (some.T @ some)

@@ -12,12 +12,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
+from hysteresis_ros.identification.coupled import StructureData, StructureEstimator, identify_structure
 from hysteresis_ros.identification.data import DataError
 from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.frequency_response_matrix import response_matrix
@@ -30,6 +33,7 @@ from hysteresis_ros.identification.structure_fit import (
     refine_in_time,
 )
 from hysteresis_ros.identification.subspace import modal, refine_on_response, subspace_model
+from hysteresis_ros.models.structure import Structure, StructureParameters
 
 SAMPLE_TIME = 1e-3
 PERIOD = 512
@@ -287,6 +291,71 @@ def test_the_best_point_of_the_held_out_realisations_is_kept():
     full, _ = refine_in_time(start, noisy, ("gains", "weights", "radii", "B", "C"), steps=15)
     assert held.cost(found.parameters()) <= held.cost(full.parameters())
     assert held.cost(found.parameters()) < held.cost(start.parameters())
+
+
+def measured(structure: ModalStructure, levels=(0.5, 1.5), realisations=4, noise=2e-9) -> StructureData:
+    """Return two periods in steady state of each of some realisations at each level, with noise of the sensors."""
+    random = np.random.default_rng(8)
+    u = np.concatenate([multisines(realisations, 2, 10 + seed, level) for seed, level in enumerate(levels)])
+    block = Structure(structure.parameters(), SAMPLE_TIME)
+    y = []
+    for one in u:
+        block.reset()
+        block.simulate(one)
+        y.append(block.simulate(one))
+    return StructureData(u, np.array(y) + noise * random.standard_normal(u.shape), SAMPLE_TIME, PERIOD)
+
+
+@pytest.fixture(scope="module")
+def found_of_the_whole():
+    data = measured(hysteretic())
+    estimator = StructureEstimator(order=(2, 4), plays=3, hystereses=1, run_in=256, steps=15)
+    return data, estimator.fit(data), replace(estimator, plays=0).fit(data)
+
+
+def test_one_structure_serves_all_levels_better_than_linear_dynamics(found_of_the_whole):
+    data, found, linear = found_of_the_whole
+    assert [len(level) for level in data.levels] == [4, 4]
+    assert found.parameters.order == linear.parameters.order == 4
+    held = np.array(found.figures["held_out_rmse_m"])
+    assert np.all(held < 0.7 * np.array(linear.figures["held_out_rmse_m"]))
+    fresh = measured(hysteretic(), levels=(0.8, 1.2), realisations=1)
+    assert np.all(found.score(fresh) < 0.7 * linear.score(fresh))
+    np.testing.assert_allclose(found.predict(fresh.u[0]), found.predict(fresh.u)[0])
+    # noise of 2 nm in spectra of two periods
+    np.testing.assert_allclose(found.figures["noise_m"], 2e-9 / np.sqrt(2.0) * np.sqrt(2 * 200 / PERIOD), rtol=0.1)
+
+
+def test_a_saved_structure_is_read_back_with_the_same_numbers(found_of_the_whole, tmp_path):
+    _, found, _ = found_of_the_whole
+    found.save(tmp_path / "structure.yaml")
+    values = load_configuration(tmp_path / "structure.yaml").node("plant_simulator")
+    flat = {name.removeprefix("structure."): value for name, value in values.items()}
+    assert StructureParameters.from_mapping(flat).validated() == found.parameters
+
+
+def test_levels_are_told_apart_by_the_size_of_the_input():
+    u = np.concatenate([multisines(2, 1, seed, level) for seed, level in enumerate((3.0, 1.0, 1.1))])
+    data = StructureData(u, u, SAMPLE_TIME, PERIOD)
+    assert [level.tolist() for level in data.levels] == [[2, 3, 4, 5], [0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"order": 5}, "order = 5: must be even numbers"),
+        ({"order": ()}, "order = ()"),
+        ({"plays": -1}, "plays = -1: must be ≥ 0"),
+        ({"hystereses": 0}, "hystereses = 0: must be ≥ 1"),
+        ({"held_out": 3}, "4 realisations of a level: 2 inputs and held_out = 3 need 5"),
+        ({"run_in": 0}, "run_in = 0: must be ≥ 1 sample"),
+        ({"orders": 4}, "orders: no such option; there are order, plays"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused(options, words):
+    u = multisines(4)
+    with pytest.raises(IdentificationError, match=re.escape(words)):
+        identify_structure(u, u, SAMPLE_TIME, PERIOD, **options)
 
 
 def test_unknown_orders_are_refused():

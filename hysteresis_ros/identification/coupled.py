@@ -1,0 +1,484 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+
+"""Identification of coupled axes: several inputs and outputs, one model for all levels of the excitation.
+
+The steps, each on what the one before it found:
+
+1. frequency response matrix of each level, with noise and nonlinear distortion apart (``frequency_response_matrix``);
+2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), the order by the
+   error of the simulation on realisations held out;
+3. hysteresis inside the structure (``structure_fit``): gains and plays first, the linear part with them, then C_z, then
+   B_w, by Gauss-Newton on the error of the simulation. The search ends where the error on the realisations held out
+   rises.
+
+C_z starts as Γ C Λ^τ, the motion of the actuators τ samples ahead, with Γ the inverse of the static gain: without this
+advance the search ends far from the plant.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy
+
+from hysteresis_ros.configuration import dump_configuration
+from hysteresis_ros.errors import IdentificationError, Problem
+from hysteresis_ros.identification.data import DataError
+from hysteresis_ros.identification.frequency_response_matrix import ResponseMatrix, experiments_of, response_matrix
+from hysteresis_ros.identification.linear_systems import LinearModel
+from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.identification.structure_fit import LINEAR_GROUPS, Experiments, ModalStructure, refine_in_time
+from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
+from hysteresis_ros.models.structure import Structure, StructureParameters
+
+#: Realisations whose inputs have the same RMS value within this factor are of one level.
+SAME_LEVEL = 1.2
+#: Orders that are tried where none is asked for.
+ORDERS = (4, 8, 12, 20, 28, 36, 44)
+#: An order is enough when its error on the realisations held out is at most this much larger than the smallest.
+ENOUGH = 1.02
+#: A mode may die out over the run-in to this part at most: what a simulation from rest misses.
+REMAINDER = np.exp(-5.0)
+#: Advance τ of the motion that acts on the plays at the start [samples].
+ADVANCE = 1.1
+#: Radii at the start, as parts of the RMS motion at the highest level.
+SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
+#: Weight of the plays at the start.
+FIRST_WEIGHT = 1e-3
+#: Steps on the response, and of each early stage with plays; those see two realisations a level and half a period.
+RESPONSE_STEPS = 30
+EARLY_STEPS, EARLY_REALISATIONS = 6, 2
+#: Steps that may pass without a better error on the realisations held out.
+PATIENCE = 3
+#: Parameters of the stages: each has those of the stages before it.
+STAGES = (
+    ("gains and plays", ("gains", "weights")),
+    ("linear part", ("sigma", "gamma", "B", "C", "D")),
+    ("C_z", ("C_z",)),
+    ("B_w and radii", ("B_w", "radii")),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StructureData:
+    """Recordings of several inputs and outputs in periods, in steady state.
+
+    Parameters
+    ----------
+    u : array_like, shape (R, P N, m)
+        Inputs [V] of R realisations of P periods of N samples.
+    y : array_like, shape (R, P N, q)
+        Outputs [m].
+    sample_time : float
+        [s]
+    period : int
+        N.
+
+    Raises
+    ------
+    DataError
+        The shapes do not fit, or a value is not finite.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    sample_time: float
+    period: int
+
+    def __post_init__(self) -> None:
+        u, y = experiments_of("input", self.u, self.period), experiments_of("output", self.y, self.period)
+        if u.shape[:2] != y.shape[:2]:
+            text = f"input {np.shape(self.u)} and output {np.shape(self.y)} differ in realisations or samples"
+            raise DataError("shape", text)
+        if not self.sample_time > 0.0:
+            raise DataError("uniform", f"sample_time = {self.sample_time!r}: must be > 0 s")
+        object.__setattr__(self, "u", np.asarray(self.u, dtype=float))
+        object.__setattr__(self, "y", np.asarray(self.y, dtype=float))
+
+    @property
+    def levels(self) -> tuple[np.ndarray, ...]:
+        """Indices of the realisations of each level, the lowest level first."""
+        size = np.sqrt(np.mean(self.u**2, axis=(1, 2)))
+        order = np.argsort(size, kind="stable")
+        ends = np.flatnonzero(size[order][1:] > SAME_LEVEL * size[order][:-1]) + 1
+        return tuple(np.sort(part) for part in np.split(order, ends))
+
+    def part(self, chosen) -> StructureData:
+        """Return some of the realisations.
+
+        Parameters
+        ----------
+        chosen : array_like of int
+            Their indices.
+
+        Returns
+        -------
+        StructureData
+            A copy.
+        """
+        return replace(self, u=self.u[chosen], y=self.y[chosen])
+
+    def averaged(self, run_in: int) -> Experiments:
+        """Return one period, averaged over the periods, behind a run-in of the end of it."""
+        R, _, m = self.u.shape
+        u, y = (part.reshape(R, -1, self.period, part.shape[2]).mean(axis=1) for part in (self.u, self.y))
+        before = np.tile(u, (1, -(-run_in // self.period), 1))[:, -run_in:] if run_in else u[:, :0]
+        return Experiments(np.concatenate([before, u], axis=1), np.ascontiguousarray(y), np.ones(R))
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedStructure:
+    """What :func:`identify_structure` found.
+
+    Parameters
+    ----------
+    parameters : StructureParameters
+        The model, in SI units.
+    responses : tuple of ResponseMatrix
+        Frequency response matrix of each level, the lowest first, of the realisations that were not held out.
+    figures : dict
+        By names with units: order, plays, the smallest and largest condition number, and for each level the errors on
+        what was fitted and on what was held out, noise and distortion.
+    warnings : tuple of str
+        What is uncertain, in sentences.
+    """
+
+    parameters: StructureParameters
+    responses: tuple[ResponseMatrix, ...]
+    figures: dict
+    warnings: tuple[str, ...]
+
+    def predict(self, u, period: int | None = None) -> np.ndarray:
+        """Return the outputs that the model simulates.
+
+        Parameters
+        ----------
+        u : array_like, shape (R, N, m) or (N, m)
+            Inputs [V].
+        period : int, optional
+            The inputs repeat after so many samples, and the outputs are those of the steady state: one period runs in.
+            From rest by default.
+
+        Returns
+        -------
+        ndarray, shape (R, N, q) or (N, q)
+            Outputs [m].
+
+        Raises
+        ------
+        ParameterError
+            The inputs have another number of columns than the model.
+        """
+        u = np.asarray(u, dtype=float)
+        found = []
+        for one in u if u.ndim == 3 else u[None]:
+            block = Structure(self.parameters, self.parameters.sample_time)
+            if period:
+                block.simulate(one[:period])
+            found.append(block.simulate(one))
+        return np.array(found) if u.ndim == 3 else found[0]
+
+    def score(self, data: StructureData, skip: int = 0) -> np.ndarray:
+        """Return the RMS error [m] of the simulation at each level.
+
+        Parameters
+        ----------
+        data : StructureData
+            Recordings that the model has not seen.
+        skip : int
+            Samples of each period that do not count.
+
+        Returns
+        -------
+        ndarray, shape (L, q)
+            For each level, the lowest first, and output: the mean over realisations and periods of the RMS error of
+            each.
+        """
+        R, q = len(data.u), data.y.shape[2]
+        rest = (self.predict(data.u, data.period) - data.y).reshape(R, -1, data.period, q)[:, :, skip:]
+        each = np.sqrt(np.mean(rest**2, axis=2)).mean(axis=1)
+        return np.array([each[chosen].mean(axis=0) for chosen in data.levels])
+
+    def to_yaml(self) -> str:
+        """Return the text of a parameter file with the structure of a plant.
+
+        Returns
+        -------
+        str
+            ``structure`` of the node ``plant_simulator``; matrices are numbers row by row.
+        """
+        values = {row.name: getattr(self.parameters, row.name) for row in StructureParameters.table()}
+        return dump_configuration({"/**/plant_simulator": {f"structure.{name}": v for name, v in values.items()}})
+
+    def save(self, path) -> None:
+        """Write the parameter file whole or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.yaml``
+
+        Raises
+        ------
+        IdentificationError
+            It cannot be written.
+        """
+        write_file(path, self.to_yaml())
+
+
+@dataclass(frozen=True)
+class StructureEstimator:
+    """An identification of a structure, ready for any recording.
+
+    Parameters
+    ----------
+    order : int or tuple of int
+        Even order of the linear part; of several, the one that predicts best what was held out.
+    plays : int
+        Plays of each hysteresis; 0: linear dynamics alone.
+    hystereses : int
+        Hystereses of each actuator: the first starts from the motion of the structure, further ones from the voltage.
+    held_out : int
+        Realisations of each level that only judge: they choose the order and end the search.
+    run_in : int, optional
+        Samples before each period in which a simulation from rest comes to its steady state; by default a quarter of
+        the period. Modes that take longer are not found.
+    steps : int
+        Steps of the last stage, over all parameters and all data.
+    seconds : float, optional
+        No step begins later than this after the start; the best point so far is the result. Where it ends the search,
+        another machine finds another model.
+    band : tuple of float, optional
+        Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
+        default.
+    progress : callable, optional
+        Called as ``progress(text)`` after each step.
+    """
+
+    order: int | tuple[int, ...] = ORDERS
+    plays: int = 8
+    hystereses: int = 2
+    held_out: int = 1
+    run_in: int | None = None
+    steps: int = 20
+    seconds: float | None = None
+    band: tuple[float, float] | None = None
+    progress: Callable[[str], None] | None = field(default=None, compare=False)
+
+    def fit(self, data: StructureData) -> IdentifiedStructure:
+        """Identify the structure from recordings.
+
+        Parameters
+        ----------
+        data : StructureData
+            At least m + ``held_out`` realisations of each level.
+
+        Returns
+        -------
+        IdentifiedStructure
+            The model with ``predict``, ``score`` and ``save``.
+
+        Raises
+        ------
+        IdentificationError, DataError
+            The options or the data cannot be used; the message says what is allowed.
+        """
+        orders = self._checked()
+        begun, run_in = time.perf_counter(), data.period // 4 if self.run_in is None else self.run_in
+        limits = REMAINDER ** (1.0 / run_in), np.inf if self.seconds is None else begun + self.seconds
+        levels = data.levels
+        m = data.u.shape[2]
+        for chosen in levels:
+            if len(chosen) < m + self.held_out:
+                raise DataError(
+                    "short",
+                    f"{len(chosen)} realisations of a level: {m} inputs and held_out = {self.held_out} need "
+                    f"{m + self.held_out} at least",
+                )
+        fitted = [chosen[: len(chosen) - self.held_out] for chosen in levels]
+        judged = [chosen[len(chosen) - self.held_out :] for chosen in levels]
+        responses = tuple(self._response(data.part(chosen)) for chosen in fitted)
+        whole = data.averaged(run_in)
+        deviation = np.empty(len(data.u))
+        for chosen, found in zip(levels, responses, strict=True):
+            # where distortion cannot be told, all levels count by their size
+            deviation[chosen] = found.level(found.total).mean() if found.total is not None else whole.y[chosen].std()
+        whole = replace(whole, deviation=deviation)
+        training = whole.part(np.concatenate(fitted))
+        held = whole.part(np.concatenate(judged)) if self.held_out else None
+        middle = len(levels) // 2
+        linear = self._linear(
+            responses[middle], orders, whole.part(judged[middle] if held else fitted[middle]), limits[0]
+        )
+        scale = float(np.std(whole.y))
+        start = ModalStructure.linear(linear, scale)
+        if self.plays:
+            early = np.concatenate([chosen[:: max(1, len(chosen) - 1)][:EARLY_REALISATIONS] for chosen in fitted])
+            found, course = self._plays(start, linear, whole.part(early), training, held, limits, run_in)
+        else:
+            found, course = self._refined("linear part", start, training, held, LINEAR_GROUPS, self.steps, limits)
+        parameters = found.parameters().validated()
+        warnings = [text for one in responses for text in one.response.warnings]
+        if not course.converged and held is None:
+            warnings.append(f"the search was stopped after {self.steps} steps; raise steps")
+        result = IdentifiedStructure(parameters, responses, {}, tuple(dict.fromkeys(warnings)))
+        figures = _figures(result, data, levels, fitted, judged if self.held_out else None)
+        figures["seconds"] = time.perf_counter() - begun
+        return replace(result, figures=figures)
+
+    def _checked(self) -> tuple[int, ...]:
+        """Return the orders to try, or refuse options that cannot be used."""
+        orders = (self.order,) if isinstance(self.order, int) else tuple(self.order)
+        for name, value, allowed, wrong in (
+            ("order", self.order, "must be even numbers ≥ 2", not orders or any(n < 2 or n % 2 for n in orders)),
+            ("plays", self.plays, "must be ≥ 0", self.plays < 0),
+            ("hystereses", self.hystereses, "must be ≥ 1", self.hystereses < 1),
+            ("held_out", self.held_out, "must be ≥ 0", self.held_out < 0),
+            ("run_in", self.run_in, "must be ≥ 1 sample", self.run_in is not None and self.run_in < 1),
+            ("steps", self.steps, "must be ≥ 1", self.steps < 1),
+            ("seconds", self.seconds, "must be > 0 s", self.seconds is not None and not self.seconds > 0.0),
+        ):
+            if wrong:
+                raise IdentificationError(str(Problem(name, value, allowed)))
+        return orders
+
+    def _report(self, text: str) -> None:
+        if self.progress is not None:
+            self.progress(text)
+
+    def _response(self, data: StructureData) -> ResponseMatrix:
+        return response_matrix(data.u, data.y, data.sample_time, data.period)
+
+    def _linear(self, found: ResponseMatrix, orders, judge: Experiments, radius: float) -> LinearModel:
+        """Return the linear dynamics of a level, in modes."""
+        response = found.response if self.band is None else found.response.band(*self.band)
+        size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
+        # between absolute and relative errors: resonances do not hide the rest
+        weights = np.sqrt(size.mean() / size)
+        models, errors = [], []
+        for order in orders:
+            model = subspace_model(response, order, weights=weights, radius=radius)
+            model, _ = refine_on_response(model, response, steps=RESPONSE_STEPS, radius=radius)
+            models.append(model)
+            errors.append(judge.cost(ModalStructure.linear(model, 1.0).parameters()))
+            self._report(f"order {order}: error {np.sqrt(errors[-1]):.4g} of the distortion on what judges")
+        enough = np.sqrt(errors) <= ENOUGH * np.sqrt(min(errors))
+        return models[min(np.flatnonzero(enough), key=lambda i: orders[i])]
+
+    def _refined(self, name, start, training, held, groups, steps, limits):
+        def step(text: str) -> None:
+            self._report(f"{name}: {text}")
+
+        radius, deadline = limits
+        return refine_in_time(
+            start,
+            training,
+            groups,
+            steps=steps,
+            held_out=held,
+            radius=radius,
+            patience=PATIENCE,
+            deadline=deadline,
+            progress=step,
+        )
+
+    def _plays(self, start: ModalStructure, linear: LinearModel, early, training, held, limits, run_in: int):
+        """Return the structure with plays, and the course of the last search."""
+        gain = np.linalg.pinv(np.atleast_2d(linear.dc_gain))
+        ahead = [
+            np.real(scipy.linalg.fractional_matrix_power(linear.A[i : i + 2, i : i + 2], ADVANCE))
+            for i in range(0, linear.order, 2)
+        ]
+        motion = gain @ linear.C @ scipy.linalg.block_diag(*ahead)
+        largest = training.u[int(np.argmax(training.u.std(axis=(1, 2))))]
+        size = float(np.std(linear.simulate(largest)[run_in:] @ gain.T))
+        m, further = len(motion), self.hystereses - 1
+        model = replace(
+            start,
+            B_w=np.tile(linear.B, (1, self.hystereses)),
+            C_z=np.concatenate([motion, np.zeros((m * further, linear.order))]),
+            gains=np.concatenate([np.zeros(m), np.ones(m * further)]),
+            weights=np.full((m * self.hystereses, self.plays), FIRST_WEIGHT),
+            radii=size * np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, self.plays),
+        )
+        half = training.y.shape[1] // 2
+        early = replace(early, u=early.u[:, : early.u.shape[1] - half], y=early.y[:, : early.y.shape[1] - half])
+        groups: tuple[str, ...] = ()
+        for name, added in STAGES:
+            groups += added
+            model, _ = self._refined(name, model, early, held, groups, EARLY_STEPS, limits)
+        return self._refined("everything", model, training, held, groups, self.steps, limits)
+
+
+def _figures(result: IdentifiedStructure, data: StructureData, levels, fitted, judged) -> dict:
+    """Return the figures of an identification by names with units."""
+    parameters = result.parameters
+    condition = np.concatenate([one.condition for one in result.responses])
+    figures: dict = {
+        "order": parameters.order,
+        "plays": len(parameters.radii),
+        "largest_modulus": float(np.abs(parameters.linear.poles).max()),
+        "largest_condition": float(condition.max()),
+        "level_rms_v": [float(np.sqrt(np.mean(data.u[chosen] ** 2))) for chosen in levels],
+        "rmse_m": [float(result.score(data.part(chosen)).mean()) for chosen in fitted],
+    }
+    if judged is not None:
+        figures["held_out_rmse_m"] = [float(result.score(data.part(chosen)).mean()) for chosen in judged]
+    for name in ("noise", "total"):
+        parts = [getattr(one, name) for one in result.responses]
+        if all(part is not None for part in parts):
+            pairs = zip(result.responses, parts, strict=True)
+            figures[f"{name}_m"] = [float(one.level(part).mean()) for one, part in pairs]
+    return figures
+
+
+def identify_structure(u, y, sample_time: float, period: int, **options) -> IdentifiedStructure:
+    """Identify coupled axes, hysteresis included, from recordings of several inputs and outputs.
+
+    Parameters
+    ----------
+    u : array_like, shape (R, P N, m)
+        Inputs [V] of R realisations of P periods of N samples: orthogonal or full random-phase multisines in steady
+        state, of one or several levels.
+    y : array_like, shape (R, P N, q)
+        Outputs [m].
+    sample_time : float
+        [s]
+    period : int
+        N.
+    **options
+        ``order``, ``plays``, ``hystereses``, ``held_out``, ``run_in``, ``steps``, ``seconds``, ``band`` and
+        ``progress``, see :class:`StructureEstimator`.
+
+    Returns
+    -------
+    IdentifiedStructure
+        One model for all levels, with ``parameters``, ``figures``, ``predict``, ``score`` and ``save``.
+
+    Raises
+    ------
+    IdentificationError, DataError
+        The excitations are correlated, there are too few realisations, or a shape, a value or an option is wrong.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.identify_structure(u, y, 1 / 6400, 8192, order=40)  # doctest: +SKIP
+    >>> found.save("mirror.yaml")  # doctest: +SKIP
+    """
+    unknown = [name for name in options if name not in StructureEstimator.__dataclass_fields__]
+    if unknown:
+        known = ", ".join(StructureEstimator.__dataclass_fields__)
+        raise IdentificationError(f"{', '.join(unknown)}: no such option; there are {known}")
+    return StructureEstimator(**options).fit(StructureData(u, y, sample_time, period))
