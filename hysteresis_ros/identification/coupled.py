@@ -61,6 +61,8 @@ RESPONSE_STEPS = 30
 EARLY_STEPS, EARLY_REALISATIONS = 6, 2
 #: Steps that may pass without a better error on the realisations held out.
 PATIENCE = 3
+#: What an error may count.
+WEIGHTINGS = ("distortion", "absolute")
 #: Parameters of the stages: each has those of the stages before it.
 STAGES = (
     ("gains and plays", ("gains", "weights")),
@@ -254,6 +256,9 @@ class StructureEstimator:
     run_in : int, optional
         Samples before each period in which a simulation from rest comes to its steady state; by default a quarter of
         the period. Modes that take longer are not found.
+    weighting : str
+        What an error counts: ``distortion``, relative to the nonlinear distortion of its level, so that all levels
+        count alike; or ``absolute``, in metres, so that the highest level counts most.
     steps : int
         Steps of the last stage, over all parameters and all data.
     seconds : float, optional
@@ -271,6 +276,7 @@ class StructureEstimator:
     hystereses: int = 2
     held_out: int = 1
     run_in: int | None = None
+    weighting: str = "distortion"
     steps: int = 20
     seconds: float | None = None
     band: tuple[float, float] | None = None
@@ -314,6 +320,8 @@ class StructureEstimator:
         for chosen, found in zip(levels, responses, strict=True):
             # where distortion cannot be told, all levels count by their size
             deviation[chosen] = found.level(found.total).mean() if found.total is not None else whole.y[chosen].std()
+        if self.weighting == "absolute":
+            deviation[:] = deviation.mean()
         whole = replace(whole, deviation=deviation)
         training = whole.part(np.concatenate(fitted))
         held = whole.part(np.concatenate(judged)) if self.held_out else None
@@ -346,6 +354,7 @@ class StructureEstimator:
             ("hystereses", self.hystereses, "must be ≥ 1", self.hystereses < 1),
             ("held_out", self.held_out, "must be ≥ 0", self.held_out < 0),
             ("run_in", self.run_in, "must be ≥ 1 sample", self.run_in is not None and self.run_in < 1),
+            ("weighting", self.weighting, f"must be one of {', '.join(WEIGHTINGS)}", self.weighting not in WEIGHTINGS),
             ("steps", self.steps, "must be ≥ 1", self.steps < 1),
             ("seconds", self.seconds, "must be > 0 s", self.seconds is not None and not self.seconds > 0.0),
         ):
@@ -458,8 +467,8 @@ def identify_structure(u, y, sample_time: float, period: int, **options) -> Iden
     period : int
         N.
     **options
-        ``order``, ``plays``, ``hystereses``, ``held_out``, ``run_in``, ``steps``, ``seconds``, ``band`` and
-        ``progress``, see :class:`StructureEstimator`.
+        ``order``, ``plays``, ``hystereses``, ``held_out``, ``run_in``, ``weighting``, ``steps``, ``seconds``, ``band``
+        and ``progress``, see :class:`StructureEstimator`.
 
     Returns
     -------
