@@ -30,9 +30,13 @@ if TYPE_CHECKING:
         Configuration,
         HysteresisError,
         Identified,
+        IdentifiedStructure,
         Run,
+        StructureData,
+        StructureEstimator,
         configurations,
         identify,
+        identify_structure,
         load,
         metrics,
         plot,
@@ -53,12 +57,6 @@ if TYPE_CHECKING:
         mismatched,
     )
     from hysteresis_ros.exchange import from_control, to_control, to_scipy, with_dynamics
-    from hysteresis_ros.identification.coupled import (
-        IdentifiedStructure,
-        StructureData,
-        StructureEstimator,
-        identify_structure,
-    )
     from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
     from hysteresis_ros.laboratory.sweeps.plan import Levels, LogUniform, Normal, Uniform, Within
     from hysteresis_ros.loop.faults import Fault
@@ -127,10 +125,6 @@ _MODULES = {
 #: Modules of the names that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
-    **dict.fromkeys(
-        ("IdentifiedStructure", "StructureData", "StructureEstimator", "identify_structure"),
-        "hysteresis_ros.identification.coupled",
-    ),
     **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),
     **dict.fromkeys(("Levels", "LogUniform", "Normal", "Uniform", "Within"), "hysteresis_ros.laboratory.sweeps.plan"),
     **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.laboratory.swept"),

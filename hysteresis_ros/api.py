@@ -38,6 +38,12 @@ from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.designs.frequency_response import AxisResponse
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, MissingExtraError, did_you_mean
 from hysteresis_ros.identification import workflow
+from hysteresis_ros.identification.coupled import (
+    IdentifiedStructure,
+    StructureData,
+    StructureEstimator,
+    identify_structure,
+)
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.frequency_response import save_response
 from hysteresis_ros.identification.parameter_file import write_file
@@ -450,9 +456,13 @@ __all__ = [
     "Configuration",
     "HysteresisError",
     "Identified",
+    "IdentifiedStructure",
     "Run",
+    "StructureData",
+    "StructureEstimator",
     "configurations",
     "identify",
+    "identify_structure",
     "load",
     "metrics",
     "plot",

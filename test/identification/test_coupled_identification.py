@@ -204,7 +204,7 @@ def test_refinement_on_the_response_finds_the_plant_from_a_detuned_model():
 def hysteretic(radii=(0.2, 0.6)) -> ModalStructure:
     """The plant with plays that feel the motion of the structure."""
     linear = ModalStructure.linear(modal(plant(4)), 1e-6)
-    motion = 0.15 * np.random.default_rng(4).standard_normal((2, 4))
+    motion = 0.05 * np.random.default_rng(4).standard_normal((2, 4))
     return replace(
         linear,
         B_w=0.3 * linear.B,
@@ -293,7 +293,7 @@ def test_the_best_point_of_the_held_out_realisations_is_kept():
     assert held.cost(found.parameters()) < held.cost(start.parameters())
 
 
-def measured(structure: ModalStructure, levels=(0.5, 1.5), realisations=4, noise=2e-9) -> StructureData:
+def measured(structure: ModalStructure, levels=(0.5, 1.5), realisations=4, noise=2e-8) -> StructureData:
     """Return two periods in steady state of each of some realisations at each level, with noise of the sensors."""
     random = np.random.default_rng(8)
     u = np.concatenate([multisines(realisations, 2, 10 + seed, level) for seed, level in enumerate(levels)])
@@ -301,7 +301,8 @@ def measured(structure: ModalStructure, levels=(0.5, 1.5), realisations=4, noise
     y = []
     for one in u:
         block.reset()
-        block.simulate(one)
+        for _ in range(3):
+            block.simulate(one)
         y.append(block.simulate(one))
     return StructureData(u, np.array(y) + noise * random.standard_normal(u.shape), SAMPLE_TIME, PERIOD)
 
@@ -318,12 +319,12 @@ def test_one_structure_serves_all_levels_better_than_linear_dynamics(found_of_th
     assert [len(level) for level in data.levels] == [4, 4]
     assert found.parameters.order == linear.parameters.order == 4
     held = np.array(found.figures["held_out_rmse_m"])
-    assert np.all(held < 0.7 * np.array(linear.figures["held_out_rmse_m"]))
+    assert np.all(held < 0.3 * np.array(linear.figures["held_out_rmse_m"]))
     fresh = measured(hysteretic(), levels=(0.8, 1.2), realisations=1)
-    assert np.all(found.score(fresh) < 0.7 * linear.score(fresh))
+    assert np.all(found.score(fresh) < 0.3 * linear.score(fresh))
     np.testing.assert_allclose(found.predict(fresh.u[0]), found.predict(fresh.u)[0])
-    # noise of 2 nm in spectra of two periods
-    np.testing.assert_allclose(found.figures["noise_m"], 2e-9 / np.sqrt(2.0) * np.sqrt(2 * 200 / PERIOD), rtol=0.1)
+    # noise of 20 nm in spectra of two periods
+    np.testing.assert_allclose(found.figures["noise_m"], 2e-8 / np.sqrt(2.0) * np.sqrt(2 * 200 / PERIOD), rtol=0.1)
 
 
 def test_a_saved_structure_is_read_back_with_the_same_numbers(found_of_the_whole, tmp_path):
