@@ -1,0 +1,318 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Coupled loops: what a static gain couples, how it is decoupled, and the margins of several loops at once.
+
+Loops are square: n commands, n measurements. A loop L is what lies between a cut at the commands and back: the
+controllers behind the plant, with negative feedback, so that S = (I + L)⁻¹.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.control.margins import _grid
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.linear import BOUNDARY, StateSpace
+from hysteresis_ros.models.linear_algebra import inverse
+
+#: Ratio of the smallest to the largest singular value of a gain below which a direction counts as lost.
+SINGULAR = 1e-6
+#: Frequencies of the grid of margins, besides those around the poles.
+GRID = 1500
+#: Sweeps of the balancing that scalings begin with.
+SWEEPS = 20
+#: Steps of the search for the peak between two points of the grid.
+STEPS = 40
+#: Relative accuracy of scalings while the worst frequency is sought, and at that frequency.
+SOUGHT, KEPT = 1e-4, 1e-9
+
+
+def lost_direction(gain, names: Sequence[str]) -> str:
+    """Return the direction of its inputs in which a gain moves nothing.
+
+    Parameters
+    ----------
+    gain : array_like, shape (n, n)
+    names : sequence of str
+        Names of its n inputs.
+
+    Returns
+    -------
+    str
+        Such as ``+0.71 x, -0.71 y``; empty for a gain that loses none: whose smallest singular value is above
+        :data:`SINGULAR` of the largest.
+    """
+    _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
+    if sizes[-1] > SINGULAR * sizes[0]:
+        return ""
+    row = rows[-1] * np.sign(rows[-1][np.argmax(np.abs(rows[-1]))])
+    return ", ".join(f"{value:+.2f} {name}" for value, name in zip(row, names, strict=True))
+
+
+def static_decoupling(gain, names: Sequence[str] = ()) -> np.ndarray:
+    """Return the matrix that decouples a gain at rest, its inverse.
+
+    The commands of the degrees of freedom times this matrix are those of the actuators. What it decouples is rest and
+    whatever is slow against the modes; beyond, the modes couple the loops again.
+
+    Parameters
+    ----------
+    gain : array_like, shape (n, n)
+        From the commands of the actuators to the degrees of freedom, such as ``plant.dc_gain`` of a
+        :class:`.StateSpace`.
+    names : sequence of str, optional
+        Names of the actuators, for the message.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+
+    Raises
+    ------
+    ParameterError
+        The gain is not square, or loses a direction, which the message names.
+
+    Examples
+    --------
+    >>> static_decoupling([[2.0, 0.0], [0.0, 4.0]])
+    array([[0.5 , 0.  ],
+           [0.  , 0.25]])
+    """
+    gain = np.asarray(gain, dtype=float)
+    if gain.ndim != 2 or gain.shape[0] != gain.shape[1]:
+        raise ParameterError([Problem("gain", gain.shape, "must have shape (n, n), a row for each degree of freedom")])
+    lost = lost_direction(gain, names or [f"input {i}" for i in range(len(gain))])
+    if lost:
+        raise ParameterError([Problem("gain", gain.tolist(), f"is singular: the direction {lost} moves nothing")])
+    return inverse(gain)
+
+
+def relative_gain_array(gain) -> np.ndarray:
+    """Return the relative gain array Λ = G ∘ (G⁻¹)ᵀ of Bristol [1]_.
+
+    Λ_ij is the gain from input j to output i with all other loops open over that with all other loops closed and
+    ideal. Rows and columns add up to one. A pairing on entries near one couples little; on a negative entry a loop
+    changes its sign when the others open.
+
+    Parameters
+    ----------
+    gain : array_like, shape (..., n, n)
+        Gains at rest, or complex responses at several frequencies.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+
+    References
+    ----------
+    .. [1] Bristol, On a new measure of interaction for multivariable process control, IEEE Trans. Autom. Control
+       11(1), 1966.
+
+    Examples
+    --------
+    >>> relative_gain_array([[1.0, 0.5], [0.0, 1.0]])
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    gain = np.asarray(gain)
+    # adding zero makes 0 of -0, which a product with the inverse of a triangular gain leaves
+    return gain * np.swapaxes(np.linalg.inv(gain), -1, -2) + 0.0
+
+
+def singular_values(response) -> np.ndarray:
+    """Return the singular values of a response, the largest first.
+
+    Parameters
+    ----------
+    response : array_like, shape (F, q, m)
+        Complex response at F frequencies, as :meth:`.StateSpace.response` returns it.
+
+    Returns
+    -------
+    ndarray, shape (F, min(q, m))
+    """
+    return np.linalg.svd(np.asarray(response), compute_uv=False)
+
+
+@dataclass(frozen=True)
+class DiskMargin:
+    """Disk margin of a loop, or of all loops at once."""
+
+    alpha: float  #: Size α of the disk; 0: unstable.
+    frequency: float  #: Frequency at which it is reached [Hz]; NaN for an unstable loop.
+    skew: float = 0.0  #: Skew σ of the disk; 0: as much gain up as down.
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Smallest and largest factor of the gain that is allowed; the phase then has none to spare."""
+        low, high = 0.5 * self.alpha * (1.0 - self.skew), 0.5 * self.alpha * (1.0 + self.skew)
+        return (1.0 - low) / (1.0 + high), ((1.0 + low) / (1.0 - high) if high < 1.0 else math.inf)
+
+    @property
+    def gain_margin(self) -> float:
+        """Factor by which the gain may grow [dB]."""
+        return 20.0 * math.log10(self.gains[1])
+
+    @property
+    def phase_margin(self) -> float:
+        """Allowed change of the phase either way [degrees]; the gain then has none to spare."""
+        low, high = self.gains
+        if math.isinf(high):
+            cosine = low
+        else:
+            cosine = (1.0 + low * high) / (low + high)
+        return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+
+
+@dataclass(frozen=True)
+class DiskMargins:
+    """Disk margins of coupled loops: what :func:`disk_margins` finds."""
+
+    loops: tuple[DiskMargin, ...]  #: Of each loop by itself, with the others closed as they are.
+    together: DiskMargin  #: Of changes in all loops at once, each its own.
+
+
+def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> DiskMargins:
+    """Return the disk margins of coupled loops, one by one and all at once.
+
+    Each loop is multiplied by its own complex factor
+
+        f = (1 + (1 - σ)/2 δ) / (1 - (1 + σ)/2 δ),  abs(δ) < α,
+
+    which is any change of gain and phase within a disk around one. The margin is the largest α for which the loops stay
+    stable [1]_: 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2) for a loop by itself, and of the
+    structured singular value of S + (σ - 1)/2 I for independent factors in all loops. The latter is bounded from above
+    by the largest singular value of D (…) D⁻¹, minimised over diagonal D, which is exact for up to three loops; beyond,
+    the margin that is returned is a safe one.
+
+    Parameters
+    ----------
+    loop : StateSpace
+        Loop transfer L, n inputs and n outputs, cut where the changes act; negative feedback.
+    sample_time : float
+        [s]
+    skew : float
+        Skew σ; 0 is the symmetric margin, 1 that of S, -1 that of T.
+
+    Returns
+    -------
+    DiskMargins
+        All zero where the closed loop is unstable.
+
+    Raises
+    ------
+    ParameterError
+        The loop is not square.
+
+    References
+    ----------
+    .. [1] Seiler, Packard & Gahinet, An introduction to disk margins, IEEE Control Systems 40(5), 2020, equations for
+       the SISO margin (theorem 1) and the multiple-loop margin.
+
+    Examples
+    --------
+    >>> integrator = StateSpace(np.eye(1), 0.1 * np.eye(1), np.eye(1), np.zeros((1, 1)))
+    >>> round(disk_margins(integrator, 1.0).together.alpha, 3)
+    1.81
+    """
+    count = loop.B.shape[1]
+    if len(loop.C) != count:
+        allowed = "must have as many outputs as inputs"
+        raise ParameterError([Problem("loop", (len(loop.C), count), allowed)])
+    opened = np.eye(count) + loop.D
+    if np.linalg.cond(opened) > 1.0 / BOUNDARY:
+        raise ParameterError([Problem("loop.D", loop.D.tolist(), "must not be -1 of a direction: an algebraic loop")])
+    poles = np.linalg.eigvals(loop.A - loop.B @ np.linalg.solve(opened, loop.C))
+    if np.max(np.abs(poles), initial=0.0) >= 1.0 - BOUNDARY:
+        none = DiskMargin(0.0, math.nan, skew)
+        return DiskMargins((none,) * count, none)
+    angles = _grid([*poles, *loop.poles], GRID)
+
+    def shifted(angle):
+        """Return S + (σ - 1)/2 I at angles in the z plane, shape (F, n, n)."""
+        response = loop.response(np.exp(1j * np.atleast_1d(angle)))
+        return np.linalg.inv(np.eye(count) + response) + 0.5 * (skew - 1.0) * np.eye(count)
+
+    grid = shifted(angles)
+    hertz = 1.0 / (2.0 * math.pi * sample_time)
+    found = []
+    for i in range(count):
+        place = int(np.argmax(np.abs(grid[:, i, i])))
+        angle, value = _peak(lambda angle, i=i: abs(shifted(angle)[0, i, i]), angles, place)
+        found.append(DiskMargin(1.0 / value, float(angle * hertz), skew))
+    angle, value = _peak(lambda angle: _structured(shifted(angle)[0]), angles, _worst(grid))
+    return DiskMargins(tuple(found), DiskMargin(1.0 / value, float(angle * hertz), skew))
+
+
+def _peak(function, angles, place: int) -> tuple[float, float]:
+    """Return angle and value of a maximum beside a point of the grid, by golden section."""
+    low, high = angles[max(place - 1, 0)], angles[min(place + 1, len(angles) - 1)]
+    best = (float(angles[place]), float(function(angles[place])))
+    part = 0.5 * (math.sqrt(5.0) - 1.0)
+    for _ in range(STEPS):
+        first, second = high - part * (high - low), low + part * (high - low)
+        values = function(first), function(second)
+        best = max(best, (first, float(values[0])), (second, float(values[1])), key=lambda item: item[1])
+        low, high = (first, high) if values[1] > values[0] else (low, second)
+    return best
+
+
+def _balanced(matrix) -> tuple[np.ndarray, float]:
+    """Return log scalings that balance rows and columns (Osborne), and the largest singular value with them."""
+    size = np.abs(matrix)
+    np.fill_diagonal(size, 0.0)
+    logs = np.zeros(len(matrix))
+    for _ in range(SWEEPS):
+        for i in range(len(matrix)):
+            scales = np.exp(logs)
+            into = np.linalg.norm(size[i] / scales) * scales[i]
+            out = np.linalg.norm(size[:, i] * scales) / scales[i]
+            if into > 0.0 and out > 0.0:
+                logs[i] += 0.5 * math.log(out / into)
+    return logs, _scaled(matrix, logs)
+
+
+def _scaled(matrix, logs) -> float:
+    """Return the largest singular value of D M D⁻¹, D = exp(diag(logs))."""
+    scales = np.exp(logs)
+    return float(np.linalg.norm(matrix * scales[:, None] / scales, 2))
+
+
+def _structured(matrix, accuracy: float = KEPT) -> float:
+    """Return the bound on the structured singular value of a matrix for independent complex factors."""
+    logs, size = _balanced(matrix)
+    if len(matrix) == 1:
+        return size
+    from scipy.optimize import minimize
+
+    options = {"xatol": math.sqrt(accuracy), "fatol": accuracy * size, "maxiter": 400 * len(matrix)}
+    free = minimize(
+        lambda some: _scaled(matrix, np.append(some, 0.0)), logs[:-1] - logs[-1], method="Nelder-Mead", options=options
+    )
+    return min(size, float(free.fun))
+
+
+def _worst(grid) -> int:
+    """Return the place of the largest structured singular value; only where balancing allows more it is searched."""
+    if grid.shape[1] == 1:
+        return int(np.argmax(np.abs(grid[:, 0, 0])))
+    sizes = np.array([_balanced(matrix)[1] for matrix in grid])
+    best, found = -1.0, 0
+    for place in np.argsort(-sizes):
+        if sizes[place] <= best * (1.0 + SOUGHT):
+            break
+        value = _structured(grid[place], SOUGHT)
+        if value > best:
+            best, found = value, int(place)
+    return found
