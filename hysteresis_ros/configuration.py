@@ -353,6 +353,8 @@ class Parameters:
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
 #: Optional nodes of an axis.
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
+#: Section of a stage of coupled axes.
+STAGE = "stage"
 
 
 def node_names(inchworm: bool) -> tuple[str, ...]:
@@ -451,6 +453,21 @@ class Configuration:
                 found.append(namespace)
         return tuple(found) or ("",)
 
+    @property
+    def stage(self) -> str | None:
+        """Namespace of the stage of coupled axes that the file describes; None: its axes are independent."""
+        found = []
+        for pattern, _ in self.entries:
+            *space, name = [part for part in pattern.split("/") if part] or [""]
+            if name == STAGE:
+                found.append(normalised_namespace("" if "*" in pattern else "/".join(space)))
+        others = [space for space in found if space != found[0]]
+        if others:
+            raise ConfigurationError(
+                f"{self.source}: two stages, {found[0]}/{STAGE} and {others[0]}/{STAGE}: a file describes one"
+            )
+        return found[0] if found else None
+
 
 def normalised_namespace(namespace: str) -> str:
     """Return the namespace with one leading and no trailing slash; the root is the empty string."""
@@ -508,7 +525,7 @@ def parse_configuration(text: str, source: str) -> Configuration:
 
 def _refuse_misspelled(name: str, source: str) -> None:
     """Ignore the section of an unknown node, as ROS does, but refuse a name that is almost that of a node."""
-    known = NODE_NAMES + OPTIONAL_NODE_NAMES
+    known = (*NODE_NAMES, *OPTIONAL_NODE_NAMES, STAGE)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     if close and name not in known:
         raise ConfigurationError(f"{source}: there is no node '{name}'; did you mean {close[0]}?")

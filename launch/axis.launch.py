@@ -112,7 +112,7 @@ def axis(context):
     FileNotFoundError
         The parameter file is missing.
     ValueError
-        ``samples`` or ``factor`` is no positive number, or arguments contradict each other.
+        ``samples`` or ``factor`` is no positive number, arguments contradict each other, or the file describes a stage.
     """
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
@@ -124,6 +124,12 @@ def axis(context):
             raise ValueError(f"fused:=true with rate:={given['rate']}: leave one of them out")
         given["rate"] = "fused"
     config = configuration(given["config"])
+    levels = given["namespace"].strip("/").split("/")
+    if any(has_section(config, "/".join(levels[:count]), "stage") for count in range(len(levels) + 1)):
+        raise ValueError(
+            f"config:={given['config']}: describes a stage of coupled axes, which nodes do not run so far: simulate it "
+            "with `hysteresis simulate` (docs/coupled_axes.md)"
+        )
     said = []
     external = given["plant"] == "external"
     if external and given["rate"] not in ("", "realtime"):

@@ -56,7 +56,8 @@ def lost_direction(gain, names: Sequence[str]) -> str:
     _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
     if sizes[-1] > SINGULAR * sizes[0]:
         return ""
-    row = rows[-1] * np.sign(rows[-1][np.argmax(np.abs(rows[-1]))])
+    # the first of the largest entries is positive
+    row = rows[-1] * np.sign(rows[-1][np.argmax(np.round(np.abs(rows[-1]), 6))])
     return ", ".join(f"{value:+.2f} {name}" for value, name in zip(row, names, strict=True))
 
 
@@ -168,10 +169,7 @@ class DiskMargin:
     def phase_margin(self) -> float:
         """Allowed change of the phase either way [degrees]; the gain then has none to spare."""
         low, high = self.gains
-        if math.isinf(high):
-            cosine = low
-        else:
-            cosine = (1.0 + low * high) / (low + high)
+        cosine = low if math.isinf(high) else (1.0 + low * high) / (low + high)
         return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 

@@ -710,9 +710,16 @@ class AxisParameters:
     )
 
     @classmethod
-    def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
-        """Read one axis from a configuration."""
+    def from_configuration(
+        cls, configuration: Configuration, namespace: str = "", coupled: bool = False
+    ) -> AxisParameters:
+        """Read one axis from a configuration; ``coupled``: an axis of a stage, whose plant it shares with others."""
         namespace = normalised_namespace(namespace)
+        if configuration.stage is not None and not coupled:
+            raise ConfigurationError(
+                f"{configuration.source}: describes a stage of coupled axes, and this takes a single axis: the axes of "
+                "a stage run together, in `hysteresis simulate` and hr.simulate so far (docs/coupled_axes.md)"
+            )
         inchworm = configuration.describes("inchworm_sequencer", namespace)
         if inchworm and configuration.describes("reference_generator", namespace):
             raise ConfigurationError(

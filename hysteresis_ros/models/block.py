@@ -78,6 +78,7 @@ _WITHIN: dict[str, Any] = {
     "no_cfunc_wrapper": True,
 }
 _BY_PART: Any = {"forceinline": True, **_WITHIN}
+_EACH: Any = _WITHIN
 
 
 @contextlib.contextmanager
@@ -207,6 +208,38 @@ def by_part(function):
             return kinds[part.instance_class]
 
     return choose
+
+
+def each(function):
+    """Mark a composite ``function(laws, parts, row)`` of one axis that runs for all axes of a stage.
+
+    The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order.
+    Compiled, it takes the tuples apart into their first entry and the rest, so axes may have parts of different
+    classes; axes of the same classes share one machine code.
+    """
+
+    def over(laws, parts, rows):
+        for i in range(len(parts)):
+            function(laws[i], parts[i], rows[i])
+
+    all_axes: Any = over
+    all_axes.__name__ = all_axes.__qualname__ = function.__name__
+    all_axes.__doc__, all_axes.__module__ = function.__doc__, function.__module__
+    if COMPILED:
+        one = numba.njit(**_WITHIN)(function)
+
+        @overload(all_axes, jit_options=_EACH, strict=False)
+        def compiled_form(laws, parts, rows):
+            if len(parts) == 1:
+                return lambda laws, parts, rows: one(laws[0], parts[0], rows[0])
+
+            def first_and_rest(laws, parts, rows):
+                one(laws[0], parts[0], rows[0])
+                all_axes(laws[1:], parts[1:], rows[1:])
+
+            return first_and_rest
+
+    return all_axes
 
 
 def interpreted(function):

@@ -1,0 +1,391 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A stage in the loop: the samples of all its axes, coupled by one structure, from the parts of a single axis.
+
+A sample of a stage is, in this order: every axis measures; the sensor matrix makes degrees of freedom of the readings;
+every axis refers and controls; the decoupling makes commands of actuators of those of degrees of freedom; every axis
+compensates and puts out its voltage; the structure goes on by one sample.
+
+A row of an axis has its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``) and its actuator
+(``voltage``, ``plant_voltage``). What the compensators are given are the commands times the decoupling; what they
+achieve comes back through its inverse. A stage stops whole: an axis whose plant trips stops the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.axis import Axis, Change, sample_times
+from hysteresis_ros.loop.compensator import compensate, note_output
+from hysteresis_ros.loop.controller import carried_out, control
+from hysteresis_ros.loop.parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant import (
+    PARTNER_LOST,
+    TRIP,
+    ActuatorPlant,
+    PlantWatchArrays,
+    actuate,
+    sense,
+    told_force,
+    watched_voltage,
+)
+from hysteresis_ros.loop.source import refer
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.models import limits as limiting
+from hysteresis_ros.models.actuator import DISPLACEMENT, PRELOAD, ActuatorArrays
+from hysteresis_ros.models.block import each, kernel, nested, specialised
+from hysteresis_ros.models.creep import creep
+from hysteresis_ros.models.linear import linear
+from hysteresis_ros.models.sensor import MEASURED, OFFSET, sensor
+from hysteresis_ros.models.structure import Structure, structure_advance, structure_output
+
+
+class CoupledPlantArrays(NamedTuple):
+    """All arrays of one actuator and one sensor of a stage in the loop."""
+
+    p: ActuatorArrays
+    x: ActuatorArrays
+    watch_p: PlantWatchArrays
+    watch_x: PlantWatchArrays
+    drive: np.ndarray  #: shape (1,); Place of its input among those of the structure.
+    shown: np.ndarray  #: shape (1,); Place of its output among those of the structure.
+
+
+@nested
+def sense_coupled(laws, arrays, row):
+    """Read the sensor of one axis of a stage."""
+    faulty.begin_sample(arrays.watch_x.faults)
+    displacement = arrays.shown[0] + arrays.p.sensor[PRELOAD]
+    arrays.x.sensor[DISPLACEMENT] = displacement
+    row[at.MEASURED] = sensor(arrays.p.sensor, arrays.x.sensor, displacement)
+    row[at.FORCE] = told_force(arrays.watch_p, arrays.watch_x, math.nan)
+    row[at.DISPLACEMENT] = displacement
+    row[at.PLANT_VOLTAGE] = arrays.x.limits[limiting.OUTPUT]
+    row[at.TRIPPED] = arrays.watch_x.trip[TRIP]
+
+
+@nested
+def actuate_coupled(laws, arrays, row):
+    """Hold the voltage on one actuator of a stage, up to the input of the structure."""
+    p, x = arrays.p, arrays.x
+    applied = limiting.limits(p.limits, x.limits, watched_voltage(arrays.watch_p, arrays.watch_x, row))
+    crept = creep(p.creep, x.creep, laws.hysteresis(p.hysteresis, x.hysteresis, applied))
+    # the delay of amplifier and converter; an actuator of a stage has no other dynamics
+    arrays.drive[0] = linear(p.dynamics, x.dynamics, crept)
+    row[at.PLANT_VOLTAGE] = applied
+
+
+sense.kinds[CoupledPlantArrays], actuate.kinds[CoupledPlantArrays] = sense_coupled, actuate_coupled
+
+
+class CoupledPlant(ActuatorPlant):
+    """One actuator and one sensor of a stage."""
+
+    def __init__(self, parameters: PlantNodeParameters, drive: np.ndarray, shown: np.ndarray, travel):
+        self._travel = (float(travel[0]), float(travel[1]))
+        super().__init__(parameters)
+        self.arrays = CoupledPlantArrays(self.actuator.ps, self.actuator.xs, self._watch_p, self._watch_x, drive, shown)
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Allowed range of the measured degree of freedom [m]."""
+        return self._travel
+
+    @property
+    def resting_drive(self) -> float:
+        """Input of the structure at rest, before any voltage is received."""
+        return self.actuator.dynamics.output()
+
+    def note_rest(self, displacement: float) -> None:
+        """Take the sensor to where the structure rests [m]."""
+        p, x = self.actuator.ps.sensor, self.actuator.xs.sensor
+        x[DISPLACEMENT] = displacement + p[PRELOAD]
+        x[MEASURED] = x[DISPLACEMENT] + p[OFFSET]
+
+
+class GroupArrays(NamedTuple):
+    """Arrays of what the axes of a stage have in common."""
+
+    p: np.ndarray  #: Of the structure.
+    x: np.ndarray
+    drive: np.ndarray  #: shape (n,); Inputs of the structure.
+    shown: np.ndarray  #: shape (n,); Its outputs [m].
+    sensor_matrix: np.ndarray  #: shape (n, n), or (0, 0): each sensor measures its axis.
+    decoupling: np.ndarray  #: shape (n, n), or (0, 0): each actuator drives its axis.
+    recoupling: np.ndarray  #: Inverse of the decoupling, of its shape.
+    commands: np.ndarray  #: shape (n,); Last finite command of each degree of freedom [m].
+    asked: np.ndarray  #: shape (n,); Commands of the actuators [m].
+    scratch: np.ndarray  #: shape (2 n,).
+
+
+@kernel
+def combined(matrix, i, values, first):
+    """Return row ``i`` of a matrix times the values from ``first`` on; what has no part in the row is not looked at."""
+    total = 0.0
+    for j in range(matrix.shape[1]):
+        if matrix[i, j] != 0.0:
+            total += matrix[i, j] * values[first + j]
+    return total
+
+
+@nested
+def to_pose(group, rows):
+    """Make degrees of freedom of the readings and of the true displacements at the sensors."""
+    n = group.sensor_matrix.shape[0]
+    for i in range(n):
+        group.scratch[i] = rows[i, at.MEASURED]
+        group.scratch[n + i] = rows[i, at.DISPLACEMENT]
+    for i in range(n):
+        rows[i, at.MEASURED] = combined(group.sensor_matrix, i, group.scratch, 0)
+        rows[i, at.DISPLACEMENT] = combined(group.sensor_matrix, i, group.scratch, n)
+
+
+@nested
+def to_actuators(group, rows):
+    """Make commands of actuators of those of degrees of freedom; a missing command stays missing."""
+    n = group.decoupling.shape[0]
+    for i in range(n):
+        command = rows[i, at.COMMAND]
+        group.scratch[i] = command
+        if command - command == 0.0:
+            group.commands[i] = command
+    for i in range(n):
+        group.asked[i] = combined(group.decoupling, i, group.commands, 0)
+        if group.scratch[i] - group.scratch[i] == 0.0:
+            rows[i, at.COMMAND] = group.asked[i]
+
+
+@nested
+def to_axes(group, rows):
+    """Make achieved commands of degrees of freedom of those of actuators, and put their own commands back."""
+    n = group.decoupling.shape[0]
+    for i in range(n):
+        missing = rows[i, at.APPLIED] - group.asked[i]
+        group.scratch[n + i] = missing if missing - missing == 0.0 else 0.0
+    for i in range(n):
+        rows[i, at.COMMAND] = group.scratch[i]
+        # what was not achieved is transformed, so that an achieved command comes back without rounding
+        rows[i, at.APPLIED] = group.commands[i] + combined(group.recoupling, i, group.scratch, n)
+
+
+@nested
+def advance_structure(group):
+    """Hold the inputs of the structure for one sample."""
+    structure_advance(group.p, group.x, group.drive)
+    structure_output(group.p, group.x, group.drive, group.shown)
+
+
+@each
+def measure_axis(laws, parts, row):
+    """Measure one axis."""
+    sense(laws, parts.plant, row)
+
+
+@each
+def command_axis(laws, parts, row):
+    """Compute reference and command of one axis."""
+    refer(laws, parts.source, row)
+    control(laws, parts.controller, row)
+
+
+@each
+def drive_axis(laws, parts, row):
+    """Compute and hold the voltage of one actuator."""
+    compensate(laws, parts.compensator, row)
+    actuate(laws, parts.plant, row)
+    note_output(parts.compensator.watch_p.own, row)
+
+
+@each
+def confirm_axis(laws, parts, row):
+    """Give the controller of one axis its achieved command."""
+    carried_out(parts.controller, row[at.APPLIED])
+
+
+@each
+def find_trip(laws, parts, row):
+    """Write the reason for which a plant has stopped into its row."""
+    row[at.TRIPPED] = parts.plant.watch_x.trip[TRIP]
+
+
+@each
+def stop_axis(laws, parts, row):
+    """Stop one axis because another one of its stage is stopped."""
+    if parts.plant.watch_x.trip[TRIP] == 0.0:
+        parts.plant.watch_x.trip[TRIP] = PARTNER_LOST
+
+
+def stage_ticks(laws, parts, group, given, columns, rows):
+    """Compute ``columns.shape[2]`` samples of all axes; all states are updated in place.
+
+    The body of the loop is one sample of the stage; ``laws`` and ``parts`` are tuples with an entry for each axis.
+    """
+    for k in range(columns.shape[2]):
+        for i in range(rows.shape[0]):
+            for j in range(given.shape[0]):
+                place = int(given[j])
+                rows[i, place] = columns[i, place, k]
+        measure_axis(laws, parts, rows)
+        to_pose(group, rows)
+        command_axis(laws, parts, rows)
+        to_actuators(group, rows)
+        drive_axis(laws, parts, rows)
+        to_axes(group, rows)
+        advance_structure(group)
+        confirm_axis(laws, parts, rows)
+        for i in range(rows.shape[0]):
+            for j in range(rows.shape[1]):
+                columns[i, j, k] = rows[i, j]
+        find_trip(laws, parts, rows)
+        stopped = 0.0
+        for i in range(rows.shape[0]):
+            stopped = max(stopped, abs(rows[i, at.TRIPPED]))
+        if stopped != 0.0:
+            stop_axis(laws, parts, rows)
+
+
+class Stage:
+    """The parts of all axes of a stage in closed loop, without ROS."""
+
+    def __init__(self, parameters: StageParameters):
+        self.parameters = parameters
+        count = len(parameters.axes)
+        self.structure = Structure(parameters.stage.structure, 1.0 / parameters.sample_rate)
+        drive, shown = np.zeros(count), np.zeros(count)
+        plants = [
+            CoupledPlant(axis.plant_simulator, drive[i : i + 1], shown[i : i + 1], travel)
+            for i, (axis, travel) in enumerate(zip(parameters.axes, parameters.travel(), strict=True))
+        ]
+        self.plants = tuple(plants)
+        self.axes = tuple(Axis(axis, plant) for axis, plant in zip(parameters.axes, plants, strict=True))
+        stage, none = parameters.stage, np.zeros((0, 0))
+        self._group = GroupArrays(
+            p=self.structure.p,
+            x=self.structure.x,
+            drive=drive,
+            shown=shown,
+            sensor_matrix=stage.matrix("sensor_matrix") if stage.sensor_matrix else none,
+            decoupling=stage.matrix("decoupling") if stage.decoupling else none,
+            recoupling=parameters.recoupling() if stage.decoupling else none,
+            commands=np.zeros(count),
+            asked=np.zeros(count),
+            scratch=np.zeros(2 * count),
+        )
+        self.sample = 0
+        self._settle()
+
+    def _settle(self) -> None:
+        """Put the structure to rest at the voltages at which the axes begin."""
+        group = self._group
+        group.drive[:] = [plant.resting_drive for plant in self.plants]
+        group.commands[:] = group.asked[:] = 0.0
+        self.structure.settle(group.drive)
+        structure_output(group.p, group.x, group.drive, group.shown)
+        for plant, displacement in zip(self.plants, group.shown, strict=True):
+            plant.note_rest(float(displacement))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self.parameters.names
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.parameters.sample_rate
+
+    def default_samples(self) -> int:
+        """Return the configured length of a run in samples, that of the longest axis; 0: no end."""
+        return max(axis.default_samples() for axis in self.axes)
+
+    def default_setpoints(self, samples: int) -> dict[str, np.ndarray]:
+        """Return the configured setpoint [m] of each axis at each of the first ``samples`` samples."""
+        return {name: axis.default_setpoints(samples) for name, axis in zip(self.names, self.axes, strict=True)}
+
+    def run(
+        self,
+        setpoints: Mapping[str, Sequence[float] | np.ndarray],
+        changes: Mapping[str, Sequence[Change]] | None = None,
+    ) -> dict[str, dict[str, np.ndarray]]:
+        """Simulate as many samples as there are setpoints [m]; return the signals of each axis, ``time`` among them.
+
+        Setpoints, changes and signals go by the names of the axes.
+        """
+        waiting = self._sorted(changes or {})
+        given = np.array([*at.GIVEN[: at.ACTUATOR_GIVEN]], dtype=float)
+        columns = np.zeros((len(self.axes), at.ACTUATOR_ROW, self._length(setpoints)))
+        for i, name in enumerate(self.names):
+            columns[i, at.SETPOINT] = setpoints[name]
+        begin, count, first = self.sample, columns.shape[2], 0
+        rows = np.zeros(columns.shape[:2])
+        for change, axis in waiting:
+            until = min(max(change.sample - begin, first), count)
+            self._run(columns, first, until, given, rows)
+            first = until
+            axis.apply(change)
+        self._run(columns, first, count, given, rows)
+        self.sample = begin + count
+        time = sample_times(begin, count, self.sample_rate)
+        listed = at.row_signals(motor=False)
+        return {
+            name: {"time": time, **{signal.name: columns[i, j] for j, signal in enumerate(listed)}}
+            for i, name in enumerate(self.names)
+        }
+
+    def _length(self, setpoints) -> int:
+        """Return the number of samples of a run with these setpoints."""
+        if set(setpoints) != set(self.names):
+            given = ", ".join(setpoints) or "none"
+            raise ConfigurationError(f"setpoints are given for {given}: give them for {', '.join(self.names)}")
+        lengths = {name: len(values) for name, values in setpoints.items()}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ConfigurationError(f"setpoints have different lengths ({text}): the axes of a stage run together")
+        return next(iter(lengths.values()))
+
+    def _sorted(self, changes) -> list[tuple[Change, Axis]]:
+        """Return the changes of all axes, each with its axis, in the order of their samples."""
+        found = [(change, self.axes[self.parameters.place(name)]) for name, some in changes.items() for change in some]
+        within = next((change for change, _ in found if change.after), None)
+        if within is not None:
+            raise ConfigurationError(
+                f"a change of {within.node} takes effect within sample {within.sample}: in a stage give it between two"
+            )
+        return sorted(found, key=lambda item: item[0].sample)
+
+    def _run(self, columns, first: int, until: int, given, rows) -> None:
+        """Compute the samples ``first`` … ``until`` - 1 of the columns, which already contain the inputs."""
+        if until == first:
+            return
+        some = np.ascontiguousarray(columns[:, :, first:until])
+        laws = tuple(axis.laws for axis in self.axes)
+        arguments = laws, tuple(axis.parts for axis in self.axes), self._group, given, some, rows
+        specialised(stage_ticks, *arguments)(*arguments)
+        columns[:, :, first:until] = some
+
+    def start(self) -> None:
+        """Start all axes again after one of them has stopped the stage."""
+        for axis in self.axes:
+            axis.plant.start()
+
+    def reset(self) -> None:
+        """Return all parts to their initial states."""
+        for axis in self.axes:
+            axis.reset()
+        self.structure.reset()
+        self._settle()
+        self.sample = 0

@@ -1,0 +1,342 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Parameters of a stage: coupled axes that share one structure, read out of a configuration and checked together.
+
+Each axis is one degree of freedom with its actuator and its sensor, and has its sections in its own namespace, as an
+independent axis has. The section ``stage`` couples them: the structure between the actuators and the sensors, the
+matrix from the readings to the degrees of freedom, and the matrix from the commands of the degrees of freedom to those
+of the actuators.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, group, parameter
+from hysteresis_ros.control.coupling import lost_direction
+from hysteresis_ros.control.state_feedback import full_rank
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, part
+from hysteresis_ros.loop.reach import check_reach, reach_warnings
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.compensator import resting_displacements
+from hysteresis_ros.models.linear import StateSpace
+from hysteresis_ros.models.linear_algebra import inverse, product
+from hysteresis_ros.models.structure import StructureParameters
+
+#: Largest number of axes.
+MOST_AXES = 16
+#: Classes of the plant: hysteresis in front of the linear dynamics, or inside them.
+HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
+#: Parameters that all axes of a stage and the stage itself have in common.
+SHARED = ("sample_rate", "time_mode")
+
+
+@dataclass(frozen=True)
+class StageNodeParameters(NodeParameters):
+    """Parameters of ``stage``, the section of a file that couples axes."""
+
+    axes: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="names of the axes, each the namespace of its sections, in the order of the "
+        "inputs and outputs of the structure",
+    )
+    type: str = parameter(
+        HAMMERSTEIN,
+        choices=(HAMMERSTEIN, INTERNAL),
+        read_only=True,
+        description="class of the plant: hysteresis of each actuator in front of the structure, or inside it, "
+        "collocated with the actuators",
+    )
+    structure: StructureParameters = group(StructureParameters)
+    sensor_matrix: tuple[float, ...] = parameter(
+        (),
+        read_only=True,
+        description="from the readings of the sensors to the degrees of freedom, n·n numbers row "
+        "by row; empty: each sensor measures its axis",
+    )
+    decoupling: tuple[float, ...] = parameter(
+        (),
+        read_only=True,
+        description="from the commands of the degrees of freedom to those of the actuators, n·n "
+        "numbers row by row; empty: each actuator drives its axis",
+    )
+
+    def matrix(self, name: str) -> np.ndarray:
+        """Return ``sensor_matrix`` or ``decoupling``, shape (n, n)."""
+        count, values = len(self.axes), getattr(self, name)
+        return np.array(values, dtype=float).reshape(count, count) if values else np.eye(count)
+
+    def check(self):
+        """Yield what does not fit together within the section."""
+        yield from super().check()
+        count = len(self.axes)
+        if not 1 <= count <= MOST_AXES:
+            yield Problem("axes", self.axes, f"must name 1 … {MOST_AXES} axes, e.g. [x, y]")
+            return
+        wrong = [name for name in self.axes if not re.fullmatch(r"[A-Za-z]\w*", name)]
+        if wrong:
+            yield Problem("axes", self.axes, f"'{wrong[0]}' is no name of a namespace: letters, digits, underscores")
+        twice = sorted({name for name in self.axes if self.axes.count(name) > 1})
+        if twice:
+            yield Problem("axes", self.axes, f"'{twice[0]}' is there twice: give each axis a name of its own")
+        for name in ("sensor_matrix", "decoupling"):
+            size = len(getattr(self, name))
+            if size not in (0, count * count):
+                allowed = f"has {size} numbers and must have {count}·{count} = {count * count}, or be empty"
+                yield Problem(name, getattr(self, name), allowed)
+        for name, words in (("inputs", "an actuator"), ("outputs", "a sensor")):
+            size = getattr(self.structure, name)
+            if size != count:
+                allowed = f"must be {count}: each of the axes {', '.join(self.axes)} has {words}"
+                yield Problem(f"structure.{name}", size, allowed)
+        if (self.type == INTERNAL) != bool(self.structure.radii):
+            allowed = "must have the radii of the plays" if self.type == INTERNAL else "must be empty"
+            yield Problem("structure.radii", self.structure.radii, f"{allowed} with type: {self.type}")
+
+    def large_gain(self) -> np.ndarray:
+        """Return the static gain from the actuators to the degrees of freedom, large motions, shape (n, n)."""
+        gain = np.reshape(self.structure.large.dc_gain, (len(self.axes), len(self.axes)))
+        return product(self.matrix("sensor_matrix"), gain)
+
+
+def _mode(pole: complex, sample_rate: float) -> str:
+    """Return a pole in words."""
+    turns = abs(np.angle(pole)) / (2.0 * np.pi)
+    return f"the mode at {turns * sample_rate:.4g} Hz" if turns > 1e-9 else f"the pole {pole.real:.6g}"
+
+
+def _hidden_parts(model: StateSpace, sample_rate: float):
+    """Yield a Problem for a part of a structure that no input moves or no output shows."""
+    for pole in model.poles[model.poles.imag >= 0.0]:
+        still = model.A - pole * np.eye(model.order)
+        if not full_rank(np.hstack([still, model.B]).T):
+            allowed = f"no actuator moves {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
+            yield Problem("structure.B", tuple(model.B.ravel()), allowed)
+        if not full_rank(np.vstack([still, model.C])):
+            allowed = f"no sensor shows {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
+            yield Problem("structure.C", tuple(model.C.ravel()), allowed)
+
+
+def _singular(stage: StageNodeParameters):
+    """Yield a Problem for each matrix that loses a direction."""
+    actuators = [f"actuator {name}" for name in stage.axes]
+    for name, inputs in (("sensor_matrix", [f"sensor {axis}" for axis in stage.axes]), ("decoupling", stage.axes)):
+        lost = lost_direction(stage.matrix(name), inputs)
+        if lost:
+            yield Problem(name, getattr(stage, name), f"is singular: the direction {lost} is lost")
+            return
+    for model in (stage.structure.small, stage.structure.large):
+        gain = product(stage.matrix("sensor_matrix"), np.reshape(model.dc_gain, (len(actuators), -1)))
+        lost = lost_direction(gain, actuators)
+        if lost:
+            allowed = f"has a singular static gain: the direction {lost} moves no degree of freedom"
+            yield Problem("structure.C", stage.structure.C, allowed)
+            return
+
+
+def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
+    """Yield a Problem for whatever an axis has that a stage does not take."""
+    plant = axis.plant_simulator
+    if plant.type != "actuator":
+        yield Problem("type", plant.type, "an axis of a stage is an actuator")
+    if plant.driver:
+        yield Problem("driver", plant.driver, "a stage is simulated so far: give driver: ''")
+    if plant.external_plant:
+        yield Problem("external_plant", True, "a stage is simulated so far: give false")
+    if plant.force_sensor.there:
+        given = plant.force_sensor.stack_stiffness
+        yield Problem("force_sensor.stack_stiffness", given, "a stage has no force sensors so far: give 0")
+    if plant.dynamics.A:
+        allowed = "belongs to the structure of the stage: an actuator of a stage has a delay and no matrices"
+        yield Problem("dynamics.A", plant.dynamics.A, allowed)
+    if stage.type == INTERNAL and plant.hysteresis.type != "proportional":
+        allowed = "must be proportional with type: internal, where the plays of the structure are the hysteresis"
+        yield Problem("hysteresis.type", plant.hysteresis.type, allowed)
+
+
+@dataclass(frozen=True)
+class StageParameters:
+    """Parameters of a stage and of all its axes."""
+
+    namespace: str  #: Of the stage; those of its axes lie below it.
+    stage: StageNodeParameters
+    axes: tuple[AxisParameters, ...]  #: In the order of ``stage.axes``.
+
+    @classmethod
+    def from_configuration(cls, configuration: Configuration) -> StageParameters:
+        """Read the stage of a configuration.
+
+        Raises
+        ------
+        ConfigurationError
+            The file describes no stage, or other axes than the stage names.
+        ParameterError
+            A parameter is wrong, or parameters do not fit together; every problem is named with its section.
+        """
+        namespace = configuration.stage
+        if namespace is None:
+            raise ConfigurationError(f"{configuration.source}: has no section '/{STAGE}' that couples its axes")
+        values = configuration.node(STAGE, namespace)
+        stage = StageNodeParameters.from_mapping(values, prefix=f"{namespace}/{STAGE}: ")
+        described = [space for space in configuration.namespaces() if space]
+        wanted = [f"{namespace}/{name}" for name in stage.axes]
+        for space in wanted:
+            if space not in described:
+                near = did_you_mean(space, described)
+                raise ConfigurationError(f"{configuration.source}: the stage has no sections of its axis {space}{near}")
+        left = [space for space in described if space not in wanted]
+        if left:
+            raise ConfigurationError(
+                f"{configuration.source}: {left[0]} is no axis of the stage: name it in {namespace}/{STAGE} axes, or "
+                "give it a file of its own"
+            )
+        axes: list[AxisParameters] = []
+        problems: list[Problem] = []
+        # first, because an axis at another rate has further faults
+        for space in wanted:
+            for shared in SHARED:
+                value = configuration.node("plant_simulator", space).get(shared, getattr(NodeParameters, shared))
+                if value != getattr(stage, shared):
+                    allowed = f"must equal that of the stage, {getattr(stage, shared)!r}: give it once, under '/**'"
+                    problems.append(Problem(f"{space}/plant_simulator: {shared}", value, allowed))
+        if problems:
+            raise ParameterError(problems)
+        for space in wanted:
+            try:
+                axes.append(AxisParameters.from_configuration(configuration, space, coupled=True))
+            except ParameterError as error:
+                problems += [replace(problem, name=f"{space}/{problem.name}") for problem in error.problems]
+        if problems:
+            raise ParameterError(problems)
+        found = cls(namespace, stage, tuple(axes))
+        found._require_fit()
+        return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self.stage.axes
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second of all axes [Hz]."""
+        return self.stage.sample_rate
+
+    def _require_fit(self) -> None:
+        """Refuse axes that do not fit together or do not fit the structure."""
+        problems: list[Problem] = []
+        joints: dict[str, str] = {}
+        for axis in self.axes:
+            where = f"{axis.namespace}/plant_simulator"
+            problems += [replace(found, name=f"{where}: {found.name}") for found in _unfit_axis(axis, self.stage)]
+            joint = axis.plant_simulator.joint
+            if joint in joints:
+                allowed = (
+                    f"is the joint of {joints[joint]} already: give each axis one, e.g. under '{axis.namespace}/**'"
+                )
+                problems.append(Problem(f"{where}: joint", joint, allowed))
+            joints.setdefault(joint, axis.namespace)
+        where = f"{self.namespace}/{STAGE}: "
+        try:
+            self.stage.structure.require_sample_time(1.0 / self.sample_rate, f"{where}structure.sample_time")
+        except ParameterError as error:
+            problems += error.problems
+        own = [*_hidden_parts(self.stage.structure.small, self.sample_rate), *_singular(self.stage)]
+        problems += [replace(found, name=where + found.name) for found in own]
+        if problems:
+            raise ParameterError(problems)
+        for axis in self.axes:
+            try:
+                check_reach(axis)
+            except ParameterError as error:
+                named = [replace(problem, name=f"{axis.namespace}/{problem.name}") for problem in error.problems]
+                raise ParameterError(named) from None
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return one sentence per warning about the axes."""
+        return tuple(f"{axis.namespace}/{text}" for axis in self.axes for text in reach_warnings(axis))
+
+    def travel(self) -> np.ndarray:
+        """Return within which measurements [m] each axis may go on, shape (n, 2).
+
+        These are the poses at which the stage can rest, whatever the others do, and ``overtravel`` beyond.
+        """
+        gain = self.stage.large_gain()
+        ends = np.array(
+            [
+                resting_displacements(part(axis.plant_simulator, ActuatorParameters), 1.0 / self.sample_rate)
+                for axis in self.axes
+            ]
+        )
+        preloads = np.array([axis.plant_simulator.preload.offset for axis in self.axes])
+        ends -= preloads[:, None]
+        offsets = product(self.stage.matrix("sensor_matrix"), preloads)
+        low = np.minimum(gain * ends[:, 0], gain * ends[:, 1]).sum(axis=1) + offsets
+        high = np.maximum(gain * ends[:, 0], gain * ends[:, 1]).sum(axis=1) + offsets
+        allowed = np.array([axis.plant_simulator.overtravel for axis in self.axes])
+        beyond = np.where(allowed < 0.0, np.inf, np.where(allowed > 0.0, allowed, high - low))
+        return np.column_stack([low - beyond, high + beyond])
+
+    def recoupling(self) -> np.ndarray:
+        """Return the inverse of the decoupling, shape (n, n)."""
+        return inverse(self.stage.matrix("decoupling"))
+
+    def with_duration(self, duration: float) -> StageParameters:
+        """Return the same stage with a run of ``duration`` seconds."""
+        return replace(self, axes=tuple(axis.with_duration(duration) for axis in self.axes))
+
+    def with_faults(self, name: str, faults: tuple[str, ...]) -> StageParameters:
+        """Return the same stage with these faults, each ``NAME:START:DURATION[:VALUE]``, in one of its axes."""
+        place = self.place(name)
+        axes = list(self.axes)
+        axes[place] = axes[place].with_faults(faults)
+        return replace(self, axes=tuple(axes))
+
+    def place(self, name: str) -> int:
+        """Return the index of an axis."""
+        name = name.strip("/").removeprefix(self.namespace.strip("/")).strip("/")
+        if name not in self.names:
+            near = did_you_mean(name, self.names)
+            raise ConfigurationError(f"there is no axis '{name}' in the stage: it has {', '.join(self.names)}{near}")
+        return self.names.index(name)
+
+    def waveform(self, name: str) -> str:
+        """Return the type of the waveform of an axis."""
+        return self.axes[self.place(name)].generator.waveform.type
+
+    def scanning(self, names: Sequence[str]) -> StageParameters:
+        """Return the same stage, of whose axes only these follow their waveforms; the others hold their setpoints."""
+        axes = []
+        for name, axis in zip(self.names, self.axes, strict=True):
+            source = axis.generator
+            if name not in names:
+                source = replace(source, waveform=replace(source.waveform, type="hold"))
+            axes.append(replace(axis, reference_generator=source))
+        return replace(self, axes=tuple(axes))
+
+    def configuration_text(self) -> str:
+        """Return the parameter file of exactly this stage, every parameter written out under its full name."""
+        nodes = {f"{self.namespace}/{STAGE}": self.stage}
+        for axis in self.axes:
+            found = {name: getattr(axis, name) for name in NODE_PARAMETERS}
+            nodes |= {f"{axis.namespace}/{name}": node for name, node in found.items() if node is not None}
+        # ROS has no type for an empty array; every array is empty by default where it may be
+        return dump_configuration(
+            {
+                name: {key: value for key, value in node.to_mapping().items() if value != ()}
+                for name, node in nodes.items()
+            }
+        )
