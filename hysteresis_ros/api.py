@@ -54,6 +54,7 @@ from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
+from hysteresis_ros.loop.stage_simulation import chosen_stage, simulate_stage
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.units import readable
@@ -105,7 +106,8 @@ class Run(Recording):  # numpydoc ignore=PR02
         Run
             The same signals.
         """
-        return cls(recording.time, recording.signals, recording.units, recording.metadata)
+        kind = StageRun if recording.axes else Run
+        return kind(recording.time, recording.signals, recording.units, recording.metadata)
 
     def __getattr__(self, name: str) -> np.ndarray:
         # called only for missing attributes; while an object is copied or unpickled, it has no signals yet
@@ -195,6 +197,43 @@ class Run(Recording):  # numpydoc ignore=PR02
             The suffix is unknown, or the file cannot be written.
         """
         save_run(self, path)
+
+
+class StageRun(Run):  # numpydoc ignore=PR02
+    """Signals of a run of a stage: ``run["x"]`` is the :class:`Run` of one axis, ``run["x/displacement"]`` a signal.
+
+    Parameters
+    ----------
+    time : array_like, shape (N,)
+        Instants [s], finite and strictly increasing.
+    signals : dict of str to array_like, shape (N,)
+        Signals of all axes in SI units, as ``x/displacement``.
+    units : dict of str to str, optional
+        Unit of each signal.
+    metadata : dict, optional
+        Whatever JSON can hold.
+
+    Raises
+    ------
+    RecordingError
+        A shape, a unit or the time axis is wrong; the message names the signal.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.simulate("xy_scanner", duration=0.01)
+    >>> run.axes, run["x"].displacement.shape
+    (('x', 'y'), (100,))
+    """
+
+    def __getitem__(self, name: str) -> Any:
+        return Run.of(self.axis(name)) if name in self.axes else super().__getitem__(name)
+
+    def __getattr__(self, name: str) -> Any:
+        # before the fields are there (copying, unpickling), nothing is an axis
+        if "signals" in self.__dict__ and name in self.axes:
+            return self[name]
+        return super().__getattr__(name)
 
 
 class Compared(workflow.Compared):  # numpydoc ignore=PR02
@@ -458,6 +497,7 @@ __all__ = [
     "Identified",
     "IdentifiedStructure",
     "Run",
+    "StageRun",
     "StructureData",
     "StructureEstimator",
     "configurations",
@@ -548,13 +588,13 @@ def simulate(
     config: Source,
     *,
     duration: float | None = None,
-    setpoints: ArrayLike | None = None,
+    setpoints: ArrayLike | Mapping[str, ArrayLike] | None = None,
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
 ) -> Run:
-    """Run an axis offline from rest: bit for bit what its nodes do in lockstep.
+    """Run an axis, or a stage of coupled axes, offline from rest: bit for bit what the nodes of an axis do in lockstep.
 
     When the axis may not be able to follow its reference, Python warnings say so.
 
@@ -565,8 +605,8 @@ def simulate(
         :func:`design`, or a run, whose axis runs again.
     duration : float, optional
         Duration [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
-    setpoints : array_like, shape (N,), optional
-        Setpoint at each sample [m]; the last one holds.
+    setpoints : array_like, shape (N,), or mapping of str to array_like, optional
+        Setpoint at each sample [m]; the last one holds. For a stage, by the names of its axes.
     requests : array_like, shape (N,), optional
         Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional
@@ -575,13 +615,13 @@ def simulate(
         Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or as in the commands ``"stale:0.1:0.3"``:
         ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis, where a configuration contains several; for a stage, the axis that has the faults.
 
     Returns
     -------
     Run
         ``time``, ``setpoint``, ``reference``, ``command``, ``voltage``, ``displacement``, ``measured``, ``estimated``
-        and the other signals of the axis.
+        and the other signals of the axis. For a stage a :class:`StageRun`, which contains a run of each axis.
 
     Raises
     ------
@@ -597,7 +637,19 @@ def simulate(
     >>> run.displacement.shape, run.units["displacement"]
     ((30,), 'm')
     """
-    axis = single_axis(configuration_of(config), namespace)
+    configuration = configuration_of(config)
+    if configuration.stage is not None:
+        if requests is not None or speeds is not None:
+            raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
+        if setpoints is not None and not isinstance(setpoints, Mapping):
+            raise ConfigurationError('setpoints of a stage go by the names of its axes: give {"x": …, "y": …}')
+        stage = chosen_stage(configuration, tuple(map(str, faults)), namespace)
+        for text in stage.warnings():
+            warnings.warn(text, stacklevel=2)
+        return Run.of(simulate_stage(stage, duration=duration, setpoints=setpoints))
+    if isinstance(setpoints, Mapping):
+        raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one row")
+    axis = single_axis(configuration, namespace)
     if faults:
         axis = axis.with_faults(tuple(map(str, faults)))
     for text in reach_warnings(axis):
@@ -727,7 +779,7 @@ def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, one such dictionary per run.
+        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name.
 
     Raises
     ------
@@ -769,7 +821,7 @@ def report(
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, one such dictionary per run.
+        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name.
 
     Raises
     ------
@@ -805,6 +857,10 @@ def report(
         named = source if isinstance(source, Mapping) else labels_of(source)
         return report_several({name: _recording(run, namespace) for name, run in named.items()}, path, title)[0]
     run = _recording(source, namespace)
+    if run.axes:
+        from hysteresis_ros.analysis.side_by_side import report_several
+
+        return report_several({name: run.axis(name) for name in run.axes}, path, title)[0]
     heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
     from hysteresis_ros.analysis.inchworm import is_inchworm
 
@@ -889,5 +945,7 @@ def configuration_of(source: Source) -> Configuration:
 
 
 def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None) -> Recording:
-    """Return a recording; a file is read."""
-    return source if isinstance(source, Recording) else load_run(source, namespace, further=True)
+    """Return a recording; a file is read, and of a stage the named axis is taken."""
+    if isinstance(source, Recording):
+        return source.axis(namespace) if namespace and source.axes else source
+    return load_run(source, namespace, further=True)

@@ -30,6 +30,7 @@ from hysteresis_ros.analysis.parts import (
     scan_start,
     step_figures,
     stopped,
+    within,
 )
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
@@ -156,6 +157,18 @@ FIGURES = (
     ("jitter_p99_s", "Jitter p99", "ms", 1e3),
     *TIMELINESS,
 )
+
+
+def axes_figures(recording: Recording) -> dict[str, dict]:
+    """Return the figures of merit of each axis of a stage, by its name.
+
+    All axes are judged from the instant at which the last of them begins its scan
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis that holds is judged while the others scan.
+    """
+    axes = {name: recording.axis(name) for name in recording.axes}
+    starts = [scan_start(judged_reference(one), one["displacement"]) for one in axes.values()]
+    begun = recording.time[max(starts)] - recording.time[0]
+    return {name: compute_metrics(within(one, begun, np.inf)) for name, one in axes.items()}
 
 
 def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:

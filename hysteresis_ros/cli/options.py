@@ -307,8 +307,11 @@ class AskedReference:
         with self.named():
             return asked_waveform(str(self.kind), self.given, gain)
 
-    def put_into(self, configuration):
-        """Return a configuration whose axes follow the waveform; unchanged without a waveform option."""
+    def put_into(self, configuration, namespace: str | None = None):
+        """Return a configuration whose axes follow the waveform; unchanged without a waveform option.
+
+        Of a stage only the axis in ``namespace`` follows it, where one is given.
+        """
         from hysteresis_ros.errors import ConfigurationError
 
         if self.kind is None:
@@ -320,7 +323,8 @@ class AskedReference:
                 "give it setpoints with `hysteresis setpoint`"
             )
         values = {f"waveform.{name}": value for name, value in self.values().items()}
-        return configuration.override("reference_generator", **values)
+        only = f"{namespace.strip('/')}/" if namespace and configuration.stage is not None else ""
+        return configuration.override(f"{only}reference_generator", **values)
 
     def refuse_others(self, taken: tuple[str, ...] = ()) -> None:
         """Refuse waveform options without --reference."""

@@ -53,9 +53,12 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
 
         require_page(output)
     with shown("reading"):
+        read = {label: load_run(path, namespace, further=True) for label, path in labels_of(recordings).items()}
+        axes = {label: {f"{label} {name}": run.axis(name) for name in run.axes} for label, run in read.items()}
         runs = {
-            label: _excerpt(label, load_run(path, namespace, further=True), range_, skip, last_periods)
-            for label, path in labels_of(recordings).items()
+            label: _excerpt(label, one, range_, skip, last_periods)
+            for whole, run in read.items()
+            for label, one in (axes[whole] or {whole: run}).items()
         }
     if len(runs) > 1:
         with shown(f"evaluating {len(runs)} runs"):

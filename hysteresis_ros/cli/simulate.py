@@ -44,7 +44,11 @@ from hysteresis_ros.cli.progress import shown
     help="Relative change of gain and loop width of the plant's hysteresis over the run, such as 0.2 -0.1.",
 )
 @reference_options
-@click.option("--namespace", help="Which axis of the configuration, when it describes several.")
+@click.option(
+    "--namespace",
+    help="Which axis of the configuration, when it describes several; of a stage the one that has the faults or the "
+    "reference.",
+)
 def simulate(config, output, laid_over, duration, setpoints, faults, learned, drift, namespace, reference):
     """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.loop.reach import reach_warnings, single_axis
@@ -54,7 +58,15 @@ def simulate(config, output, laid_over, duration, setpoints, faults, learned, dr
     from hysteresis_ros.recordings.dataset import requests_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
 
-    configuration = reference.put_into(laid_under(config, laid_over))
+    configuration = reference.put_into(laid_under(config, laid_over), namespace)
+    if configuration.stage is not None:
+        refused = {"--learned": learned, "--drift": drift}
+        for option, value in refused.items():
+            if value:
+                raise click.UsageError(f"{option} is for a single axis, and {configuration.source} describes a stage")
+        with reference.named():
+            _simulate_stage(configuration, output, duration, setpoints, faults, namespace, bool(reference.kind))
+        return
     with reference.named():
         parameters = single_axis(configuration, namespace)
     for warning in reach_warnings(parameters):
@@ -88,3 +100,42 @@ def simulate(config, output, laid_over, duration, setpoints, faults, learned, dr
 
         name = ERROR_NAMES[int(recording["error"][-1])]
         click.echo(f"hysteresis: warning: the motor stopped with the error {name}; see hysteresis report", err=True)
+
+
+def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
+    """Run a stage, write its recording, and print the errors of its axes and what scans of one do to the others."""
+    from hysteresis_ros.analysis.metrics import axes_figures
+    from hysteresis_ros.loop.simulation import mode_lines
+    from hysteresis_ros.loop.stage_simulation import chosen_stage, coupling_errors, simulate_stage
+    from hysteresis_ros.recordings.align import setpoints_per_sample
+    from hysteresis_ros.recordings.files import load_run, save_run
+    from hysteresis_ros.units import readable
+
+    parameters = chosen_stage(configuration, faults, None if scans and not faults else namespace)
+    for warning in parameters.warnings():
+        click.echo(f"hysteresis: warning: {warning}", err=True)
+    replayed = None
+    if setpoints is not None:
+        recorded = load_run(setpoints)
+        replayed = {name: setpoints_per_sample(recorded.axis(name)) for name in parameters.names}
+    with shown("simulating; the first run of a version compiles"):
+        recording = simulate_stage(parameters, duration=duration, setpoints=replayed)
+        coupled = [] if faults or replayed else coupling_errors(parameters, duration)
+    save_run(recording, output)
+    rate = parameters.sample_rate
+    click.echo(
+        f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s), axes "
+        f"{', '.join(parameters.names)}"
+    )
+    for name, figures in axes_figures(recording).items():
+        rms, peak = readable(figures["rms_error_m"], "m"), readable(figures["max_error_m"], "m")
+        click.echo(f"{name}: RMS error {rms}, maximum {peak}")
+        if faults:
+            for line in mode_lines(recording.axis(name)):
+                click.echo(f"{name}: {line}")
+    for error in coupled:
+        rms, peak = readable(error.rms, "m"), readable(error.peak, "m")
+        click.echo(
+            f"coupling: {error.scanning} scans {readable(error.scanned, 'm')}, {error.held} moves by {rms} RMS, at "
+            f"most {peak} ({100.0 * error.part:.2g} % of the scan)"
+        )

@@ -99,8 +99,46 @@ class Recording:
         try:
             return self.signals[name]
         except KeyError:
+            if self.axes:
+                raise RecordingError(
+                    f"the recording is of a stage and has no signal '{name}': choose one of its axes "
+                    f"({', '.join(self.axes)}) with --namespace, or a signal such as '{self.axes[0]}/displacement'"
+                ) from None
             there = ", ".join(["time", *self.signals])
             raise RecordingError(f"the recording has no signal '{name}'; it has {there}") from None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes of a stage, whose signals are ``x/displacement`` …; empty for a single axis."""
+        return tuple(dict.fromkeys(name.rpartition("/")[0] for name in self.signals if "/" in name))
+
+    def axis(self, name: str) -> Recording:
+        """Return the recording of one axis of a stage; its arrays are shared.
+
+        Raises
+        ------
+        RecordingError
+            The recording is not of a stage, or its stage has no such axis.
+        """
+        name = name.strip("/")
+        if name not in self.axes:
+            there = f"it has {', '.join(self.axes)}" if self.axes else "it is of a single axis"
+            raise RecordingError(f"the recording has no axis '{name}'; {there}")
+        names = {key: key.removeprefix(f"{name}/") for key in self.signals if key.startswith(f"{name}/")}
+        space = f"{self.metadata.get('namespace', '').rstrip('/')}/{name}"
+        return Recording(
+            self.time,
+            {short: self.signals[key] for key, short in names.items()},
+            {short: self.units[key] for key, short in names.items()},
+            {**self.metadata, "namespace": space},
+        )
+
+    @classmethod
+    def of_axes(cls, axes: Mapping[str, Recording], metadata: dict) -> Recording:
+        """Return the recording of a stage, of the recordings of its axes at the same instants."""
+        signals = {f"{name}/{key}": values for name, one in axes.items() for key, values in one.signals.items()}
+        units = {f"{name}/{key}": unit for name, one in axes.items() for key, unit in one.units.items()}
+        return cls(next(iter(axes.values())).time, signals, units, metadata)
 
     def has(self, name: str) -> bool:
         """Return whether the signal has at least one finite value."""

@@ -155,12 +155,14 @@ def _reason(error) -> str:
 
 
 def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:
-    """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file."""
+    """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
+
+    Of a table of a stage ``namespace`` chooses one axis; without it the recording of all axes is returned.
+    """
     path = pathlib.Path(path)
-    if path.suffix.lower() == ".npz":
-        return read_npz(path)
-    if path.suffix.lower() == ".csv":
-        return read_csv(path)
+    if path.suffix.lower() in (".npz", ".csv"):
+        table = read_npz(path) if path.suffix.lower() == ".npz" else read_csv(path)
+        return table.axis(namespace) if namespace and table.axes else table
     # rosbags and mcap take a tenth of a second to import, so only a bag imports them
     from hysteresis_ros.recordings.align import read_recording
 
@@ -171,6 +173,8 @@ def save_run(recording: Recording, path, configuration: str | None = None) -> No
     """Write a run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix."""
     path = pathlib.Path(path)
     suffix = path.suffix.lower()
+    if recording.axes and suffix == ".mcap":
+        raise RecordingError(f"{path}: a bag is of a single axis; write .npz or .csv, or one axis alone")
     if suffix == ".npz":
         write_npz(recording, path)
     elif suffix == ".csv":

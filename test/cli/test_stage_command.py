@@ -1,0 +1,178 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A stage by ``hysteresis simulate`` and by ``hr.simulate``, and commands that refuse one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import hysteresis_ros as hr
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run, save_run
+
+
+def hysteresis(*words, code=0):
+    answer = subprocess.run(
+        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
+    )
+    assert answer.returncode == code, answer.stdout + answer.stderr
+    return answer.stdout + answer.stderr
+
+
+@pytest.fixture(scope="module")
+def run():
+    return hr.simulate("xy_scanner", duration=0.2)
+
+
+def test_a_stage_is_simulated_judged_and_written(tmp_path, run):
+    path = tmp_path / "run.npz"
+    said = hysteresis("simulate", "xy_scanner", "-o", path, "--duration", 0.2)
+    assert "2000 samples at 10000 Hz (0.2 s), axes x, y" in said
+    assert "x: RMS error" in said
+    assert "y: RMS error" in said
+    assert "coupling: x scans 16.0" in said
+    found = hr.load(path)
+    assert found.axes == ("x", "y")
+    for name, values in run.signals.items():
+        np.testing.assert_array_equal(values, found.signals[name], err_msg=name)
+    assert np.array_equal(hr.load(path, namespace="y")["displacement"], run["y/displacement"])
+    both = hysteresis("report", path)
+    assert "run.npz x" in both
+    assert "run.npz y" in both
+    assert "RMS error" in hysteresis("report", path, "--namespace", "x")
+
+
+def test_one_axis_gets_the_reference_that_is_asked_for(tmp_path):
+    path = tmp_path / "run.npz"
+    words = ("--reference", "sine", "--frequency", "20Hz", "--amplitude", "3um", "--namespace", "y")
+    said = hysteresis("simulate", "xy_scanner", "-o", path, "--duration", 0.1, *words)
+    assert "coupling: y scans 6.0" in said
+    assert np.ptp(load_run(path, "y")["reference"]) == pytest.approx(6e-6, rel=1e-3)
+
+
+def test_the_setpoints_of_a_run_of_a_stage_are_replayed(tmp_path):
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    setpoints = {name: np.where(np.arange(600) > start, 12e-6, 9e-6) for name, start in (("x", 200), ("y", 300))}
+    save_run(hr.simulate("xy_scanner", setpoints=setpoints), first)
+    hysteresis("simulate", "xy_scanner", "-o", second, "--setpoints", first)
+    for name in ("x/setpoint", "y/displacement"):
+        np.testing.assert_array_equal(load_run(first)[name], load_run(second)[name])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("up", "xy_scanner"),
+        ("up", "xy_scanner", "--namespace", "x"),
+        ("design", "xy_scanner", "--controller", "pid", "-o", "never.yaml"),
+        ("frf", "xy_scanner"),
+        ("commission", "xy_scanner"),
+        ("urdf", "xy_scanner"),
+    ],
+)
+def test_commands_of_a_single_axis_refuse_a_stage(words, tmp_path):
+    said = hysteresis(*words, code=2)
+    assert "describes a stage of coupled axes" in said
+    assert "Traceback" not in said
+
+
+def test_verify_refuses_the_recording_of_a_stage(tmp_path, run):
+    path = tmp_path / "run.npz"
+    run.save(path)
+    assert "stage of coupled axes" in hysteresis("verify", path, code=2)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--drift", "0.1", "0"), "--drift is for a single axis"),
+        (("--learned", "a.npz"), "--learned is for a single axis"),
+        (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
+        (("--namespace", "x"), "run together: an axis is named for its faults only"),
+        (("--fault", "stale:0.1:0.1", "--namespace", "z"), "there is no axis 'z' in the stage: it has x, y"),
+        (("--fault", "nonsense:0.1:0.1", "--namespace", "x"), "nonsense"),
+    ],
+)
+def test_what_a_stage_cannot_do_is_refused(words, message, tmp_path):
+    said = hysteresis("simulate", "xy_scanner", "-o", tmp_path / "never.npz", "--duration", 0.1, *words, code=2)
+    assert message in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_wrong_stage_is_refused_by_the_command(tmp_path):
+    path = tmp_path / "wrong.yaml"
+    text = load_configuration("xy_scanner").text
+    path.write_text(text.replace("axes: [x, y]", "axes: [x, x]"), encoding="utf-8")
+    said = hysteresis("simulate", path, "-o", tmp_path / "never.npz", code=2)
+    assert "'x' is there twice" in said
+
+
+def test_a_run_of_a_stage_has_a_run_of_each_axis(run):
+    assert isinstance(run, hr.StageRun)
+    assert run.axes == ("x", "y")
+    assert run["x"].axes == ()
+    assert np.array_equal(run["x"]["displacement"], run["x/displacement"])
+    assert np.array_equal(run.y.measured, run["y/measured"])
+    assert run["x"].units["voltage"] == "V"
+    assert run.between(0.1, 0.15)["y"].time.size == 501
+    figures = hr.metrics(run)
+    assert set(figures) == {"x", "y"}
+    assert hr.metrics(run, namespace="x")["rms_error_m"] < 0.3e-6
+    with pytest.raises(AttributeError, match="no signal or attribute 'z'"):
+        _ = run.z
+    with pytest.raises(RecordingError, match=r"choose one of its axes \(x, y\)"):
+        _ = run["displacement"]
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_files_give_the_run_back_bit_for_bit(tmp_path, suffix):
+    run = hr.simulate("xy_scanner", duration=0.01)
+    path = tmp_path / f"run{suffix}"
+    run.save(path)
+    found = hr.load(path)
+    assert isinstance(found, hr.StageRun)
+    for name, values in run.signals.items():
+        np.testing.assert_array_equal(found[name], values)
+        assert found.units[name] == run.units[name]
+    if suffix == ".npz":  # a recording that holds its configuration runs again
+        again = hr.simulate(found, duration=0.01)
+        np.testing.assert_array_equal(again["x"].displacement, run["x"].displacement)
+
+
+def test_a_bag_is_of_a_single_axis(tmp_path, run):
+    with pytest.raises(RecordingError, match="a bag is of a single axis"):
+        run.save(tmp_path / "run.mcap")
+
+
+def test_setpoints_of_a_stage_go_by_the_names_of_its_axes():
+    held = hr.simulate("xy_scanner", setpoints={"y": [15e-6]}, duration=0.02)
+    assert held["y"].setpoint[-1] == 15e-6
+    assert held["x"].setpoint[-1] == 20e-6
+    with pytest.raises(hr.HysteresisError, match="go by the names of its axes"):
+        hr.simulate("xy_scanner", setpoints=[1e-6])
+    with pytest.raises(hr.HysteresisError, match="there is no axis 'z' in the stage"):
+        hr.simulate("xy_scanner", setpoints={"z": [1e-6]})
+    with pytest.raises(hr.HysteresisError, match="setpoints by names are for a stage"):
+        hr.simulate("kim2009", setpoints={"x": [1e-6]})
+    with pytest.raises(hr.HysteresisError, match="requests and speeds are for an inchworm"):
+        hr.simulate("xy_scanner", requests=[1.0])
+
+
+def test_a_recording_of_one_axis_has_no_axes():
+    one = Recording(np.arange(3.0), {"voltage": np.zeros(3)})
+    assert one.axes == ()
+    with pytest.raises(RecordingError, match="it is of a single axis"):
+        one.axis("x")
