@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import pathlib
+from dataclasses import replace
 
 import click
 
@@ -23,24 +24,36 @@ from hysteresis_ros.cli.options import ConfigurationName, NodeName
 def parameters(node):
     """Print the parameter table of NODE, or of all nodes, in Markdown."""
     from hysteresis_ros.errors import ConfigurationError, did_you_mean
-    from hysteresis_ros.loop.parameters import NODE_PARAMETERS
 
-    if node is not None and node not in NODE_PARAMETERS:
-        near = did_you_mean(node, NODE_PARAMETERS)
-        raise ConfigurationError(f"no node '{node}'; there are: {', '.join(NODE_PARAMETERS)}{near}")
-    click.echo("\n".join(parameter_lines([node] if node else list(NODE_PARAMETERS))), nl=False)
+    known = _tables()
+    if node is not None and node not in known:
+        near = did_you_mean(node, known)
+        raise ConfigurationError(f"no node '{node}'; there are: {', '.join(known)}{near}")
+    click.echo("\n".join(parameter_lines([node] if node else list(known))), nl=False)
+
+
+def _tables() -> dict:
+    """Return the parameter class of each node, and of the section that couples axes."""
+    from hysteresis_ros.configuration import STAGE
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS
+    from hysteresis_ros.loop.stage_parameters import StageNodeParameters
+
+    return {**NODE_PARAMETERS, STAGE: StageNodeParameters}
 
 
 def parameter_lines(nodes: list[str]):
     """Yield the lines of the tables: first the common parameters, then those of each node."""
-    from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
+    from hysteresis_ros.configuration import STAGE
+    from hysteresis_ros.loop.parameters import NodeParameters
 
     shared = {row.name for row in NodeParameters.table()}
     yield "## Every node\n"
     yield from _table(NodeParameters.table())
     for name in nodes:
         yield f"\n## {name}\n"
-        yield from _table([row for row in NODE_PARAMETERS[name].table() if row.name not in shared])
+        rows = [row for row in _tables()[name].table() if row.name not in shared]
+        # no node runs a stage so far, so nothing of it can change
+        yield from _table([replace(row, read_only=True) for row in rows] if name == STAGE else rows)
     yield ""
 
 

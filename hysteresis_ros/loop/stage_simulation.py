@@ -98,7 +98,7 @@ class CouplingError:
 
 
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
-    """Return how much a scan of each axis moves the others, in runs of ``duration`` [s].
+    """Return how much a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
 
     Every axis that has a waveform scans in a run of its own while the others hold their setpoints, and what the others
     do in a run in which all hold is subtracted. Both runs have the same noise of the sensors, which therefore does not
@@ -107,12 +107,14 @@ def coupling_errors(parameters: StageParameters, duration: float | None = None) 
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
     found: list[CouplingError] = []
-    if len(parameters.names) < 2:
+    if len(parameters.names) < 2 or not scanning:
         return found
+    if duration is None:
+        # that of all axes together, because the waveform of one alone may be endless
+        duration = Stage(parameters).default_samples() / parameters.sample_rate
+    still = simulate_stage(parameters.scanning([]), duration=duration)
     for name in scanning:
-        one = parameters.scanning([name])
-        run = simulate_stage(one, duration=duration)
-        still = simulate_stage(parameters.scanning([]), duration=len(run) / parameters.sample_rate)
+        run = simulate_stage(parameters.scanning([name]), duration=duration)
         moved = {other: run[f"{other}/displacement"] - still[f"{other}/displacement"] for other in parameters.names}
         for held in parameters.names:
             if held != name:

@@ -14,6 +14,7 @@ import subprocess
 import sys
 
 from hysteresis_ros.cli.describe import parameter_lines
+from hysteresis_ros.configuration import STAGE
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
@@ -21,7 +22,7 @@ DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "parameters.md
 
 def test_the_documentation_holds_the_present_tables():
     text = DOCUMENT.read_text(encoding="utf-8")
-    assert text.endswith("\n".join(parameter_lines(list(NODE_PARAMETERS)))), (
+    assert text.endswith("\n".join(parameter_lines([*NODE_PARAMETERS, STAGE]))), (
         "docs/parameters.md is out of date: keep its head and replace the tables by what `hysteresis parameters` prints"
     )
 

@@ -24,7 +24,7 @@ from hysteresis_ros.cli.main import COMMANDS, main
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
 #: Pages that are run as printed.
-GUIDE = ("install", "first_axis", "models", "real_time", "troubleshooting")
+GUIDE = ("install", "first_axis", "models", "real_time", "coupled_axes", "troubleshooting")
 #: What a page stands for where it prints no name.
 PLACEHOLDERS = {"CONFIG": "kim2009", "RECORDING": "run.npz", "BAG": "run.npz"}
 #: Commands of the guide that nodes, minutes or hardware belong to, and the test that runs them.

@@ -33,6 +33,8 @@ RATE = 2000.0
 CONFIGURATIONS = sorted(path.stem for path in (pathlib.Path(__file__).resolve().parents[2] / "config").glob("*.yaml"))
 #: Motors that walk: a sequencer gives their references.
 WALKING = ("inchworm_travel",)
+#: Stages of coupled axes, which are no single axis.
+COUPLED = ("xy_scanner",)
 #: A stage in a flexure, 380 Hz with 1.5 % of damping, 100 µm over 150 V, which states no limit of motion.
 A, B = zero_order_hold(
     [[0.0, 1.0], [-((2 * np.pi * 380.0) ** 2), -2 * 0.015 * 2 * np.pi * 380.0]],
@@ -79,7 +81,7 @@ def designed(text: str, **asked) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CONFIGURATIONS if name not in WALKING])
+@pytest.mark.parametrize("name", [name for name in CONFIGURATIONS if name not in WALKING + COUPLED])
 @pytest.mark.parametrize("bare", [False, True])
 def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_states(name, bare):
     configuration = load_configuration(name)
