@@ -468,6 +468,14 @@ class Configuration:
             )
         return found[0] if found else None
 
+    def require_independent(self) -> None:
+        """Refuse a file whose axes are coupled, where a single axis is needed."""
+        if self.stage is not None:
+            raise ConfigurationError(
+                f"{self.source}: describes a stage of coupled axes, and this takes a single axis: the axes of a stage "
+                "run together, in `hysteresis simulate` and hr.simulate so far (docs/coupled_axes.md)"
+            )
+
 
 def normalised_namespace(namespace: str) -> str:
     """Return the namespace with one leading and no trailing slash; the root is the empty string."""

@@ -259,6 +259,7 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
     """Return the plant of a parameter file or configuration, and its section ``/identification``."""
     configuration = source if isinstance(source, Configuration) else load_configuration(source)
     path = configuration.source if isinstance(source, Configuration) else source
+    configuration.require_independent()
     if "hysteresis.type" not in configuration.node("plant_simulator", namespace):
         raise ConfigurationError(
             f"{path}: has no plant_simulator with hysteresis.type; give a parameter file of an axis"

@@ -715,11 +715,8 @@ class AxisParameters:
     ) -> AxisParameters:
         """Read one axis from a configuration; ``coupled``: an axis of a stage, whose plant it shares with others."""
         namespace = normalised_namespace(namespace)
-        if configuration.stage is not None and not coupled:
-            raise ConfigurationError(
-                f"{configuration.source}: describes a stage of coupled axes, and this takes a single axis: the axes of "
-                "a stage run together, in `hysteresis simulate` and hr.simulate so far (docs/coupled_axes.md)"
-            )
+        if not coupled:
+            configuration.require_independent()
         inchworm = configuration.describes("inchworm_sequencer", namespace)
         if inchworm and configuration.describes("reference_generator", namespace):
             raise ConfigurationError(

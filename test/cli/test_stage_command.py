@@ -89,6 +89,14 @@ def test_commands_of_a_single_axis_refuse_a_stage(words, tmp_path):
     assert "Traceback" not in said
 
 
+def test_validate_refuses_the_plant_of_a_stage(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("time [s],voltage [V],measured [m]\n" + "".join(f"{k}e-4,{k},{k}e-7\n" for k in range(50)))
+    for namespace in ("", "/x"):
+        said = hysteresis("validate", "xy_scanner", path, *(("--namespace", namespace) if namespace else ()), code=2)
+        assert "stage of coupled axes" in said
+
+
 def test_verify_refuses_the_recording_of_a_stage(tmp_path, run):
     path = tmp_path / "run.npz"
     run.save(path)
