@@ -214,8 +214,8 @@ def each(function):
     """Mark a composite ``function(laws, parts, row)`` of one axis that runs for all axes of a stage.
 
     The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order.
-    Compiled, it takes the tuples apart into their first entry and the rest, so axes may have parts of different
-    classes; axes of the same classes share one machine code.
+    Compiled, it takes the tuples apart into halves, so axes may have parts of different classes; axes, and halves, of
+    the same classes share one machine code.
     """
 
     def over(laws, parts, rows):
@@ -233,11 +233,13 @@ def each(function):
             if len(parts) == 1:
                 return lambda laws, parts, rows: one(laws[0], parts[0], rows[0])
 
-            def first_and_rest(laws, parts, rows):
-                one(laws[0], parts[0], rows[0])
-                all_axes(laws[1:], parts[1:], rows[1:])
+            half = len(parts) // 2
 
-            return first_and_rest
+            def both_halves(laws, parts, rows):
+                all_axes(laws[:half], parts[:half], rows[:half])
+                all_axes(laws[half:], parts[half:], rows[half:])
+
+            return both_halves
 
     return all_axes
 

@@ -112,6 +112,34 @@ def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay):
     assert_same_bits(expected, coupled.run(coupled.default_setpoints(samples))["x"])
 
 
+def test_three_axes_that_do_not_couple_are_the_axes_that_they_are_alone():
+    A, B = modes((700.0,), (0.01,))
+    dynamics = {"A": tuple(A.ravel()), "B": tuple(B.ravel()), "C": (1.0, 0.0), "input_scale": 1.0}
+    names = ("one", "two", "three")
+    entries = [(name, values) for name, values in configured().entries if not name.startswith(("/x/", "/y/"))]
+    for name in names:
+        own = [
+            (key.replace("/x/", f"/{name}/"), values) for key, values in configured().entries if key.startswith("/x/")
+        ]
+        entries += [*own, (f"/{name}/**", {"joint": name})]
+    structure = {
+        "A": np.kron(np.eye(3), A),
+        "B": np.kron(np.eye(3), B),
+        "C": np.kron(np.eye(3), [[1.0, 0.0]]),
+    }
+    values = {f"structure__{name}": tuple(matrix.ravel()) for name, matrix in structure.items()}
+    values |= {"structure__inputs": 3, "structure__outputs": 3, "axes": list(names), "decoupling": []}
+    configuration = replace(configured(), entries=tuple(entries)).override("stage", **values)
+    prompt = {"dynamics__delay": 0.0, "dynamics__sample_time": 0.0}
+    coupled = Stage(StageParameters.from_configuration(configuration.override("plant_simulator", **prompt)))
+    setpoints = {name: np.full(800, place) for name, place in zip(names, (9e-6, 20e-6, 31e-6), strict=True)}
+    found = coupled.run(setpoints)
+    alone = Axis(AxisParameters.from_configuration(single({**dynamics, "delay": 0.0}), "/x"))
+    for name in names:
+        alone.reset()
+        assert_same_bits(alone.run(setpoints[name]), found[name])
+
+
 @pytest.mark.parametrize("expression", ["whole_run(400)", "internal_run(400)", "adapting_run(400)"])
 def test_the_compiled_loop_has_the_bits_of_its_python_form(expression, tmp_path):
     found = eval(expression)
