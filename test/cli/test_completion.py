@@ -148,7 +148,7 @@ def test_what_may_last_shows_that_it_goes_on(name):
     [
         (["design", "kim2009", "--controller", "pid", "-o", "F.yaml"], ["designing"]),
         (["simulate", "kim2009", "--duration", "0.01", "-o", "run.npz"], ["simulating"]),
-        (["report", "run.npz"], ["reading", "judging 30 samples"]),
+        (["report", "run.npz"], ["reading", "evaluating 30 samples"]),
         (["verify", "run.npz"], ["reading run.npz", "repeating the run"]),
         (["export", "run.npz", "-o", "run.csv"], ["writing run.csv"]),
     ],

@@ -217,4 +217,4 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
     path.write_text(f"{text}\n/**:\n  ros__parameters:\n    plain: 1\n/**:\n  ros__parameters:\n    plain: 2\n")
     assert "'/**' is already in line" in refusal("simulate", path, "-o", tmp_path / "a.npz")
     path.write_text(f"{text}\n/**/recorder:\n  ros__parameters:\n    a.b: 1\n    a: {{b: 2}}\n")
-    assert "'a.b' is twice" in refusal("simulate", path, "-o", tmp_path / "a.npz")
+    assert "'a.b' occurs twice" in refusal("simulate", path, "-o", tmp_path / "a.npz")
