@@ -157,7 +157,7 @@ def processes(workers: int) -> Iterator[Processes]:
 
 
 def _ended() -> HysteresisError:
-    return HysteresisError("a process that shares the work has ended by itself; give --workers 1, or free some memory")
+    return HysteresisError("a worker process ended unexpectedly; give --workers 1, or free some memory")
 
 
 @contextlib.contextmanager

@@ -159,7 +159,7 @@ def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
 
 
 def equal(name: object, samples: int) -> str:
-    """Return one line that a recording equals its twin, with the number of samples."""
+    """Return a line stating that a recording equals its twin, with the number of samples."""
     return f"{name}: {samples} samples equal the offline twin bit for bit, none missing"
 
 

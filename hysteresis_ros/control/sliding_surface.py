@@ -148,7 +148,7 @@ def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) ->
     Raises
     ------
     ParameterError
-        No stable controller follows; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
+        No controller is stable; the message names the parameter of ``sliding_mode`` or ``model.dynamics``.
     """
     whole = model
     if parameters.tracking == "integral":

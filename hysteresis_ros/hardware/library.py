@@ -245,7 +245,7 @@ class SharedLibrary(Driver):
         return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units)
 
     def _error(self, code: int) -> DriverError:
-        """Return the error of an error code."""
+        """Return the exception for an error code."""
         text = f"reports error {code}"
         if hasattr(self._library, DESCRIBE):
             text = (self._library.hysteresis_describe(code) or text.encode()).decode(errors="replace")

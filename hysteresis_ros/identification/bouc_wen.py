@@ -393,7 +393,7 @@ class _OscillatorProblem:
         rmse = self.rms(found)
         if not rmse < self.stroke:
             raise IdentificationError(
-                f"no start fits the data: RMS error {rmse:.3g} m of a stroke of {self.stroke:.3g} m; "
+                f"no initial values lead to a fit: the RMS error is {rmse:.3g} m, the stroke {self.stroke:.3g} m; "
                 "give better initial values"
             )
         beta = self.start.beta

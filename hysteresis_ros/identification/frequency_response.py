@@ -285,8 +285,8 @@ def experiments(name: str, values, period: int | None = None) -> np.ndarray:
     array = finite_array(name, values)
     if period is not None:
         if array.ndim != 1 or array.size % period:
-            text = f"{name} of shape {array.shape} is no whole number of periods of {period} samples"
-            raise DataError("shape", f"{text}; remove samples at the start, not the end of a period")
+            text = f"{name} of shape {array.shape} is not a whole number of periods of {period} samples"
+            raise DataError("shape", f"{text}; remove the surplus samples at the beginning")
         array = array.reshape(-1, period)
     if array.ndim not in (1, 2, 4):
         raise DataError("shape", f"{name} has shape {array.shape}; it must be (N,), (P, N) or (R, P, channels, N)")

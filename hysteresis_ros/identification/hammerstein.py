@@ -275,7 +275,7 @@ class PartSearch:
 
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
-    """Return the linear part of these values, and the values of the shape."""
+    """Split fitted values: return the linear part with its values set, and the remaining (shape) values."""
     own: dict[str, Any] = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 

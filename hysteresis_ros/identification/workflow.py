@@ -543,7 +543,7 @@ def inverse_figures(back: InverseValidation | None) -> dict:
 
 
 def finite(figures: dict) -> dict:
-    """Return figures for JSON; values that are not finite become None."""
+    """Return numbers for JSON; values that are not finite become None."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()

@@ -177,7 +177,8 @@ class FusedLoop:
         if not COMPILED and INTERPRETED_RATE < rate < math.inf:
             raise ConfigurationError(
                 f"sample_rate = {axis.sample_rate:g} Hz at real_time_factor {factor:g}: without Numba the fused loop "
-                f"holds {INTERPRETED_RATE:g} samples per second; install Numba (the extra [fast]) or lower one of them"
+                f"reaches only {INTERPRETED_RATE:g} samples per second; install Numba (the extra [fast]), or lower "
+                "sample_rate or real_time_factor"
             )
         self.axis = axis
         self.failure = self.warning = ""

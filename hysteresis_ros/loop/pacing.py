@@ -129,7 +129,7 @@ LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(15,
 PAUSED, AT_WORK = 24, 25
 STATES = 26
 
-# A post: each value with the number of times it was given so far.
+# Columns of a post: each value is followed by the number of times that it has been set.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
 POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
 POST = 9

@@ -424,7 +424,8 @@ class AdaptationParameters(Parameters):
         if count > MOST_WEIGHTS:
             yield Problem("adaptation.type", self.type, f"{name} has {count} weights; at most {MOST_WEIGHTS} adapt")
         if self.factors and len(self.factors) != count:
-            yield Problem("adaptation.factors", self.factors, f"must be as many as {name} has weights, {count}")
+            remedy = f"must contain one factor for each of the {count} weights of {name}"
+            yield Problem("adaptation.factors", self.factors, remedy)
         elif any(not 1.0 / self.range <= factor <= self.range for factor in self.factors):
             remedy = f"must lie within 1/range … range = {1.0 / self.range:g} … {self.range:g}"
             yield Problem("adaptation.factors", self.factors, remedy)

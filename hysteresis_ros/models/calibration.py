@@ -194,7 +194,7 @@ def _turns(slope: Any, low: float, high: float) -> list[float]:
     """Return the extrema of a polynomial between two values."""
     if not low < high:
         return []
-    # in a variable from -1 to 1 coefficients are comparable: negligible ones are left out
+    # scaled to a variable from -1 to 1 the coefficients are comparable, so negligible ones can be dropped
     curve = slope.deriv().convert(domain=[low, high])
     largest = np.max(np.abs(curve.coef))
     if not np.isfinite(largest):

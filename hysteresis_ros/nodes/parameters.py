@@ -231,7 +231,7 @@ _TYPES = {
 
 
 class TabledParameters(Node):
-    """What a node with :attr:`interface` tells others of its parameters; stands before rclpy's class of the node."""
+    """Mixin that describes a node's parameters to other nodes; list it before the rclpy node class."""
 
     interface: ParameterInterface
 
@@ -347,7 +347,7 @@ class ParameterInterface:
         return value
 
     def _converted(self, changes):
-        """Convert values to the types of their rows before they are set; wrong types are refused later, by name."""
+        """Convert values to the types in the parameter table before they are set; wrong types are refused later."""
         return [
             Parameter(change.name, value=self._typed(self._rows[change.name], change.value))
             if change.name in self._rows

@@ -527,7 +527,7 @@ class RealTimeResponder(RealTime):
 
     @property
     def goes_on(self) -> bool:
-        """Whether the plant has said that the axis goes on, and no measurement has come yet that shows it."""
+        """Whether the plant has announced that the axis resumes, but no measurement has confirmed it yet."""
         return self._going > 0
 
     def missing_partners(self) -> str:

@@ -86,7 +86,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     REFUSED,  # setpoints outside of the travel so far
     LIMITED_SPEED,  # 1 when the requested speed exceeds the gait's
     COMMANDED_STEP,  # commanded length of the last finished step [m], with the sign of its direction
-    ACHIEVED_STEP,  # its achieved length by the measured slider [m]
+    ACHIEVED_STEP,  # achieved length of that step [m], from the measured slider
     TARGET,  # present setpoint [m]
     REQUEST,  # input: request, taken at the next sample
     SPEED,  # input: requested speed of continuous walking [m/s]; 0: walk to the setpoint

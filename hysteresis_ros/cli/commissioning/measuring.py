@@ -177,7 +177,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
     if left > max(SEEN * noise, RINGING * abs(moved)):
         raise CommissioningError(
             f"the stage does not settle after a step of {step:+.3g} V: it still moves by {readable(left, 'm')} "
-            "RMS; check for another controller that is switched on, and its mounting"
+            "RMS; check that no other controller is on, and check the stage's mounting"
         )
     gain = moved / applied
     lines = [f"{applied:+.3g} V moved it by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]

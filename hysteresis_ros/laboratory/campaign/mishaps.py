@@ -30,7 +30,7 @@ RELAY, SMALL_DISK, DEVICE, CLOCK, FRESH = GRAPHS = ("relay", "small disk", "devi
 #: Requirements of every fault case.
 ALWAYS = (
     "every output voltage of the plant is within its limits, and changes between two samples by no more "
-    "than the slew rate allows; no process ends that was not ended on purpose; no process prints a "
+    "than the slew rate allows; no process ends unless it was ended on purpose; no process prints a "
     "traceback; nothing hangs; "
     "afterwards the axis follows setpoints again without a restart of parts that have not failed"
 )

@@ -29,7 +29,7 @@ from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, Emula
 
 #: Names of the converters.
 DAC, ADC = "emulated-dac", "emulated-adc"
-#: Bits of both; the range of the DAC is 0 … 10 V, that of the ADC -10 … 10 V, with 0 at the lowest.
+#: Bits of both converters. The DAC has 0 … 10 V, the ADC -10 … 10 V; code 0 is the lowest voltage.
 BITS, SPAN = 16, 10.0
 LEVELS = 2**BITS
 OUTPUT_SCALE, INPUT_SCALE, INPUT_OFFSET = SPAN / LEVELS, 2.0 * SPAN / LEVELS, -(LEVELS // 2)

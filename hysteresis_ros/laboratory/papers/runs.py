@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs of the experiments: the runner of the axes, triangles for identification, and figures of the runs."""
+"""Runs of the experiments: the runner of the axes, triangles for identification, and numerical results of the runs."""
 
 from __future__ import annotations
 

@@ -305,7 +305,7 @@ class Uniform(Range):
     Parameters
     ----------
     low, high : float
-        Ends in SI units; of whole numbers both included.
+        Ends in SI units; for an integer parameter both ends are included.
 
     Examples
     --------

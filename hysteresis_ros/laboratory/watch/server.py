@@ -32,9 +32,9 @@ from hysteresis_ros.nodes.remote.commands import stands
 
 #: Frames per second; intervals of the status and of the spectrum [s].
 FRAMES, STATUS, SPECTRUM = 25.0, 0.25, 0.5
-#: Largest request [bytes]; most queued requests of a page.
+#: Maximum size of a request [bytes]; maximum number of queued requests of a page.
 LONGEST, WAITING = 64 * 1024, 32
-#: Time-outs of a setpoint and of a stop [s]; number of times a stop is published.
+#: Time-outs of a setpoint and of a stop [s]; interval at which a stop is repeated until it is confirmed [s].
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
 #: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0

@@ -124,7 +124,7 @@ def speed(axis: Axis, samples: int = 20000) -> float:
 
 
 def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = True, plant=None) -> np.ndarray:
-    """Return commanded less achieved lengths [m] of open-loop steps of 10 … 100 % of the stroke in both directions."""
+    """Return commanded minus achieved lengths [m]: open-loop steps, 10 … 100 % of the stroke, both directions."""
     sequencer = {"fine__enabled": False, "fine__tolerance": 0.4e-6, "learning__enabled": learning}
     axis = inchworm(
         plant=plant, sequencer=sequencer, controller={"type": "open_loop"}, compensator={"inverse__type": inverse}
