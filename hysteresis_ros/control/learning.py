@@ -213,7 +213,7 @@ class Learned:
         wanted = period_samples(period, 1.0 / sample_time)
         if len(self.correction) != wanted or abs(self.sample_time - sample_time) > 1e-6 * sample_time:
             have = f"{len(self.correction)} samples of {self.sample_time:g} s"
-            remedy = f"contains {have}; the axis needs {wanted} samples of {sample_time:g} s: learn again or give another file"
+            remedy = f"contains {have}; the axis needs {wanted} samples of {sample_time:g} s: learn again"
             raise ParameterError([Problem("learning.file", f"period {self.period:g} s", remedy)])
         largest = float(np.max(np.abs(self.correction)))
         if largest > maximum:
