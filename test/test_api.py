@@ -350,7 +350,7 @@ def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     "ask, expected",
     [
-        (lambda: hr.compare("kim2009", drawn=1), "no condition drawn; did you mean draws?"),
+        (lambda: hr.compare("kim2009", drawn=1), "unknown condition drawn; did you mean draws?"),
         (lambda: hr.compare("kim2009", only={("PIT", "none")}), "no controller 'PIT'.*did you mean PID.*offset-free"),
         (
             lambda: hr.compare("kim2009", only={("PID", "exact invers")}),

@@ -98,7 +98,7 @@ def test_what_is_left_of_a_chunk_is_unpacked_within_bounds():
 
 @pytest.mark.parametrize("time, data", [(None, b""), (1.5, b""), (1, 10**10), (1, "text"), (1, None)])
 def test_what_is_no_message_costs_no_memory(time, data):
-    with pytest.raises(RecordingError, match="a message on /voltage is none"):
+    with pytest.raises(RecordingError, match="a message on /voltage is invalid or has no time"):
         Bag(pathlib.Path("bag")).add("/voltage", FLOAT64, time, data)
 
 

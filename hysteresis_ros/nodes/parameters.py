@@ -94,6 +94,8 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
     try:
         path = pathlib.Path(value).expanduser().resolve()
+        if any(part.is_symlink() for part in (path, *path.parents)):  # from Python 3.13 on resolve() returns a loop
+            raise OSError("a loop of symbolic links")
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a user who is not, a null byte
         return Problem(row.name, value, f"is not a path: {error}")

@@ -135,7 +135,7 @@ def _open_gcs(connection):
     from hysteresis_ros.hardware.drivers.gcs import GcsDriver, GcsLink, GcsParameters
 
     driver, link = GcsDriver(), GcsLink.__new__(GcsLink)
-    link.name, link.broken, link._rest, link._socket = "controller", False, b"", connection
+    link.name, link.broken, link._rest, link._leads, link._socket = "controller", False, b"", False, connection
     link._require_silence = lambda what: None  # all answers stand there before they are asked for
     driver._link, driver._failed = link, True
     driver.open(GcsParameters(safe_time=0.0, check_period=60.0, safe_voltage=1.0), 100.0)

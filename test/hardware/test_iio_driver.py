@@ -191,5 +191,5 @@ def tried(device):
 
 
 def test_emulated_converters_take_no_folder_that_is_there(tmp_path):
-    with pytest.raises(ConfigurationError, match="cannot be made .*give a folder that does not exist yet"):
+    with pytest.raises(ConfigurationError, match="cannot be created .*give a folder that does not exist yet"):
         start(EmulatedConvertersParameters(directory=str(tmp_path)), Bench()).__enter__()

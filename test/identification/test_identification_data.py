@@ -91,7 +91,7 @@ def test_own_recordings_and_arrays_are_read_alike(tmp_path):
         ({"input": "drive"}, ["'drive' has no unit", "drive:um"]),
         ({"input": "drive:furlong"}, ["unknown unit 'furlong'"]),
         ({"input": "nothing:V"}, ["no column 'nothing'", "gauge_um"]),
-        ({"input": "drive:V", "output": "gauge_um:V"}, ["'um' by its header", "'V' was asked"]),
+        ({"input": "drive:V", "output": "gauge_um:V"}, ["'um' by its header", "not in 'V'"]),
         ({}, ["which column is the input", "name:unit"]),
         ({"input": "drive:V", "output": "gauge_um", "time": "gauge_um"}, ["must be in s"]),
     ],

@@ -168,12 +168,12 @@ def learned_with_missed_samples(seed, late_recovery):
 def test_where_a_sample_in_200_is_missed_it_learns_from_the_others_however_long_limits_are_remembered(seed):
     whole, every = learned_with_missed_samples(None, None)
     missed, line = learned_with_missed_samples(seed, None)
-    assert every == "learned from 32 of 32 periods whole"
+    assert every == "of 32 periods, 32 were learned completely"
     assert missed < 1.5 * whole < 4e-9
     # where a late sample is remembered as long as limits are, most periods teach nothing
     blocked, why = learned_with_missed_samples(seed, 2.0)
     assert blocked > 1.5 * whole
-    used, unused = (int(re.search(r"from (\d+) not at all", text)[1]) for text in (line, why))
+    used, unused = (int(re.search(r", (\d+) not at all", text)[1]) for text in (line, why))
     assert used == 0 and unused > 15
     assert "for late samples" in line and "the response of the axis to them" in line
 
@@ -201,5 +201,5 @@ def test_its_structure_is_fixed_while_it_runs(name, value):
 
 
 def test_an_axis_that_does_not_learn_says_so():
-    with pytest.raises(ParameterError, match="learning.type = 'none': nothing learns"):
+    with pytest.raises(ParameterError, match="learning.type = 'none': learning is off"):
         axis(**HOLD).controller.learn()

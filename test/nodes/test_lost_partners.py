@@ -68,10 +68,14 @@ class Graph:
 
     def until_at(self, place: float) -> None:
         try:
-            until(lambda: abs(self.place() - place) < 1e-8, what=f"the axis at {place:g} m")
+            until(lambda: abs(self.place() - place) < 1e-8 and self.rests(), what=f"the axis at {place:g} m")
         except AssertionError as error:
             said = "\n".join(f"{name}:\n{node.output}" for name, node in self.nodes.items())
             raise AssertionError(f"{error}\n{said}") from None
+
+    def rests(self) -> bool:
+        """Return whether the voltage is no other than in the sample before: the displacement follows it later."""
+        return len(self.states) < 2 or abs(self.states[-1].position[2] - self.states[-2].position[2]) < 1e-9
 
     def more(self, samples: int) -> None:
         since = len(self.states)
@@ -99,7 +103,7 @@ class Graph:
         """Start the axis, again where a node on a busy machine has noticed the loss only after that."""
 
         def there() -> bool:
-            return abs(self.place() - place) < 1e-8 or bool(self.tripped() and self.start().success and False)
+            return (abs(self.place() - place) < 1e-8 and self.rests()) or bool(self.tripped() and self.start().success and False)
 
         until(there, what=f"the axis at {place:g} m", every=0.2)
 

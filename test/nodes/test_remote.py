@@ -166,7 +166,7 @@ def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
     assert running == "/left/motion_controller: running"
     with pytest.raises(HysteresisError, match="it has forget, freeze, .*, start, stop, .*did you mean start"):
         call(client, "motion_controller", "stat")
-    with pytest.raises(HysteresisError, match="refuses to learn: learning.type = 'none': nothing learns"):
+    with pytest.raises(HysteresisError, match="refuses to learn: learning.type = 'none': learning is off"):
         call(client, "motion_controller", "learn")
     with pytest.raises(HysteresisError, match="refuses to save: learning.save_file = '': names no file"):
         call(client, "motion_controller", "save")

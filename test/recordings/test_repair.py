@@ -234,6 +234,6 @@ def test_a_full_disk_leaves_no_half_bag(tmp_path, monkeypatch):
     assert f"cannot be written: {os.strerror(errno.ENOSPC)}" in refusal(tmp_path / "run")
     assert list(tmp_path.iterdir()) == [tmp_path / "run"]
     monkeypatch.undo()
-    assert CliRunner().invoke(main, ["repair", str(tmp_path / "run")]).output.endswith("run.mcap made whole\n")
+    assert CliRunner().invoke(main, ["repair", str(tmp_path / "run")]).output.endswith("run.mcap repaired\n")
     with Reader(tmp_path / "run_repaired") as reader:
         assert reader.message_count > 0

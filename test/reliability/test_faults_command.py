@@ -29,7 +29,7 @@ def run(*words):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--only", "kil all"], "no mishap 'kil all'; did you mean kill all?"),
+        (["--only", "kil all"], "no fault case 'kil all'; did you mean kill all?"),
         (["--ways", "fusd"], "no way 'fusd'; did you mean fused?"),
         (["--rounds", "0"], "--rounds"),
         (["picma_stag"], "did you mean picma_stage?"),

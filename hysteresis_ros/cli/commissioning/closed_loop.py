@@ -382,10 +382,10 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     }
     out = np.sum(list(reasons.values()), axis=(0, 2))
     whole, none = int(np.count_nonzero(out == 0)), int(np.count_nonzero(out == period))
-    text = f"learned from {whole} of {len(out)} periods completely"
+    text = f"of {len(out)} periods, {whole} were learned completely"
     if whole == len(out):
         return text
-    text += f", from {len(out) - whole - none} in part, from {none} not at all; omitted: "
+    text += f", {len(out) - whole - none} in part, {none} not at all; omitted: "
     shares = {reason: float(np.mean(samples)) for reason, samples in reasons.items() if samples.any()}
     return text + ", ".join(f"{100.0 * share:.3g} % of the samples for {reason}" for reason, share in shares.items())
 
