@@ -103,7 +103,9 @@ class Graph:
         """Start the axis, again where a node on a busy machine has noticed the loss only after that."""
 
         def there() -> bool:
-            return (abs(self.place() - place) < 1e-8 and self.rests()) or bool(self.tripped() and self.start().success and False)
+            return (abs(self.place() - place) < 1e-8 and self.rests()) or bool(
+                self.tripped() and self.start().success and False
+            )
 
         until(there, what=f"the axis at {place:g} m", every=0.2)
 
