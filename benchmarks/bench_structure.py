@@ -48,7 +48,10 @@ def recordings(folder: pathlib.Path, split: str, levels=LEVELS) -> StructureData
     """Return the realisations of some levels; the arrays have the shape (samples, channels, realisations, periods)."""
 
     def read(name: str) -> np.ndarray:
-        parts = [np.load(folder / f"{name}_{level}mV_{split}.npy").transpose(2, 3, 0, 1) for level in levels]
+        parts = [
+            np.load(folder / f"{name}_{level}mV_{split}.npy", allow_pickle=False).transpose(2, 3, 0, 1)
+            for level in levels
+        ]
         whole = np.concatenate(parts)
         return whole.reshape(len(whole), -1, whole.shape[3])
 

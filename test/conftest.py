@@ -40,6 +40,11 @@ def pytest_configure(config):
     preloaded_support.install()
 
 
+def pytest_collection_finish(session):
+    """What test modules set when they are imported is set; what a test sets is not."""
+    preloaded_support.remember_environment()
+
+
 def pytest_unconfigure(config):
     """End what forks them."""
     preloaded_support.close()

@@ -58,13 +58,15 @@ class _Starter:
     """The process that has imported everything, and what it was started with."""
 
     def __init__(self):
-        self.environment = dict(os.environ)
+        self.environment = _usual_environment()
         self.pid = os.getpid()
         self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         with other:
             command = [sys.executable, __file__, str(other.fileno()), str(_home())]
             os.set_inheritable(other.fileno(), True)
-            self._process = subprocess.Popen(command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL)
+            self._process = subprocess.Popen(
+                command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, env=self.environment
+            )
 
     def fork(self, request: dict, files: list[int]) -> int:
         """Return the identifier of a new child of this process."""
@@ -90,6 +92,17 @@ class _Starter:
 
 _starter: _Starter | None = None
 _cold = False
+_usual: dict[str, str] = {}
+
+
+def remember_environment() -> None:
+    """Take the present environment as that of all tests: a test that changes it is not the one that counts."""
+    _usual.clear()
+    _usual.update(os.environ)
+
+
+def _usual_environment() -> dict[str, str]:
+    return dict(_usual or os.environ)
 
 
 def _home() -> pathlib.Path:
@@ -118,7 +131,7 @@ def _fits(args, environment: dict) -> bool:
     words = [os.fspath(word) for word in args]
     if words[:2] != [sys.executable, "-m"] or not words[2].startswith(f"{PACKAGE}."):
         return False
-    known = _starter.environment if _starter is not None else os.environ
+    known = _starter.environment if _starter is not None else _usual_environment()
     return not {
         name for name in (environment.keys() | known.keys()) - HARMLESS if environment.get(name) != known.get(name)
     }

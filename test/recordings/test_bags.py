@@ -370,7 +370,7 @@ def test_a_configuration_that_is_no_configuration_does_no_harm(tmp_path):
 def test_damaged_messages_are_named(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("/joint_states", cdr.JOINT_STATE, b"\x00\x01\x00\x00\x05", 0)
-    with pytest.raises(RecordingError, match="/joint_states is no sensor_msgs/msg/JointState"):
+    with pytest.raises(RecordingError, match="/joint_states is not a sensor_msgs/msg/JointState"):
         read_recording(tmp_path / "bag")
 
 

@@ -66,7 +66,7 @@ def test_a_stopped_process_is_judged_and_written_down(tmp_path):
     words = ["faults", "--ways", "composed", "--only", "stop all", "-o", str(page)]
     done = subprocess.run([sys.executable, "-m", "hysteresis_ros.cli.main", *words], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "4 mishaps: all held" in done.stdout and "Traceback" not in done.stderr
+    assert "4 fault cases: all held" in done.stdout and "Traceback" not in done.stderr
     row = next(row for row in page.read_text(encoding="utf-8").splitlines() if row.startswith("| **stop all**"))
     assert "| held: " in row and "step 1.00" in row and "back after" in row
 
