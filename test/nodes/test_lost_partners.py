@@ -218,9 +218,7 @@ def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain, pause
         graph.more(100)
         if pause > 0.4:  # command_timeout
             assert graph.tripped() and abs(graph.voltage()) < 0.01
-        if graph.tripped():
-            until(lambda: graph.start().success, what="the start")
-        graph.until_at(SETPOINT)
+        graph.start_until_at(SETPOINT)
         graph.more(50)
         assert max(state.position[0] for state in graph.states[since:]) < SETPOINT + 1e-7
     finally:
