@@ -252,7 +252,7 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path, joining):
     graph.more(20)
     if other is not None:
         other.close()
-    assert longest_gap(graph.states[since - 1 :]) < 0.3
+    assert longest_gap(graph.states[since - 1 :]) < 0.45  # it was 0.5 s at 200 Hz and 1.6 s at 10 Hz
     if joining != "motion_controller":  # of an axis at rest the voltage does not change at all
         assert max(abs(state.position[0] - SETPOINT) for state in graph.states[since:]) < 1e-8
         assert max(abs(state.position[2] - 60.0) for state in graph.states[since:]) < 0.1
