@@ -40,11 +40,6 @@ def pytest_configure(config):
     preloaded_support.install()
 
 
-def pytest_collection_finish(session):
-    """What test modules set when they are imported is set; what a test sets is not."""
-    preloaded_support.remember_environment()
-
-
 def pytest_unconfigure(config):
     """End what forks them."""
     preloaded_support.close()
@@ -53,6 +48,7 @@ def pytest_unconfigure(config):
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """Start the processes of a test truly when it is marked so; its fixtures come after this."""
+    preloaded_support.remember_environment()
     preloaded_support.start_cold(item.get_closest_marker("cold") is not None)
 
 

@@ -96,7 +96,7 @@ _usual: dict[str, str] = {}
 
 
 def remember_environment() -> None:
-    """Take the present environment as that of all tests: a test that changes it is not the one that counts."""
+    """Take the present environment as that of the test that begins: what it changes itself counts as a change."""
     _usual.clear()
     _usual.update(os.environ)
 
@@ -131,10 +131,12 @@ def _fits(args, environment: dict) -> bool:
     words = [os.fspath(word) for word in args]
     if words[:2] != [sys.executable, "-m"] or not words[2].startswith(f"{PACKAGE}."):
         return False
-    known = _starter.environment if _starter is not None else _usual_environment()
-    return not {
-        name for name in (environment.keys() | known.keys()) - HARMLESS if environment.get(name) != known.get(name)
-    }
+    return not _changed(environment, _usual_environment())
+
+
+def _changed(environment: dict, known: dict) -> set[str]:
+    """Return the variables that differ and that may matter to what is imported."""
+    return {name for name in (environment.keys() | known.keys()) - HARMLESS if environment.get(name) != known.get(name)}
 
 
 def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
@@ -169,6 +171,13 @@ def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *r
         "parent": os.getpid(),
     }
     with _lock:
+        if (
+            _starter is not None
+            and _starter.pid == os.getpid()
+            and _changed(_starter.environment, _usual_environment())
+        ):
+            _starter.close()  # an earlier test, or a library that it imported, has left a variable
+            _starter = None
         if _starter is None or _starter.pid != os.getpid():
             _starter = _Starter()
         try:
