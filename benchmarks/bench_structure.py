@@ -12,7 +12,7 @@
 
     python benchmarks/bench_structure.py FOLDER
 
-FOLDER holds ``u_100mV_train.npy`` … ``y_300mV_test.npy`` of the data set github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
+FOLDER holds ``u_100mV_train.npy`` … ``y_300mV_test.npy`` of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
 Orders are chosen and searches end on realisations of the training data; the test data are looked at once, at the end.
 Figures are the mean over outputs, realisations and periods of the RMS error after the first 100 samples [µm].
 """
