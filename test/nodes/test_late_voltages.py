@@ -180,7 +180,7 @@ def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
     """A collection of garbage in a large process takes this long: messages wait in queues, and no partner is lost."""
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=-1)
     settled(plant)
-    time.sleep(2.5)  # the time in which partners that have just begun are excused
+    more(plant, 300)  # beyond the time in which partners that have just begun are excused
     for _ in range(6):
         ctypes.PyDLL(None).usleep(int(1e6 * pause))  # it holds the lock of the interpreter
         more(plant, 20)
