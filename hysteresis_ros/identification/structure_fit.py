@@ -25,13 +25,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros.identification.levenberg_marquardt import Minimum, minimise
 from hysteresis_ros.identification.linear_systems import LinearModel
 from hysteresis_ros.identification.subspace import RADIUS, modal_matrix, within
-from hysteresis_ros.models.block import compiled, specialised
+from hysteresis_ros.models.block import compiled, nested, specialised
 from hysteresis_ros.models.structure import StructureParameters, packed, run_structure
 
 #: Groups of parameters that run through the states, in the order in which the sensitivities number them; C and D enter
@@ -47,124 +48,182 @@ CHUNK = 192
 STRIDE, ROWS = 4, 60
 
 
-def run_sensitivities(
-    blocks, B, B_w, C_z, gains, radii, weights, C, D, kind, row, column, u, y, X, J, x, S, inner, rates
-):
-    """Fill y (N, q), X (N, n) and J (N, q P) for the inputs u; the first rows of u beyond N only run in.
+class Matrices(NamedTuple):
+    """Numbers of a structure in modes, of n states, m inputs, q outputs, h hystereses and r radii."""
 
-    ``x``: n states, n of scratch, w (h), plays (h r); ``S`` (2 n, P); ``inner`` (2 h + h r, P): dz, dw, dplay;
-    ``rates``: blocks, B_w, C_z, weights and C in the precision of the sensitivities.
-    """
-    n, m, q, P = B.shape[0], B.shape[1], C.shape[0], kind.shape[0]
-    h, r = weights.shape
-    blocks_s, B_w_s, C_z_s, weights_s, C_s = rates
-    run_in = u.shape[0] - y.shape[0]
-    x[:] = 0.0
-    S[:, :] = 0.0
-    inner[:, :] = 0.0
+    blocks: np.ndarray  #: shape (n/2, 3); σ, β, γ of each mode.
+    B: np.ndarray
+    B_w: np.ndarray
+    C_z: np.ndarray
+    gains: np.ndarray
+    radii: np.ndarray
+    weights: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+
+
+class Rates(NamedTuple):
+    """Those that multiply sensitivities, in their precision."""
+
+    blocks: np.ndarray
+    B_w: np.ndarray
+    C_z: np.ndarray
+    weights: np.ndarray
+    C: np.ndarray
+
+
+class Varied(NamedTuple):
+    """What each of P parameters is: number of its group in :data:`DYNAMIC`, row and column there; shape (P,)."""
+
+    kind: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+
+
+class Found(NamedTuple):
+    """Results at N samples."""
+
+    y: np.ndarray  #: shape (N, q); Outputs.
+    X: np.ndarray  #: shape (N, n); States.
+    J: np.ndarray  #: shape (N, q P); Sensitivities of the outputs.
+
+
+class Room(NamedTuple):
+    """Present states and sensitivities."""
+
+    x: np.ndarray  #: n states, n of scratch, w (h), plays (h r).
+    S: np.ndarray  #: shape (2 n, P); Sensitivities of the first.
+    inner: np.ndarray  #: shape (2 h + h r, P); dz, dw, dplay.
+
+
+@nested
+def _note_sample(model, rates, found, room, now, at):
+    """Write outputs, states and sensitivities of the outputs of a sample."""
+    x, S, J = room.x, room.S, found.J
+    n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
+    for j in range(n):
+        found.X[at, j] = x[j]
+    for i in range(model.C.shape[0]):
+        total = 0.0
+        for j in range(m):
+            total += model.D[i, j] * now[j]
+        for j in range(n):
+            total += model.C[i, j] * x[j]
+        found.y[at, i] = total
+        first = i * P
+        for p in range(P):
+            J[at, first + p] = 0.0
+        for b in range(0, n, 2):
+            c0, c1 = rates.C[i, b], rates.C[i, b + 1]
+            for p in range(P):
+                J[at, first + p] += c0 * S[b, p] + c1 * S[b + 1, p]
+
+
+@nested
+def _slide(model, rates, varied, room, now):
+    """Move the plays of all hystereses, and their sensitivities."""
+    x, S, inner = room.x, room.S, room.inner
+    kind, row, column = varied.kind, varied.row, varied.column
+    n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
+    h, r = model.weights.shape
+    for i in range(h):
+        z = model.gains[i] * now[i % m]
+        for j in range(n):
+            z += model.C_z[i, j] * x[j]
+        for p in range(P):
+            inner[i, p] = 0.0
+            inner[h + i, p] = 0.0
+        for b in range(0, n, 2):
+            c0, c1 = rates.C_z[i, b], rates.C_z[i, b + 1]
+            for p in range(P):
+                inner[i, p] += c0 * S[b, p] + c1 * S[b + 1, p]
+        for p in range(P):
+            if kind[p] == 4 and row[p] == i:
+                inner[i, p] += x[column[p]]
+            elif kind[p] == 5 and row[p] == i:
+                inner[i, p] += now[i % m]
+        w = 0.0
+        for j in range(r):
+            place = 2 * n + h + i * r + j
+            value, rate = x[place], 2 * h + i * r + j
+            sign = 0.0
+            if z - model.radii[j] > value:
+                value, sign = z - model.radii[j], 1.0
+            elif z + model.radii[j] < value:
+                value, sign = z + model.radii[j], -1.0
+            if sign != 0.0:
+                for p in range(P):
+                    inner[rate, p] = inner[i, p]
+                for p in range(P):
+                    if kind[p] == 7 and row[p] == j:
+                        inner[rate, p] -= sign
+            x[place] = value
+            w += model.weights[i, j] * value
+            share = rates.weights[i, j]
+            for p in range(P):
+                inner[h + i, p] += share * inner[rate, p]
+            for p in range(P):
+                if kind[p] == 6 and row[p] == i and column[p] == j:
+                    inner[h + i, p] += value
+        x[2 * n + i] = w
+
+
+@nested
+def _advance(model, rates, varied, room, now):
+    """Move states and sensitivities on by one sample."""
+    x, S, inner = room.x, room.S, room.inner
+    kind, row, column = varied.kind, varied.row, varied.column
+    n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
+    h, r = model.weights.shape
+    for b in range(0, n, 2):
+        c0, c1, c2 = rates.blocks[b // 2, 0], rates.blocks[b // 2, 1], rates.blocks[b // 2, 2]
+        for p in range(P):
+            S[n + b, p] = c0 * S[b, p] + c1 * S[b + 1, p]
+            S[n + b + 1, p] = c2 * S[b, p] + c0 * S[b + 1, p]
+        s, beta, g = model.blocks[b // 2, 0], model.blocks[b // 2, 1], model.blocks[b // 2, 2]
+        upper, lower = s * x[b] + beta * x[b + 1], g * x[b] + s * x[b + 1]
+        for j in range(m):
+            upper += model.B[b, j] * now[j]
+            lower += model.B[b + 1, j] * now[j]
+        if r:
+            for j in range(h):
+                upper += model.B_w[b, j] * x[2 * n + j]
+                lower += model.B_w[b + 1, j] * x[2 * n + j]
+                into, below = rates.B_w[b, j], rates.B_w[b + 1, j]
+                for p in range(P):
+                    S[n + b, p] += into * inner[h + j, p]
+                    S[n + b + 1, p] += below * inner[h + j, p]
+        x[n + b], x[n + b + 1] = upper, lower
+    for p in range(P):
+        i = row[p]
+        if kind[p] == 0:
+            S[n + 2 * i, p] += x[2 * i]
+            S[n + 2 * i + 1, p] += x[2 * i + 1]
+        elif kind[p] == 1:
+            S[n + 2 * i + 1, p] += x[2 * i]
+        elif kind[p] == 2:
+            S[n + i, p] += now[column[p]]
+        elif kind[p] == 3:
+            S[n + i, p] += x[2 * n + column[p]]
+    for j in range(n):
+        x[j] = x[n + j]
+        for p in range(P):
+            S[j, p] = S[n + j, p]
+
+
+def run_sensitivities(model, rates, varied, u, found, room):
+    """Fill ``found`` for the inputs ``u``, whose first rows beyond N only run in."""
+    run_in = u.shape[0] - found.y.shape[0]
+    room.x[:] = 0.0
+    room.S[:, :] = 0.0
+    room.inner[:, :] = 0.0
     for k in range(u.shape[0]):
         now = u[k]
         if k >= run_in:
-            at = k - run_in
-            for j in range(n):
-                X[at, j] = x[j]
-            for i in range(q):
-                total = 0.0
-                for j in range(m):
-                    total += D[i, j] * now[j]
-                for j in range(n):
-                    total += C[i, j] * x[j]
-                y[at, i] = total
-                first = i * P
-                for p in range(P):
-                    J[at, first + p] = 0.0
-                for b in range(0, n, 4):
-                    if b + 3 < n:
-                        c0, c1, c2, c3 = C_s[i, b], C_s[i, b + 1], C_s[i, b + 2], C_s[i, b + 3]
-                        for p in range(P):
-                            J[at, first + p] += (c0 * S[b, p] + c1 * S[b + 1, p]) + (
-                                c2 * S[b + 2, p] + c3 * S[b + 3, p]
-                            )
-                    else:
-                        c0, c1 = C_s[i, b], C_s[i, b + 1]
-                        for p in range(P):
-                            J[at, first + p] += c0 * S[b, p] + c1 * S[b + 1, p]
-        if r:
-            for i in range(h):
-                z = gains[i] * now[i % m]
-                for j in range(n):
-                    z += C_z[i, j] * x[j]
-                for p in range(P):
-                    inner[i, p] = 0.0
-                for b in range(0, n, 2):
-                    c0, c1 = C_z_s[i, b], C_z_s[i, b + 1]
-                    for p in range(P):
-                        inner[i, p] += c0 * S[b, p] + c1 * S[b + 1, p]
-                for p in range(P):
-                    if kind[p] == 4 and row[p] == i:
-                        inner[i, p] += x[column[p]]
-                    elif kind[p] == 5 and row[p] == i:
-                        inner[i, p] += now[i % m]
-                w = 0.0
-                for p in range(P):
-                    inner[h + i, p] = 0.0
-                for j in range(r):
-                    place = 2 * n + h + i * r + j
-                    value, rate = x[place], 2 * h + i * r + j
-                    sign = 0.0
-                    if z - radii[j] > value:
-                        value, sign = z - radii[j], 1.0
-                    elif z + radii[j] < value:
-                        value, sign = z + radii[j], -1.0
-                    if sign != 0.0:
-                        for p in range(P):
-                            inner[rate, p] = inner[i, p]
-                        for p in range(P):
-                            if kind[p] == 7 and row[p] == j:
-                                inner[rate, p] -= sign
-                    x[place] = value
-                    w += weights[i, j] * value
-                    share = weights_s[i, j]
-                    for p in range(P):
-                        inner[h + i, p] += share * inner[rate, p]
-                    for p in range(P):
-                        if kind[p] == 6 and row[p] == i and column[p] == j:
-                            inner[h + i, p] += value
-                x[2 * n + i] = w
-        for b in range(0, n, 2):
-            c0, c1, c2 = blocks_s[b // 2, 0], blocks_s[b // 2, 1], blocks_s[b // 2, 2]
-            for p in range(P):
-                S[n + b, p] = c0 * S[b, p] + c1 * S[b + 1, p]
-                S[n + b + 1, p] = c2 * S[b, p] + c0 * S[b + 1, p]
-            s, beta, g = blocks[b // 2, 0], blocks[b // 2, 1], blocks[b // 2, 2]
-            upper, lower = s * x[b] + beta * x[b + 1], g * x[b] + s * x[b + 1]
-            for j in range(m):
-                upper += B[b, j] * now[j]
-                lower += B[b + 1, j] * now[j]
-            if r:
-                for j in range(h):
-                    upper += B_w[b, j] * x[2 * n + j]
-                    lower += B_w[b + 1, j] * x[2 * n + j]
-                    into, below = B_w_s[b, j], B_w_s[b + 1, j]
-                    for p in range(P):
-                        S[n + b, p] += into * inner[h + j, p]
-                        S[n + b + 1, p] += below * inner[h + j, p]
-            x[n + b], x[n + b + 1] = upper, lower
-        for p in range(P):
-            i = row[p]
-            if kind[p] == 0:
-                S[n + 2 * i, p] += x[2 * i]
-                S[n + 2 * i + 1, p] += x[2 * i + 1]
-            elif kind[p] == 1:
-                S[n + 2 * i + 1, p] += x[2 * i]
-            elif kind[p] == 2:
-                S[n + i, p] += now[column[p]]
-            elif kind[p] == 3:
-                S[n + i, p] += x[2 * n + column[p]]
-        for j in range(n):
-            x[j] = x[n + j]
-            for p in range(P):
-                S[j, p] = S[n + j, p]
+            _note_sample(model, rates, found, room, now, k - run_in)
+        if model.weights.shape[1]:
+            _slide(model, rates, varied, room, now)
+        _advance(model, rates, varied, room, now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,26 +399,26 @@ def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
     P, N = len(numbers), data.y.shape[1]
     y, X, x = np.empty((N, q)), np.empty((N, n)), np.empty(2 * n + h + h * r)
     blocks = np.column_stack([model.sigma, model.beta, model.gamma])
-    matrices = [np.ascontiguousarray(part) for part in (blocks, model.B, model.B_w, model.C_z)]
-    matrices += [model.gains, model.radii, np.ascontiguousarray(model.weights)]
-    matrices += [np.ascontiguousarray(model.C), np.ascontiguousarray(model.D)]
+    parts = (blocks, model.B, model.B_w, model.C_z, model.gains, model.radii, model.weights, model.C, model.D)
+    matrices = Matrices(*map(np.ascontiguousarray, parts))
+    rates = Rates(*(getattr(matrices, name).astype(PRECISION) for name in Rates._fields))
     chunks = []
     for first in range(0, max(P, 1), CHUNK):
         some = numbers[first : first + CHUNK]
         sizes = (N, q * len(some)), (2 * n, len(some)), (2 * h + h * r, len(some))
         J, S, inner = (np.empty(size, dtype=PRECISION) for size in sizes)
-        scratch = J, x, S, inner, tuple(matrices[at].astype(PRECISION) for at in (0, 2, 3, 6, 7))
-        chunks.append((slice(first, first + len(some)), [np.ascontiguousarray(part) for part in some.T], scratch))
+        varied = Varied(*(np.ascontiguousarray(part) for part in some.T))
+        chunks.append((slice(first, first + len(some)), varied, Found(y, X, J), Room(x, S, inner)))
     total = max(part.stop for part in places.values())
     matrix, gradient = np.zeros((total, total)), np.zeros(total)
     stride = int(np.clip(data.y.size // (ROWS * total), 1, STRIDE))
-    columns, rates = chunks[0][1], chunks[0][2]
-    run = specialised(run_sensitivities, *matrices, *columns, data.u[0], y, X, *rates)
+    _, varied, results, room = chunks[0]
+    run = specialised(run_sensitivities, matrices, rates, varied, data.u[0], results, room)
     tables = np.empty((q, N, P + n * ("C" in places) + m * ("D" in places)), dtype=PRECISION)
     for u, measured, deviation in zip(data.u, data.y, data.deviation, strict=True):
-        for where, columns, rates in chunks:
-            run(*matrices, *columns, u, y, X, *rates)
-            tables[:, :, where] = rates[0].reshape(N, q, -1).transpose(1, 0, 2)
+        for where, varied, results, room in chunks:
+            run(matrices, rates, varied, u, results, room)
+            tables[:, :, where] = results.J.reshape(N, q, -1).transpose(1, 0, 2)
         share = (model.scale / deviation) ** 2 / data.y.size
         if "C" in places:
             tables[:, :, P : P + n] = X
