@@ -308,6 +308,9 @@ class InProcess:
         for node in self.nodes:
             node.active = False
             node.release()
+        # the executor never frees the node of a callback that it has begun to arrange and not run
+        for _ in range(100):
+            self.executor.spin_once(timeout_sec=0.0)
         for node in self.nodes:
             self.executor.remove_node(node)
             node.destroy_node()
