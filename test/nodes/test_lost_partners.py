@@ -55,7 +55,7 @@ class Graph:
         self.processes, self.observer, self.rate = processes, observer, rate
         self.states = observer.listen(JointState, "/plant_simulator/state")
         self.nodes = {name: processes.node(name, self.path) for name in NODES}
-        self.until_at(SETPOINT)
+        self.start_until_at(SETPOINT)
 
     def place(self) -> float:
         return self.states[-1].position[0] if self.states else -1.0
@@ -64,14 +64,16 @@ class Graph:
         return self.states[-1].position[2]
 
     def tripped(self) -> int:
-        return int(self.states[-1].position[4])
+        return int(self.states[-1].position[4]) if self.states else 0
 
     def until_at(self, place: float) -> None:
         try:
             until(lambda: abs(self.place() - place) < 1e-8 and self.rests(), what=f"the axis at {place:g} m")
         except AssertionError as error:
-            said = "\n".join(f"{name}:\n{node.output}" for name, node in self.nodes.items())
-            raise AssertionError(f"{error}\n{said}") from None
+            raise AssertionError(f"{error}\n{self.said()}") from None
+
+    def said(self) -> str:
+        return "\n".join(f"{name}:\n{node.output}" for name, node in self.nodes.items())
 
     def rests(self) -> bool:
         """Return whether the voltage is no other than in the sample before: the displacement follows it later."""
@@ -107,7 +109,10 @@ class Graph:
                 self.tripped() and self.start().success and False
             )
 
-        until(there, what=f"the axis at {place:g} m", every=0.2)
+        try:
+            until(there, what=f"the axis at {place:g} m", every=0.2)
+        except AssertionError as error:
+            raise AssertionError(f"{error}\n{self.said()}") from None
 
     def start_of(self, node: str):
         return self.observer.trigger(f"/{node}/start")
