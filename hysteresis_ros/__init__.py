@@ -25,6 +25,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hysteresis_ros import models, references
     from hysteresis_ros.api import (
+        ArrayRun,
+        AxisArray,
         Columns,
         Compared,
         Configuration,
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
         StageRun,
         StructureData,
         StructureEstimator,
+        axis_array,
         configurations,
         identify,
         identify_structure,
@@ -67,6 +70,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "ArrayRun",
+    "AxisArray",
     "Columns",
     "Compared",
     "Configuration",
@@ -91,6 +96,7 @@ __all__ = [
     "Uncertainty",
     "Uniform",
     "Within",
+    "axis_array",
     "compare",
     "configurations",
     "controllers",

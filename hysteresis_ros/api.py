@@ -21,7 +21,7 @@ import pathlib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +51,7 @@ from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.workflow import Conditions
+from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
@@ -584,6 +585,7 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
     raise ConfigurationError(f"{path}: neither a configuration nor a recording; it must be a bag or end in {endings}")
 
 
+@overload
 def simulate(
     config: Source,
     *,
@@ -593,7 +595,37 @@ def simulate(
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
-) -> Run:
+    axes: None = None,
+) -> Run: ...
+
+
+@overload
+def simulate(
+    config: Source,
+    *,
+    duration: float | None = None,
+    setpoints: ArrayLike | None = None,
+    faults: Sequence[str | Fault] = (),
+    namespace: str | None = None,
+    axes: int,
+    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    threads: int = 1,
+) -> ArrayRun: ...
+
+
+def simulate(
+    config: Source,
+    *,
+    duration: float | None = None,
+    setpoints: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    requests: ArrayLike | None = None,
+    speeds: ArrayLike | None = None,
+    faults: Sequence[str | Fault] = (),
+    namespace: str | None = None,
+    axes: int | None = None,
+    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    threads: int = 1,
+) -> Run | ArrayRun:
     """Run an axis, or a stage of coupled axes, offline from rest: bit for bit what the nodes of an axis do in lockstep.
 
     When the axis may not be able to follow its reference, Python warnings say so.
@@ -616,12 +648,19 @@ def simulate(
         ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
     namespace : str, optional
         The axis, where a configuration contains several; for a stage, the axis that has the faults.
+    axes : int, optional
+        Number of independent axes like this one, 1 … 4096, in one call; setpoints may then be of shape (axes, N).
+    each : mapping of str to sequence, optional
+        Parameters in which these axes differ, as in :func:`axis_array`.
+    threads : int
+        Threads that share these axes.
 
     Returns
     -------
     Run
         ``time``, ``setpoint``, ``reference``, ``command``, ``voltage``, ``displacement``, ``measured``, ``estimated``
-        and the other signals of the axis. For a stage a :class:`StageRun`, which contains a run of each axis.
+        and the other signals of the axis. For a stage a :class:`StageRun`, which contains a run of each axis. With
+        ``axes`` an :class:`.ArrayRun`, whose signals have the shape (axes, N).
 
     Raises
     ------
@@ -638,6 +677,18 @@ def simulate(
     ((30,), 'm')
     """
     configuration = configuration_of(config)
+    if axes is not None:
+        if requests is not None or speeds is not None or isinstance(setpoints, Mapping):
+            raise ConfigurationError(
+                "axes: requests, speeds and setpoints by names are not for many axes: leave them out"
+            )
+        array = AxisArray(_parameters_of_array(configuration, axes, each, faults, namespace), threads)
+        samples = None
+        if duration is not None:
+            samples = array.parameters[0].with_duration(duration).plant_simulator.samples
+        return array.run(setpoints, samples)
+    if each is not None:
+        raise ConfigurationError("each: values for each axis need a number of axes: give axes")
     if configuration.stage is not None:
         if requests is not None or speeds is not None:
             raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
@@ -655,6 +706,69 @@ def simulate(
     for text in reach_warnings(axis):
         warnings.warn(text, stacklevel=2)
     return Run.of(simulate_axis(axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds))
+
+
+def axis_array(
+    config: Source,
+    axes: int,
+    *,
+    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    threads: int = 1,
+    faults: Sequence[str | Fault] = (),
+    namespace: str | None = None,
+) -> AxisArray:
+    """Return many independent axes, such as the actuators of a deformable mirror, that one call advances.
+
+    Every axis has the bits that it has alone, with any number of axes and threads.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`simulate`: a simulated actuator.
+    axes : int
+        Number of axes, 1 … 4096.
+    each : mapping of str to sequence, optional
+        Parameters in which the axes differ, by ``NODE.PARAMETER``, with a value for each axis:
+        ``{"plant_simulator.sensor.seed": range(1, 1025)}``. Axes with equal seeds have equal noise.
+    threads : int
+        Threads that share the axes.
+    faults : sequence of Fault or str
+        Faults of every axis, see :func:`simulate`.
+    namespace : str, optional
+        The axis, where a configuration contains several.
+
+    Returns
+    -------
+    AxisArray
+        The axes at rest: ``step(setpoints)`` for one sample, ``run(setpoints)`` for many.
+
+    Raises
+    ------
+    ParameterError
+        The number of axes or threads, a parameter, or the number of its values is wrong.
+    ConfigurationError
+        The configuration cannot be read, or its axis is not a simulated actuator.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> mirror = hr.axis_array("kim2009", 3, each={"plant_simulator.sensor.offset": [0.0, 1e-9, -1e-9]})
+    >>> mirror.step([0.0, 1e-6, 2e-6]).shape
+    (3,)
+    """
+    return AxisArray(_parameters_of_array(configuration_of(config), axes, each, faults, namespace), threads)
+
+
+def _parameters_of_array(configuration: Configuration, axes: int, each, faults, namespace: str | None):
+    """Return the parameters of each axis of an array; Python warnings say when they cannot follow their reference."""
+    if configuration.stage is not None:
+        raise ConfigurationError("axes: a stage has the coupled axes of its file; independent ones need another file")
+    axis = single_axis(configuration, namespace)
+    if faults:
+        axis = axis.with_faults(tuple(map(str, faults)))
+    for text in reach_warnings(axis):
+        warnings.warn(text, stacklevel=3)
+    return parameters_of_each(axis, axes, each)
 
 
 def identify(
@@ -764,12 +878,12 @@ def validate(
     return Compared(**vars(workflow.validate(given, reading, namespace=namespace, inverse=inverse, **conditions)))
 
 
-def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]:
+def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dict[str, Any]:
     """Return the figures of a run, an identification or a validation; :func:`report` also writes a page.
 
     Parameters
     ----------
-    source : path-like, Recording, Identified, Compared, sequence of path-like, or mapping
+    source : path-like, Recording, ArrayRun, Identified, Compared, sequence of path-like, or mapping
         A recording, or a result of :func:`simulate`, :func:`identify` or :func:`validate`. Several runs are compared: a
         sequence of files, or a mapping of names to runs.
     namespace : str, optional
@@ -779,7 +893,8 @@ def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name.
+        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name. For many
+        independent axes each figure is an array, shape (n,), with NaN where an axis does not have it.
 
     Raises
     ------
@@ -791,7 +906,19 @@ def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]
     >>> import hysteresis_ros as hr
     >>> hr.metrics(hr.simulate("kim2009", duration=0.1))["samples"]
     300
+    >>> hr.metrics(hr.simulate("kim2009", axes=3, duration=0.1))["rms_error_m"].shape
+    (3,)
     """
+    if isinstance(source, ArrayRun):
+        from hysteresis_ros.analysis.metrics import FIGURES, AxisSettings, compute_metrics
+
+        each = []
+        for number, axis in enumerate(source.parameters):
+            limits, controller = axis.hysteresis_compensator.limits, axis.motion_controller
+            offset, preview = controller.model.preload.offset, controller.feedforward.preview
+            settings = AxisSettings(limits.minimum, limits.maximum, offset, preview)
+            each.append(compute_metrics(source.axis(number, describe=False), settings, parts=False))
+        return {name: np.array([figures[name] for figures in each], dtype=float) for name, *_ in FIGURES}
     return report(source, namespace=namespace)
 
 

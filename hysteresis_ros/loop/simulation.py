@@ -144,13 +144,17 @@ def simulate(
     nodes = (parameters.plant_simulator, parameters.hysteresis_compensator)
     tolerance = output_tolerance(*(node.to_mapping() for node in nodes))
     note_output(signals, signals["plant_voltage"], signals["plant_mode"], tolerance)
-    metadata = {
+    return Recording(signals.pop("time"), signals, {}, run_metadata(parameters, describe))
+
+
+def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str, Any]:
+    """Return the metadata of an offline run of an axis, with its configuration when it is to be described."""
+    return {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
         "source": "offline simulation",
         "joint": parameters.plant_simulator.joint,
     }
-    return Recording(signals.pop("time"), signals, {}, metadata)
 
 
 def _padded(values, samples: int, rest: float) -> np.ndarray:

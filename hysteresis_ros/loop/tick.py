@@ -26,7 +26,7 @@ from hysteresis_ros.loop.compensator import AdaptiveArrays, CompensationArrays, 
 from hysteresis_ros.loop.controller import ControllerArrays, carried_out, control
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
-from hysteresis_ros.models.block import kernels_of
+from hysteresis_ros.models.block import kernels_of, nested
 
 
 @kernels_of("kernel", "kernel", "kernel", "kernel", "controller", "kernel", "inverse")
@@ -59,24 +59,27 @@ WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
 
 
-def ticks(laws, parts, given, columns, row, what):
-    """Compute ``columns.shape[1]`` samples; all states are updated in place.
+@nested
+def tick(laws, parts, row, what):
+    """Compute one sample in its row, or one step of it; all states are updated in place."""
+    if what in (WHOLE, MEASURE):
+        sense(laws, parts.plant, row)
+    if what in (WHOLE, ANSWER):
+        refer(laws, parts.source, row)
+        control(laws, parts.controller, row)
+        compensate(laws, parts.compensator, row)
+        actuate(laws, parts.plant, row)
+        note_output(parts.compensator.watch_p.own, row)
+    if what in (WHOLE, CONFIRM):
+        carried_out(parts.controller, row[at.APPLIED])
 
-    The body of the loop is one tick. It is not a separate function, because that would be compiled twice.
-    """
+
+def ticks(laws, parts, given, columns, row, what):
+    """Compute ``columns.shape[1]`` samples of an axis; all states are updated in place."""
     for k in range(columns.shape[1]):
         for i in range(given.shape[0]):
             place = int(given[i])
             row[place] = columns[place, k]
-        if what in (WHOLE, MEASURE):
-            sense(laws, parts.plant, row)
-        if what in (WHOLE, ANSWER):
-            refer(laws, parts.source, row)
-            control(laws, parts.controller, row)
-            compensate(laws, parts.compensator, row)
-            actuate(laws, parts.plant, row)
-            note_output(parts.compensator.watch_p.own, row)
-        if what in (WHOLE, CONFIRM):
-            carried_out(parts.controller, row[at.APPLIED])
+        tick(laws, parts, row, what)
         for i in range(row.shape[0]):
             columns[i, k] = row[i]

@@ -1,0 +1,450 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Many independent axes in one call, such as the actuators of a deformable mirror.
+
+The axes have the same structure: the same kernels, and arrays of the same shapes. Their parameters may differ. All
+arrays of an axis are pieces of one row of memory, in the same places for every axis, so that one compiled loop goes
+from axis to axis by moving pointers. It runs the tick of the single axis, and every axis has the bits that it has
+alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
+from hysteresis_ros.loop.axis import Axis, sample_times
+from hysteresis_ros.loop.parameters import COUNTABLE, NODE_PARAMETERS, AxisParameters
+from hysteresis_ros.loop.reach import check_reach
+from hysteresis_ros.loop.simulation import run_metadata
+from hysteresis_ros.loop.tick import WHOLE, Parts, tick
+from hysteresis_ros.models.block import displaced, specialised
+from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
+
+#: Most axes of an array, and most threads that share them.
+MOST_AXES, MOST_THREADS = 4096, 256
+#: Signals that a run keeps by default.
+KEPT = (
+    *("reference", "command", "voltage", "displacement", "measured"),
+    *("saturated", "tripped", "plant_voltage", "plant_mode"),
+)
+#: Longer arrays stand behind the others in the row of an axis; most of their memory is never touched.
+LONG = 512
+#: The rows of two axes begin in different lines of the cache [numbers].
+LINE = 8
+#: Nodes by the parts of :class:`.Parts`, and places of their kernels in :class:`.Laws`.
+NODES = {
+    "plant": "plant_simulator",
+    "source": "reference_generator",
+    "controller": "motion_controller",
+    "compensator": "hysteresis_compensator",
+}
+OF_PART = {"plant": slice(0, 3), "source": slice(3, 4), "controller": slice(4, 5), "compensator": slice(5, 7)}
+
+
+def ticks_of_all(laws, parts, stride, first, rows, setpoints, kept, found):
+    """Compute ``setpoints.shape[1]`` samples of each axis; all states and rows are updated in place.
+
+    ``parts`` are those of axis 0; those of axis i lie ``stride`` i numbers behind. ``rows``, ``setpoints`` and
+    ``found`` begin with axis ``first``, ``kept`` has the places of the signals that go into ``found``.
+    """
+    for i in range(rows.shape[0]):
+        own, row = displaced(parts, (first + i) * stride), rows[i]
+        for k in range(setpoints.shape[1]):
+            row[at.SETPOINT] = setpoints[i, k]
+            row[at.SKIPPED] = 0.0
+            tick(laws, own, row, WHOLE)
+            for j in range(kept.shape[0]):
+                found[i, j, k] = row[int(kept[j])]
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayRun:  # numpydoc ignore=PR02
+    """Signals of a run of many axes, by name: ``run.displacement`` or ``run["displacement"]``, shape (n, N).
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        Instants [s], the same for all axes.
+    signals : dict of str to ndarray, shape (n, N)
+        Signals of all axes in SI units.
+    parameters : tuple of AxisParameters
+        Those of each axis.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.simulate("kim2009", axes=3, duration=0.01)
+    >>> run.displacement.shape, run.axis(2).displacement.shape
+    ((3, 30), (30,))
+    """
+
+    time: np.ndarray
+    signals: dict[str, np.ndarray]
+    parameters: tuple[AxisParameters, ...]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.signals.values())))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name in self.signals:
+            return self.signals[name]
+        remedy = f"the run has no such signal; it has {', '.join(self.signals)}{did_you_mean(name, self.signals)}"
+        raise ParameterError([Problem("signal", name, remedy)])
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        # called only for missing attributes; while an object is copied or unpickled, it has no signals yet
+        signals = self.__dict__.get("signals", {})
+        if name in signals:
+            return signals[name]
+        raise AttributeError(f"the run has no signal or attribute {name!r}; the signals are {', '.join(signals)}")
+
+    def __repr__(self) -> str:
+        return f"ArrayRun of {len(self)} axes and {len(self.time)} samples: {', '.join(self.signals)}"
+
+    def axis(self, number: int, describe: bool = True) -> Recording:
+        """Return the run of one axis; where its actuator received another voltage, that is its ``voltage``.
+
+        Parameters
+        ----------
+        number : int
+            Number of the axis, from 0.
+        describe : bool
+            Write the configuration of the axis into the recording; this takes longer than all the rest.
+
+        Returns
+        -------
+        Recording
+            Copies of its signals; figures, plots and reports take it.
+
+        Raises
+        ------
+        ParameterError
+            There is no such axis.
+        """
+        if not 0 <= number < len(self):
+            raise ParameterError([Problem("axis", number, f"the axes are 0 … {len(self) - 1}")])
+        own = self.parameters[number]
+        signals = {name: values[number].copy() for name, values in self.signals.items()}
+        if {"plant_voltage", "plant_mode"} <= signals.keys():
+            nodes = (own.plant_simulator, own.hysteresis_compensator)
+            tolerance = output_tolerance(*(node.to_mapping() for node in nodes))
+            note_output(signals, signals["plant_voltage"], signals["plant_mode"], tolerance)
+        return Recording(self.time, signals, {}, run_metadata(own, describe))
+
+
+class AxisArray:
+    """Independent axes of one structure, advanced together by one compiled call; :func:`.axis_array` makes it.
+
+    Parameters
+    ----------
+    parameters : sequence of AxisParameters
+        Those of each axis, 1 … 4096.
+    threads : int
+        Threads that share the axes. The results do not depend on their number.
+
+    Raises
+    ------
+    ParameterError
+        The number of axes or threads is out of range.
+    ConfigurationError
+        The axes differ in their structure, or are not simulated actuators; the message names axis and node.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import hysteresis_ros as hr
+    >>> mirror = hr.axis_array("kim2009", 64)
+    >>> voltages = mirror.step(np.linspace(0.0, 1e-6, 64))
+    >>> voltages.shape, mirror["displacement"].shape
+    ((64,), (64,))
+    """
+
+    def __init__(self, parameters: Sequence[AxisParameters], threads: int = 1):
+        count = whole_number("axes", len(parameters), MOST_AXES)
+        self.parameters = tuple(parameters)
+        self._threads = min(whole_number("threads", threads, MOST_THREADS), count)
+        axis = _axis_of(self.parameters[0], 0)
+        self._laws, self._axis = axis.laws, axis
+        places, self._stride = _places(axis.parts)
+        self._memory = np.zeros(count * self._stride)
+        self._parts = _at_places(axis.parts, self._memory, iter(places))
+        self._settle(axis, places)
+        self.rows = np.zeros((count, at.ACTUATOR_ROW))
+        self._bounds = np.linspace(0, count, self._threads + 1).astype(int).tolist()
+        self._pool = ThreadPoolExecutor(self._threads - 1, "axes") if self._threads > 1 else None
+        self.sample = 0
+
+    def _settle(self, axis: Axis, places: list[int]) -> None:
+        """Write the arrays of all axes, at rest, into the memory."""
+        table = self._memory.reshape(len(self.parameters), self._stride)
+        shapes = [array.shape for _, array in _leaves(axis.parts)]
+        built, filled, values = axis, np.zeros(0, dtype=int), np.zeros(0)
+        for number, parameters in enumerate(self.parameters):
+            if not number or parameters is not built.parameters:
+                built = axis if not number else _axis_of(parameters, number, built)
+                leaves = list(_leaves(built.parts))
+                self._require_same_structure(number, axis, built, shapes)
+                # memory that is not written is not taken from the system, so zeros are left out
+                inside = [np.flatnonzero(array) for _, array in leaves]
+                filled = np.concatenate([place + some for place, some in zip(places, inside, strict=True)])
+                values = np.concatenate([array.flat[some] for (_, array), some in zip(leaves, inside, strict=True)])
+            table[number, filled] = values
+
+    def _require_same_structure(self, number: int, first: Axis, axis: Axis, shapes: list[tuple[int, ...]]) -> None:
+        """Refuse an axis of another structure than axis 0."""
+        found = [(path.partition(".")[0], array) for path, array in _leaves(axis.parts)]
+        strange = {part for (part, array), shape in zip(found, shapes, strict=False) if array.shape != shape}
+        strange |= {part for part, some in OF_PART.items() if axis.laws[some] != first.laws[some]}
+        strange |= {part for part in NODES if type(getattr(axis.parts, part)) is not type(getattr(first.parts, part))}
+        if strange:
+            names = ", ".join(node for part, node in NODES.items() if part in strange)
+            raise ConfigurationError(
+                f"axis {number}: {names}: another structure than that of axis 0 (a type, an order, a length of an "
+                "array): the axes of an array differ in values only"
+            )
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self._axis.sample_rate
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a signal of the last sample of every axis, shape (n,)."""
+        return self.rows[:, _signal_place(name)].copy()
+
+    def step(self, setpoints: ArrayLike) -> np.ndarray:
+        """Advance every axis by one sample.
+
+        Parameters
+        ----------
+        setpoints : array_like, shape (n,) or ()
+            Setpoint of each axis [m], or one for all.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Voltage of each axis [V]. ``array["displacement"]`` and all other signals of the sample are in the array.
+
+        Raises
+        ------
+        ParameterError
+            The number of setpoints is not that of the axes.
+        """
+        given = _numbers(setpoints)
+        if given.shape not in ((), (len(self),)):
+            raise ParameterError([_misshapen(given, f"({len(self)},), or one number for all")])
+        given = np.ascontiguousarray(np.broadcast_to(given, len(self))).reshape(-1, 1)
+        self._advance(given, np.zeros(0), np.empty((len(self), 0, 1)))
+        return self["voltage"]
+
+    def run(
+        self, setpoints: ArrayLike | None = None, samples: int | None = None, signals: Sequence[str] = KEPT
+    ) -> ArrayRun:
+        """Advance every axis by many samples.
+
+        Parameters
+        ----------
+        setpoints : array_like, shape (n, N) or (N,), optional
+            Setpoints of each axis [m], or the same for all; by default the configured ones.
+        samples : int, optional
+            Number of samples; by default that of the setpoints, or the configured length.
+        signals : sequence of str
+            Signals to keep.
+
+        Returns
+        -------
+        ArrayRun
+            The signals, shape (n, N).
+
+        Raises
+        ------
+        ParameterError
+            The shape of the setpoints does not fit, or a signal does not exist.
+        ConfigurationError
+            The run has no end.
+        """
+        if samples is not None:
+            whole_number("samples", samples, int(COUNTABLE))
+        if setpoints is None:
+            count = self._axis.default_samples() if samples is None else samples
+            if count < 1:
+                raise ConfigurationError("the axes have no end (samples: 0, endless waveform): give their duration")
+            initial = [[parameters.generator.initial_setpoint] for parameters in self.parameters]
+            given = np.repeat(np.array(initial), count, axis=1)
+        else:
+            given = _numbers(setpoints)
+            if given.ndim == 1:
+                given = np.broadcast_to(given, (len(self), given.size))
+            if given.ndim != 2 or len(given) != len(self) or not given.size:
+                raise ParameterError([_misshapen(given, f"({len(self)}, N) or (N,)")])
+            # as in the run of one axis: the last setpoint holds
+            count = given.shape[1] if samples is None else samples
+            given = np.ascontiguousarray(given[:, np.minimum(np.arange(count), given.shape[1] - 1)])
+        kept = np.array([_signal_place(name) for name in signals], dtype=float)
+        found = np.empty((len(self), len(signals), given.shape[1]))
+        first = self.sample
+        self._advance(given, kept, found)
+        time = sample_times(first, given.shape[1], self.sample_rate)
+        return ArrayRun(time, {name: found[:, i] for i, name in enumerate(signals)}, self.parameters)
+
+    def _advance(self, setpoints: np.ndarray, kept: np.ndarray, found: np.ndarray) -> None:
+        """Compute the samples of all axes, each thread those of a slice of them."""
+
+        def arguments(first: int, last: int):
+            own = slice(first, last)
+            fixed = self._laws, self._parts, self._stride, first
+            return *fixed, self.rows[own], setpoints[own], kept, found[own]
+
+        compute = specialised(ticks_of_all, *arguments(0, 1), nogil=True)
+        slices = [arguments(*ends) for ends in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
+        others = [self._pool.submit(compute, *one) for one in slices[1:]] if self._pool is not None else []
+        try:
+            compute(*slices[0])
+        finally:
+            for other in others:
+                other.result()
+        self.sample += setpoints.shape[1]
+
+
+def whole_number(name: str, value, most: int) -> int:
+    """Return a whole number within 1 … ``most``; refuse everything else by its name."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
+        raise ParameterError([Problem(name, value, f"must be a whole number within 1 … {most}")])
+    return int(value)
+
+
+def parameters_of_each(
+    parameters: AxisParameters, count: int, each: Mapping[str, Sequence | np.ndarray] | None = None
+) -> list[AxisParameters]:
+    """Return the parameters of ``count`` axes; ``each`` has their values by ``NODE.PARAMETER``, one for each axis."""
+    whole_number("axes", count, MOST_AXES)
+    columns: dict[str, dict[str, list]] = {}
+    for target, values in (each or {}).items():
+        node, _, name = target.partition(".")
+        columns.setdefault(node, {})[name] = _column(parameters, count, target, values)
+    if not columns:
+        return [parameters] * count
+    parts = {name: getattr(parameters, name) for name in NODE_PARAMETERS}
+    found = []
+    for number in range(count):
+        changed = {
+            node: parts[node].with_values(
+                {name: values[number] for name, values in some.items()}, f"axis {number}: {node}: "
+            )
+            for node, some in columns.items()
+        }
+        found.append(AxisParameters.of_nodes(parameters.namespace, {**parts, **changed}))
+        if set(columns) != {"plant_simulator"}:
+            check_reach(found[-1])
+    return found
+
+
+def _column(parameters: AxisParameters, count: int, target: str, values) -> list:
+    """Return the values of one parameter in its type, one for each axis."""
+    node, _, name = target.partition(".")
+    present = [known for known in NODE_PARAMETERS if getattr(parameters, known) is not None]
+    rows = {row.name: row for row in NODE_PARAMETERS[node].table()} if node in present else {}
+    if name not in rows:
+        near = did_you_mean(name, rows) if rows else did_you_mean(node, present)
+        raise ParameterError([Problem("each", target, f"is not NODE.PARAMETER of this axis{near}")])
+    if isinstance(values, str) or np.ndim(values) == 0 or len(values) != count:
+        got = values if isinstance(values, str) or np.ndim(values) == 0 else len(values)
+        remedy = f"give one value for each of the {count} axes"
+        raise ParameterError([Problem(f"each: number of values of {target}", got, remedy)])
+    return [
+        replace(rows[name], name=f"axis {number}: {target}").convert(np.asarray(value).tolist())
+        for number, value in enumerate(values)
+    ]
+
+
+def _axis_of(parameters: AxisParameters, number: int, before: Axis | None = None) -> Axis:
+    """Return a single axis; it shares its source, controller and compensator with ``before`` if only plants differ."""
+    plant = parameters.plant_simulator
+    if plant.type != "actuator":
+        raise ConfigurationError(
+            f"axis {number}: plant_simulator: type = {plant.type!r}: an array has simulated actuators; run an inchworm "
+            "motor or a camera as a single axis"
+        )
+    shared = [name for name in NODE_PARAMETERS if name != "plant_simulator"]
+    # in a fused axis the compensator depends on the plant
+    if before is None or plant.time_mode == "fused":
+        return Axis(parameters)
+    same = all(getattr(parameters, name) is getattr(before.parameters, name) for name in shared)
+    return before.with_plant(parameters) if same else Axis(parameters)
+
+
+def _leaves(arrays, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the arrays of nested named tuples with their paths."""
+    for name in arrays._fields:
+        value, place = getattr(arrays, name), f"{path}{name}"
+        if isinstance(value, tuple):
+            yield from _leaves(value, f"{place}.")
+        else:
+            yield place, value
+
+
+def _address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
+
+
+def _places(parts: Parts) -> tuple[list[int], int]:
+    """Return the place of each array of an axis in its row, and the length of the row.
+
+    Arrays that are pieces of the same memory remain so.
+    """
+    leaves = [array for _, array in _leaves(parts)]
+    owners = [array if array.base is None else array.base for array in leaves]
+    whole = sorted({_address(owner): owner.size for owner in owners}.items(), key=lambda item: item[1] > LONG)
+    places, length = {}, 0
+    for address, size in whole:
+        places[address] = length
+        length += size
+    found = [
+        places[_address(owner)] + (_address(array) - _address(owner)) // array.itemsize
+        for array, owner in zip(leaves, owners, strict=True)
+    ]
+    return found, -(-length // LINE) * LINE
+
+
+def _at_places(arrays, memory: np.ndarray, places: Iterator[int]):
+    """Return the same named tuples of arrays of axis 0, in the memory."""
+    if isinstance(arrays, tuple):
+        return type(arrays)(*(_at_places(array, memory, places) for array in arrays))  # type: ignore[arg-type]
+    place = next(places)
+    return memory[place : place + arrays.size].reshape(arrays.shape)
+
+
+def _numbers(setpoints: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(setpoints, dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError([Problem("setpoints", setpoints, "must be an array of numbers [m]")]) from None
+
+
+def _misshapen(setpoints: np.ndarray, allowed: str) -> Problem:
+    return Problem("setpoints: shape", setpoints.shape, f"does not fit the axes: it must be {allowed}")
+
+
+def _signal_place(name: str) -> int:
+    """Return the place of a signal in a row."""
+    names = [signal.name for signal in at.row_signals(motor=False)]
+    if name not in names:
+        raise ParameterError([Problem("signal", name, f"an axis has no such signal{did_you_mean(name, names)}")])
+    return names.index(name)
