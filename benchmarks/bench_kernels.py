@@ -74,15 +74,15 @@ def run_sliding_mode(p, x, r, y, u):
         u[k] = sliding_mode(p, x, r[k], y[k])
 
 
-def c_library(folder: pathlib.Path) -> ctypes.CDLL:
-    """Compile recursions.c into ``folder`` and load it."""
+def c_library(folder: pathlib.Path, name: str = "recursions.c") -> ctypes.CDLL:
+    """Compile a C file that stands beside this one into ``folder``, and load it."""
     gcc = shutil.which("gcc")
     if gcc is None:
         raise common.BenchmarkError(
             "gcc is not installed, and the compiled kernels are measured against it; install it (apt install gcc)"
         )
-    source = pathlib.Path(__file__).with_name("recursions.c")
-    library = folder / "recursions.so"
+    source = pathlib.Path(__file__).with_name(name)
+    library = (folder / name).with_suffix(".so")
     # the kernels do not contract a*b + c either, so both sides do the same IEEE operations
     command = [gcc, "-O3", "-ffp-contract=off", "-std=c11", "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -179,18 +179,21 @@ class AxisArray:
         self._threads = min(whole_number("threads", threads, MOST_THREADS), count)
         axis = _axis_of(self.parameters[0], 0)
         self._laws, self._axis = axis.laws, axis
-        places, self._stride = _places(axis.parts)
-        self._memory = np.zeros(count * self._stride)
-        self._parts = _at_places(axis.parts, self._memory, iter(places))
-        self._settle(axis, places)
+        self.places, self.stride = _places(axis.parts)
+        self.memory = np.zeros(count * self.stride)
+        self._parts = _at_places(axis.parts, self.memory, iter(self.places))
+        self._settle(axis)
         self.rows = np.zeros((count, at.ACTUATOR_ROW))
         self._bounds = np.linspace(0, count, self._threads + 1).astype(int).tolist()
         self._pool = ThreadPoolExecutor(self._threads - 1, "axes") if self._threads > 1 else None
+        nothing = np.zeros((1, 1)), np.zeros(0), np.zeros((1, 0, 1))
+        fixed = self._laws, self._parts, self.stride, 0, self.rows
+        self._compute = specialised(ticks_of_all, *fixed, *nothing, nogil=True)
         self.sample = 0
 
-    def _settle(self, axis: Axis, places: list[int]) -> None:
+    def _settle(self, axis: Axis) -> None:
         """Write the arrays of all axes, at rest, into the memory."""
-        table = self._memory.reshape(len(self.parameters), self._stride)
+        table = self.memory.reshape(len(self.parameters), self.stride)
         shapes = [array.shape for _, array in _leaves(axis.parts)]
         built, filled, values = axis, np.zeros(0, dtype=int), np.zeros(0)
         for number, parameters in enumerate(self.parameters):
@@ -200,7 +203,7 @@ class AxisArray:
                 self._require_same_structure(number, axis, built, shapes)
                 # memory that is not written is not taken from the system, so zeros are left out
                 inside = [np.flatnonzero(array) for _, array in leaves]
-                filled = np.concatenate([place + some for place, some in zip(places, inside, strict=True)])
+                filled = np.concatenate([place + some for place, some in zip(self.places, inside, strict=True)])
                 values = np.concatenate([array.flat[some] for (_, array), some in zip(leaves, inside, strict=True)])
             table[number, filled] = values
 
@@ -307,16 +310,12 @@ class AxisArray:
     def _advance(self, setpoints: np.ndarray, kept: np.ndarray, found: np.ndarray) -> None:
         """Compute the samples of all axes, each thread those of a slice of them."""
 
-        def arguments(first: int, last: int):
-            own = slice(first, last)
-            fixed = self._laws, self._parts, self._stride, first
-            return *fixed, self.rows[own], setpoints[own], kept, found[own]
-
-        compute = specialised(ticks_of_all, *arguments(0, 1), nogil=True)
-        slices = [arguments(*ends) for ends in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
-        others = [self._pool.submit(compute, *one) for one in slices[1:]] if self._pool is not None else []
+        slices = [slice(*ends) for ends in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
+        fixed = self._laws, self._parts, self.stride
+        calls = [(*fixed, own.start, self.rows[own], setpoints[own], kept, found[own]) for own in slices]
+        others = [self._pool.submit(self._compute, *call) for call in calls[1:]] if self._pool is not None else []
         try:
-            compute(*slices[0])
+            self._compute(*calls[0])
         finally:
             for other in others:
                 other.result()
