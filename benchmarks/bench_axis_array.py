@@ -27,7 +27,6 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_array import AxisArray, parameters_of_each
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.tick import WHOLE, ticks
-from hysteresis_ros.models.block import specialised
 
 AXES, SAMPLES = 1024, 50
 SINGLE, IN_C, TWO_THREADS = 20.0, 1.3, 1.7
@@ -64,25 +63,24 @@ class InC:
 
 
 class Singles:
-    """The same axes one by one: a compiled call from Python for each sample of each axis, with prepared arguments."""
+    """The same axes one by one, as a node steps its part: Python calls the compiled kernels of a sample."""
 
     def __init__(self, parameters):
         self._calls = []
         for one in parameters:
             axis = Axis(one)
             columns, row = np.zeros((signals.ACTUATOR_ROW, 1)), np.zeros(signals.ACTUATOR_ROW)
-            arguments = axis.laws, axis.parts, axis.given, columns, row, WHOLE
-            self._calls.append((specialised(ticks, *arguments), arguments))
+            self._calls.append((axis.laws, axis.parts, axis.given, columns, row, WHOLE))
 
     def step(self, setpoints: np.ndarray) -> None:
         """Advance every axis by one sample."""
-        for (function, arguments), setpoint in zip(self._calls, setpoints, strict=True):
+        for arguments, setpoint in zip(self._calls, setpoints, strict=True):
             arguments[3][signals.SETPOINT, 0] = setpoint
-            function(*arguments)
+            ticks(*arguments)
 
     def voltages(self) -> np.ndarray:
         """Return the voltage of each axis [V]."""
-        return np.array([arguments[3][signals.VOLTAGE, 0] for _, arguments in self._calls])
+        return np.array([arguments[3][signals.VOLTAGE, 0] for arguments in self._calls])
 
 
 def seconds(function) -> float:

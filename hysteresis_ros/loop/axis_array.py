@@ -31,7 +31,7 @@ from hysteresis_ros.loop.parameters import COUNTABLE, NODE_PARAMETERS, AxisParam
 from hysteresis_ros.loop.reach import check_reach
 from hysteresis_ros.loop.simulation import run_metadata
 from hysteresis_ros.loop.tick import WHOLE, Parts, tick
-from hysteresis_ros.models.block import displaced, specialised
+from hysteresis_ros.models.block import direct, displaced, specialised
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 
 #: Most axes of an array, and most threads that share them.
@@ -188,7 +188,7 @@ class AxisArray:
         self._pool = ThreadPoolExecutor(self._threads - 1, "axes") if self._threads > 1 else None
         nothing = np.zeros((1, 1)), np.zeros(0), np.zeros((1, 0, 1))
         fixed = self._laws, self._parts, self.stride, 0, self.rows
-        self._compute = specialised(ticks_of_all, *fixed, *nothing, nogil=True)
+        self._compute = direct(specialised(ticks_of_all, *fixed, *nothing, nogil=True))
         self.sample = 0
 
     def _settle(self, axis: Axis) -> None:

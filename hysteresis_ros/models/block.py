@@ -329,6 +329,15 @@ def specialised(function, *arguments, nogil: bool = False):
     return _compiled[key]
 
 
+def direct(function):
+    """Return a result of :func:`specialised` for calls that do not look up the types of their arguments.
+
+    The look-up takes a millisecond for all arrays of an axis. The arguments must have the types for which the function
+    was compiled, arrays must be contiguous; nothing checks it.
+    """
+    return function.get_overload(function.nopython_signatures[0]) if COMPILED else function
+
+
 def _type_of(argument):
     """Return Numba's type of an argument; machine code passed as an argument is a first-class function."""
     if hasattr(argument, "nopython_signatures"):

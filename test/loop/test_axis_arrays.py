@@ -12,7 +12,9 @@
 from __future__ import annotations
 
 import copy
+import pathlib
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -294,3 +296,12 @@ def test_an_array_without_an_end_needs_samples():
     with pytest.raises(ConfigurationError, match="no end"):
         hr.axis_array(config, 2).run()
     assert hr.axis_array(config, 2).run(samples=3).voltage.shape == (2, 3)
+
+
+def test_the_page_about_many_axes_runs():
+    text = (pathlib.Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+    names: dict = {}
+    for snippet in snippets:
+        exec(compile(snippet, "docs/scale.md", "exec"), names)
+    assert len(snippets) == 2 and names["voltages"].shape == (1024,) and names["run"].voltage.shape == (64, 300)
