@@ -23,7 +23,7 @@ import time
 import common
 import numpy as np
 
-from hysteresis_ros.identification.linear_part import first_order_hold
+from hysteresis_ros.identification.linear_systems import first_order_hold
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 

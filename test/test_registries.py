@@ -22,11 +22,11 @@ import pytest
 
 import hysteresis_ros
 from hysteresis_ros.configuration import dump_configuration, parse_configuration
-from hysteresis_ros.identification.chains import automatic_skip
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import example_text
 from hysteresis_ros.identification.plant_model import Estimator, IdentifiedModel
 from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.preprocessing import automatic_skip
 from hysteresis_ros.identification.registry import identify
 from hysteresis_ros.identification.workflow import HysteresisEstimator, validate
 from hysteresis_ros.loop.reach import single_axis

@@ -213,7 +213,7 @@ def _entry(model) -> dict:
 
 
 def _lines(name, model, whole):
-    from hysteresis_ros.identification.chains import STAGES
+    from hysteresis_ros.identification.dynamics import STAGES
     from hysteresis_ros.identification.registry import linear_words
 
     linear = linear_words(model)

@@ -7,7 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The dynamics behind a hysteresis (lag, delay, up to two resonances, creep), identified alternately with it.
+"""The linear dynamics behind a hysteresis, from its output and the measurement (:func:`fit_stage`).
+
+Either the user names the structure (:data:`STAGES`: continuous by output error, ARX, matrix fraction), or lag, delay
+and up to two resonances are chosen here and identified alternately with the hysteresis.
 
 The output w of the hysteresis and the measured displacement are compared by the spectra of segments: a recording of any
 length becomes sums at a few thousand frequencies, so that a trial of a model takes a millisecond. Both signals are
@@ -32,21 +35,25 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
+from hysteresis_ros.identification.arx import ArxOrders, fit_arx, suggest_arx_orders
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.hammerstein import HammersteinFit, pass_through
-from hysteresis_ros.identification.linear_part import Known, LinearPart, Mode
+from hysteresis_ros.identification.frequency_response import welch_response
+from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.linear_systems import FitError, Known, LinearModel, LinearPart, Mode
+from hysteresis_ros.identification.matrix_fraction import identify_matrix_fraction
 from hysteresis_ros.identification.plant_model import PlantModel
-from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.prediction import before_dynamics
 from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.identification.thresholds import FAST_DYNAMICS
-from hysteresis_ros.models.creep import Creep
-from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
@@ -486,6 +493,130 @@ def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.nd
     return trial, np.array(found)
 
 
+#: Poles and zeros of the named continuous models.
+CONTINUOUS = {"first_order": (1, 0), "second_order": (2, 0), "second_order_zero": (2, 1), "third_order": (3, 0)}
+#: Stages of a chosen structure, with descriptions.
+STAGES = {
+    "first_order": "continuous, 1 pole, by output error",
+    "second_order": "continuous, 2 poles (mass, damper, spring), by output error",
+    "second_order_zero": "continuous, 2 poles and 1 zero, by output error",
+    "third_order": "continuous, 3 poles, by output error",
+    "arx": "discrete, orders chosen by an information criterion, least squares",
+    "arx2": "discrete, a1 a2 b0 b1, least squares",
+    "frequency_response": "discrete, order chosen, matrix fraction on Welch's frequency response",
+}
+#: The stage of lag, delay and modes that predicts held-out segments best.
+MODES = "modes"
+
+
+@dataclass(frozen=True, eq=False)
+class LinearStage:
+    """Dynamics of unit DC gain, and their separated gain."""
+
+    dynamics: LinearParameters
+    gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units; :data:`MODES` have no offset.
+    offset: float
+    fitted: int  #: Fitted numbers.
+    numbers: dict[str, float]  #: Figures for the user, by names with units.
+    part: LinearPart  #: Lag, delay and modes in continuous time; empty for :data:`STAGES`.
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: With unit DC gain.
+    rmse: float = math.nan  #: RMS error of the simulated output [m], if that was fitted.
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+
+
+def fit_stage(
+    w,
+    y,
+    sample_time: float,
+    kind: str,
+    skip: int = 0,
+    *,
+    intersample: str = "zoh",
+    initial: str = "zero",
+    parts: Sequence[str] = PAIR,
+    late: int = 0,
+    zeros: bool = True,
+    accepted: Callable[[float], bool] | None = None,
+) -> LinearStage:
+    """Fit the dynamics between the output of the hysteresis and the measurement: one of :data:`STAGES`, or MODES.
+
+    ``intersample`` and ``initial`` belong to continuous stages; ``parts``, ``late``, ``zeros`` and ``accepted`` (which
+    frequencies [Hz] a mode may have) to :data:`MODES`.
+
+    Units: ``w`` [m], ``y`` [m], ``sample_time`` [s], ``late`` [samples].
+    """
+    if kind == MODES:
+        return _modal_stage(segment_spectra(w, y, sample_time, skip, late), parts, zeros, accepted)
+    if kind in CONTINUOUS:
+        return _continuous_stage(w, y, sample_time, kind, skip, intersample, initial)
+    w, y = np.asarray(w, dtype=float)[skip:], np.asarray(y, dtype=float)[skip:]
+    if kind in ("arx", "arx2"):
+        orders = ArxOrders(2, 2, 1) if kind == "arx2" else suggest_arx_orders(w, y, sample_time, offset=True)
+        found = fit_arx(w, y, sample_time, orders, offset=True)
+        model, offset = found.model, found.offset / float(np.sum(found.denominator))
+        numbers = {**dict(zip(("na", "nb", "delay_samples"), map(float, orders), strict=True)), "fpe_m2": found.fpe}
+        return _unit_stage(model, offset, sum(orders[:2]) + 1, numbers, None, found.warnings)
+    if kind == "frequency_response":
+        fraction = identify_matrix_fraction(welch_response(w, y, sample_time))
+        model = fraction.model
+        offset = float(np.mean(y) - model.dc_gain * np.mean(w))
+        numbers = {"order": float(model.order)}
+        return _unit_stage(model, offset, 2 * model.order + 1, numbers, None, tuple(fraction.warnings))
+    raise IdentificationError(f"linear = {kind!r}: must be one of {', '.join(STAGES)}")
+
+
+def _modal_stage(spectra: SegmentSpectra, parts, zeros: bool, accepted) -> LinearStage:
+    """Choose lag, delay and modes; without modes if one is not accepted."""
+    pair = tuple(part for part in PAIR if part in parts)
+    found = choose_dynamics(spectra, pair, zeros=zeros)
+    if accepted is not None and not all(accepted(mode.frequency) for mode in found.part.modes):
+        found = choose_dynamics(spectra, pair, most_modes=0)
+    part = found.part
+    return LinearStage(
+        part.dynamics(spectra.sample_time), found.gain, 0.0, found.structure.numbers, part.described()[0], part
+    )
+
+
+def _continuous_stage(w, y, sample_time: float, kind: str, skip: int, intersample: str, initial: str) -> LinearStage:
+    poles, zeros = CONTINUOUS[kind]
+    found = fit_transfer_function(
+        w, y, sample_time, Structure(poles, zeros, intersample, initial, offset=True), skip=skip
+    )
+    numbers = {}
+    for number, pole in enumerate(sorted(found.poles, key=abs)):
+        if pole.imag >= 0.0:
+            numbers[f"pole_{number + 1}_hz"] = float(abs(pole) / (2.0 * np.pi))
+            numbers[f"pole_{number + 1}_damping"] = float(-pole.real / abs(pole))
+    if not found.dc_gain > 0.0:
+        raise FitError(f"the DC gain of the linear fit is {found.dc_gain:.3g}: the output moves against the input")
+    function = (
+        tuple((np.asarray(found.numerator) / found.dc_gain).tolist()),
+        tuple(np.asarray(found.denominator).tolist()),
+    )
+    count = poles + zeros + 2
+    stage = _unit_stage(found.discrete(), found.offset, count, numbers, function, found.warnings, found.converged)
+    return replace(stage, rmse=float(np.sqrt(found.mse)))
+
+
+def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings, converged=True) -> LinearStage:
+    gain = float(model.dc_gain)
+    if not gain > 0.0:
+        raise FitError(f"the DC gain of the linear fit is {gain:.3g}: the output moves against the input")
+    dynamics = model.linear_parameters()
+    return LinearStage(
+        dynamics,
+        gain,
+        float(offset),
+        fitted,
+        numbers,
+        LinearPart(),
+        function,
+        warnings=tuple(warnings),
+        converged=converged,
+    )
+
+
 #: A recording that cannot be reduced to this many samples is a fast one.
 FAST_SAMPLES = 12000
 #: Samples for the search of creep, and for the final weights, in fast recordings.
@@ -508,22 +639,6 @@ def found_with(fit_function, voltage, displacement, sample_time: float, parts, s
     return fit_function(voltage, displacement, sample_time, linear=parts)
 
 
-def gain_and_dynamics(u, y, sample_time: float, parts, skip: int = 0) -> tuple[float, LinearPart, float]:
-    """Return gain, linear part and constant between two signals without hysteresis.
-
-    Units: ``sample_time`` [s].
-    """
-    late, pair = 0, tuple(part for part in PAIR if part in parts)
-    for _ in range(TURNS):
-        found = choose_dynamics(segment_spectra(u, y, sample_time, skip, late), pair)
-        late = max(round(found.part.group_delay / sample_time), 0)
-    if not found.gain > 0.0:
-        raise IdentificationError(f"the gain is {found.gain:.3g} m/V; it must be above 0")
-    part = replace(found.part, settled=True)
-    constant = float(np.mean((y - found.gain * part.apply(u, sample_time))[skip:]))
-    return found.gain, part, constant
-
-
 class TurnSearch:
     """The search on one recording, see :func:`found_with`."""
 
@@ -531,7 +646,7 @@ class TurnSearch:
         self.fit_function, self.sample_time, self.parts = fit_function, sample_time, tuple(parts)
         self.voltage, self.displacement = (np.asarray(values, dtype=float) for values in (voltage, displacement))
         coarse = condense(self.voltage, self.displacement, sample_time, skip)
-        self.first, self.samples = coarse.first * coarse.factor, len(coarse.voltage)
+        self.first, self.samples = coarse.skipped, len(coarse.voltage)
 
     def run(self) -> HammersteinFit:
         """Return the fit with the smallest residual."""
@@ -565,12 +680,8 @@ class TurnSearch:
 
     def choose(self, moved, late: int = 0) -> LinearPart:
         """Choose the dynamics between their input, shape (N,), and the measured displacement."""
-        spectra = segment_spectra(moved, self.displacement, self.sample_time, self.first, late)
-        parts = tuple(part for part in PAIR if part in self.parts)
-        found = choose_dynamics(spectra, parts).part
-        if all(self.excited(mode.frequency) for mode in found.modes):
-            return found
-        return choose_dynamics(spectra, parts, most_modes=0).part
+        y, step = self.displacement, self.sample_time
+        return fit_stage(moved, y, step, MODES, self.first, parts=self.parts, late=late, accepted=self.excited).part
 
     def excited(self, frequency: float) -> bool:
         """Return whether a resonance there can be distinguished from the shape of the loops.
@@ -595,7 +706,8 @@ class TurnSearch:
         found: list[HammersteinFit] = []
         for _ in range(TURNS):
             late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
-            part = self.choose(output_of(fit, self.voltage), late)
+            moved = replace(fit, dynamics=LinearParameters(), synchronous=True).simulate(self.voltage)
+            part = self.choose(moved, late)
             if sharp and not any(mode.damping < SHARP for mode in part.modes):
                 break
             before = fit.linear_part
@@ -611,17 +723,6 @@ class TurnSearch:
         return found
 
 
-def output_of(fit: HammersteinFit, voltage) -> np.ndarray:
-    """Return the displacement [m] behind hysteresis and creep, shape (N,).
-
-    Units: ``voltage`` [V].
-    """
-    front, behind = hysteresis_block(fit.hysteresis, fit.sample_time), Creep(fit.creep, fit.sample_time)
-    pass_through(front, fit.history)
-    behind.settle(front.step(voltage[0] if fit.linear_part.settled else 0.0))
-    return behind.simulate(front.simulate(voltage))
-
-
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
     """Return the chain at the rate of the fast recording with its dynamics, and the gain of small movements.
 
@@ -634,13 +735,10 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
             "another model"
         )
     slow = chain.continuous
-    creeping = LinearPart(creep_rate=slow.creep_rate, longest_time=slow.longest_time)
-    kept: dict[str, Any] = dict(transfer_function=None, sample_time=fast.sample_time)
-    bare = replace(chain, dynamics=LinearParameters(), linear_part=creeping, synchronous=True, initial="zero", **kept)
-    moved = predict(bare, fast.input, fast.sample_time, "zoh")
+    moved = before_dynamics(chain, fast.input, fast.sample_time)
     # a measurement responds to earlier voltages only
-    spectra = segment_spectra(moved, fast.output, fast.sample_time, skip, 1)
-    found = choose_dynamics(spectra, zeros=False)
+    found = fit_stage(moved, fast.output, fast.sample_time, MODES, skip, late=1, zeros=False)
     part = replace(found.part, creep_rate=slow.creep_rate, longest_time=slow.longest_time)
+    kept: dict[str, Any] = dict(transfer_function=None, sample_time=fast.sample_time)
     dynamics = part.dynamics(fast.sample_time)
     return replace(chain, dynamics=dynamics, linear_part=part, synchronous=False, **kept), found.gain

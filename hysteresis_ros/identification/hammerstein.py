@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.linear_part import Known, LinearPart
+from hysteresis_ros.identification.linear_systems import Known, LinearPart
 from hysteresis_ros.identification.preprocessing import (
     ROUNDS,
     Condensed,
@@ -305,7 +305,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     voltage, displacement = (np.ascontiguousarray(values, dtype=float) for values in (voltage, displacement))
     data = fit.data
     hysteresis: HysteresisParameters = fit.parameters()
-    first = data.first * data.factor
+    first = data.skipped
     used: Any = slice(first, None) if kept is None else np.flatnonzero(kept[first:]) + first
     synchronous = fit.part.synchronous(sample_time)
     drift = float(fit.constants[1]) / (len(data.voltage) * data.sample_time) if data.drifts else 0.0

@@ -32,7 +32,7 @@ from hysteresis_ros.configuration import (
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
 from hysteresis_ros.files import write_text
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.prediction import INITIAL
 from hysteresis_ros.identification.safe_motion import with_safe_motion

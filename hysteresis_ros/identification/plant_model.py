@@ -23,7 +23,7 @@ import numpy as np
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import HammersteinFit
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.inverses import InverseParameters
@@ -201,3 +201,75 @@ def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[Hyst
     rest = at_rest(hysteresis, sample_time)
     moved = hysteresis.shifted(-rest)
     return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)
+
+
+#: The voltage counts as 0 V within this part of its range.
+AT_ZERO = 0.002
+
+
+def chain_of(
+    data: IdentificationData,
+    request: Request,
+    hysteresis: HysteresisParameters,
+    part: LinearPart | None,
+    dynamics: LinearParameters,
+    synchronous: bool,
+    offset: float = 0.0,
+) -> PlantModel:
+    """Return the chain of a hysteresis that is zero at rest, with the sensor's zero if the recording shows it."""
+    hysteresis, rest = grounded(hysteresis, data.sample_time)
+    settled = part is not None and part.settled
+    gain = 1.0 if part is None else part.settled_gain
+    low, high = data.input_range
+    offset = float(offset + rest * gain)
+    zero = reading_at_zero(data)
+    if zero is not None:
+        # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
+        moved = hysteresis.shifted((offset - zero) / gain)
+        if moved is not hysteresis:
+            hysteresis, offset = moved, zero
+    return PlantModel(
+        hysteresis=hysteresis,
+        creep=CreepParameters() if part is None else part.creep,
+        dynamics=dynamics,
+        sample_time=data.sample_time,
+        # the plant starts with settled creep, but creep never settles within a recording
+        offset=offset,
+        linear_part=part,
+        synchronous=bool(synchronous),
+        initial=request.initial or ("estimate" if settled else "zero"),
+        intersample=request.intersample,
+        voltage_low=low,
+        voltage_high=high,
+        inverse=InverseParameters(type=request.inverse),
+    )
+
+
+def reading_at_zero(data: IdentificationData) -> float | None:
+    """Return the reading at 0 V at the beginning of the recording [m]; None if the voltage was not 0 V there."""
+    away = np.flatnonzero(np.abs(data.input) > AT_ZERO * np.ptp(data.input))
+    standing = int(away[0]) if away.size else len(data)
+    return float(np.median(data.output[:standing])) if standing else None
+
+
+def identified(
+    data: IdentificationData,
+    request: Request,
+    found: FittedHysteresis,
+    part: LinearPart,
+    synchronous: bool,
+    offset: float = 0.0,
+) -> Identification:
+    """Return the result of an identification, with its linear part as figures and text."""
+    numbers, words = part.described()
+    dynamics = part.dynamics(data.sample_time)
+    return Identification(
+        model=request.model,
+        linear=", ".join(words) or "none",
+        chain=chain_of(data, request, found.hysteresis, part, dynamics, synchronous, offset),
+        fitted=found.fitted + len(words) + 3 * len(part.modes),
+        numbers=numbers,
+        deviations=dict(found.deviations),
+        warnings=tuple(found.warnings),
+        converged=found.converged,
+    )

@@ -49,7 +49,7 @@ from hysteresis_ros.identification.hammerstein import (
     survivor,
     without_drift,
 )
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (

@@ -28,12 +28,13 @@ import scipy
 from hysteresis_ros.errors import IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import HammersteinFit, pass_through, simulate_chain
-from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_systems import (
+    BANDLIMITED_POINTS,
     METHODS,
     CanonicalSimulation,
     LinearModel,
     simulate_transfer_function,
+    undo,
     upsample,
 )
 from hysteresis_ros.identification.plant_model import PlantModel
@@ -44,13 +45,9 @@ from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.registry import resolved
 
-#: The window of the smoothed derivative covers this many lags, and at least so many samples.
-LAG_WINDOW = 3.0
-FEWEST_IN_WINDOW = 5
-#: Smallest response of dynamics with modes that is inverted.
-SMALLEST_RESPONSE = 0.1
 #: Part of the range of the identification by which the voltage may exceed it on each side.
 VOLTAGE_MARGIN = 0.1
 
@@ -94,45 +91,10 @@ def recover_voltage(
     return InverseValidation(found, error, rmse, rmse * gain, 100.0 * rmse / float(np.ptp(v[skip:])))
 
 
-def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), of lag, delay and modes whose output is ``y``, smoothed no more than needed.
-
-    Units: ``y`` [m], ``sample_time`` [s].
-    """
-    if not part.modes:
-        return undo_lag(y, part.lag, part.delay, sample_time)
-    y = np.asarray(y, dtype=float)
-    # mirrored about the ends, so that level and slope continue
-    longer = np.concatenate([2.0 * y[0] - y[:0:-1], y, 2.0 * y[-1] - y[-2::-1]])
-    response = np.fft.rfft(replace(part, creep_rate=0.0).impulse(longer.size, sample_time))
-    spectrum = np.fft.rfft(longer - y[0]) * response.conj() / (np.abs(response) ** 2 + SMALLEST_RESPONSE**2)
-    found = np.fft.irfft(spectrum, longer.size) * (1.0 + SMALLEST_RESPONSE**2)
-    return found[y.size - 1 : 2 * y.size - 1] + y[0]
-
-
-def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
-    """Return the input, shape (N,), of a lag and a delay whose output is ``y``, smoothed no more than needed.
-
-    Units: ``lag`` [s], ``delay`` [s], ``sample_time`` [s].
-    """
-    y = np.asarray(y, dtype=float)
-    if lag + delay < 0.1 * sample_time:
-        return y.copy()
-    samples = max(FEWEST_IN_WINDOW, 2 * int(0.5 * LAG_WINDOW * lag / sample_time) + 1)
-    samples = min(samples, y.size - 1 + y.size % 2)
-    smooth = scipy.signal.savgol_filter(y, samples, 2)
-    slope = scipy.signal.savgol_filter(y, samples, 2, deriv=1, delta=sample_time)
-    early = smooth + lag * slope
-    place = np.arange(y.size) + delay / sample_time
-    return np.interp(place, np.arange(y.size), early)
-
-
 #: Known initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
 #: Tried voltages before the recording, as parts of the largest.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-#: Points per sample of a band-limited voltage.
-BANDLIMITED_POINTS = 8
 #: Relative difference of equal sample times.
 SAME_RATE = 1e-4
 #: Most states with distinguishable free responses.
@@ -173,6 +135,23 @@ def predict(
     history = _estimated_history(chain, voltage, intersample, measured)
     forced = _forced(chain, voltage, intersample, True, history) + chain.offset
     return forced + _free_response(chain, measured - forced)
+
+
+def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=None) -> np.ndarray:
+    """Return the displacement [m], shape (N,), behind hysteresis and creep: the input of the dynamics.
+
+    Without ``measured`` [m] it starts at rest at 0 V. Units: ``voltage`` [V], ``sample_time`` [s].
+    """
+    bare = replace(
+        chain,
+        dynamics=LinearParameters(),
+        linear_part=replace(chain.continuous, lag=0.0, delay=0.0, modes=(), hold=0.0),
+        transfer_function=None,
+        sample_time=sample_time,
+        synchronous=True,
+        offset=0.0,
+    )
+    return predict(bare, voltage, sample_time, "zoh", None if measured is not None else "zero", measured)
 
 
 def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:

@@ -450,6 +450,11 @@ class Condensed:
         return np.column_stack([np.ones(len(places)), places] if self.drifts else [np.ones(len(places))])
 
     @property
+    def skipped(self) -> int:
+        """Number of first samples of the recording that do not count."""
+        return self.first * self.factor
+
+    @property
     def reach(self) -> float:
         """Radius [V] beyond which no play moves: half the range, or from rest the largest voltage."""
         half = 0.5 * self.voltage_range
@@ -528,6 +533,11 @@ def wiped_out(voltage) -> int | None:
     swings = np.diff(voltage[first:][turning_points(voltage[first:])])
     large = swings[np.abs(swings) >= LEAST_SWING * span]
     return first if np.any(large > 0.0) and np.any(large < 0.0) else None
+
+
+def automatic_skip(data: IdentificationData) -> int:
+    """Return the number of samples until the voltage has been near both ends of its range, which erases the past."""
+    return condense(data.input, data.output, data.sample_time).skipped
 
 
 def simple_loops(data: Condensed) -> bool:

@@ -35,32 +35,37 @@ from hysteresis_ros.identification.bouc_wen import (
     static_guess,
 )
 from hysteresis_ros.identification.bouc_wen import STATIC_FREE as BOUC_WEN_NAMES
-from hysteresis_ros.identification.chains import chain_of, identified, with_stage
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
-from hysteresis_ros.identification.dynamics import found_with, gain_and_dynamics
+from hysteresis_ros.identification.dynamics import MODES, TURNS, fit_stage, found_with
 from hysteresis_ros.identification.generalised_play import competitors, fit_generalised_play
-from hysteresis_ros.identification.linear_part import LinearPart
-from hysteresis_ros.identification.plant_model import FittedHysteresis, Identification, Request, grounded
+from hysteresis_ros.identification.linear_systems import FitError, LinearPart
+from hysteresis_ros.identification.plant_model import (
+    FittedHysteresis,
+    Identification,
+    Request,
+    chain_of,
+    grounded,
+    identified,
+)
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
-from hysteresis_ros.identification.preprocessing import ROUNDS, Cleaned, cleaned, condense
+from hysteresis_ros.identification.preprocessing import ROUNDS, Cleaned, automatic_skip, cleaned, condense
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import Separated, find_start, remembered, separated
 from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, SAME_DRIFT
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
 from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.declaration import HysteresisModel
-from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
+from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
 from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
-from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.units import readable
 
 #: Widths of the densities in trials of the past.
@@ -110,10 +115,9 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
         request = replace(request, initial=start.kind)
     found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)
     if request.stage:
-        result = with_stage(data, replace(request, skip=start.skip), found)
+        result = _with_stage(data, replace(request, skip=start.skip), found)
     else:
-        chain = chain_of(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
-        result = identified(chain, request, found, fit.linear_part)
+        result = identified(data, request, found, fit.linear_part, fit.synchronous)
     request.progress(0, "ambiguity of the recording")
     coarse = condense(voltage, displacement, data.sample_time, skip, history=start.history, enough=COARSE_SAMPLES)
     doubt = find_ambiguity(coarse, fit.linear_part, fit.hysteresis, fit.numbers.get("density_decay") == PRIOR_DECAY)
@@ -202,6 +206,32 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
     return replace(result, chain=chain, numbers=numbers)
 
 
+def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
+    """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
+    stage = request.stage
+    if stage is None:
+        raise IdentificationError("no stage is named: give one of the linear stages")
+    hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
+    skip = request.skip if request.skip is not None else automatic_skip(data)
+    request.progress(0, stage)
+    moved = hysteresis_block(hysteresis, data.sample_time).simulate(data.input)
+    initial = request.initial or "estimate"
+    between = request.intersample
+    found = fit_stage(moved, data.output, data.sample_time, stage, skip, intersample=between, initial=initial)
+    chain = chain_of(data, request, hysteresis.scaled(found.gain), None, found.dynamics, False, found.offset)
+    chain = replace(chain, initial=initial, transfer_function=found.transfer_function)
+    return Identification(
+        model=request.model,
+        linear=stage,
+        chain=chain,
+        fitted=fit.fitted + found.fitted,
+        numbers=found.numbers,
+        deviations=dict(fit.deviations),
+        warnings=(*fit.warnings, *(f"linear part: {text}" for text in found.warnings)),
+        converged=fit.converged and found.converged,
+    )
+
+
 def static_result(
     data: IdentificationData, request: Request, found: FittedHysteresis, static: Separated, offset: float = 0.0
 ) -> Identification:
@@ -211,14 +241,10 @@ def static_result(
     if start.kind != "zero":
         request = replace(request, initial=start.kind)
     if request.stage:
-        result = with_stage(clean.data, replace(request, skip=start.skip), found)
+        result = _with_stage(clean.data, replace(request, skip=start.skip), found)
     else:
         offset = offset * part.settled_gain + static.constant
-        synchronous = part.synchronous(data.sample_time)
-        chain = chain_of(
-            clean.data, request, found.hysteresis, part, part.dynamics(data.sample_time), synchronous, offset
-        )
-        result = identified(chain, request, found, part)
+        result = identified(clean.data, request, found, part, part.synchronous(data.sample_time), offset)
     numbers = {**result.numbers, **clean.numbers}
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
@@ -341,40 +367,45 @@ def proportional(data: IdentificationData, request: Request) -> Identification:
 
 
 def _proportional(data: IdentificationData, request: Request) -> Identification:
-    u, y = data.input, data.output
-    skip = request.skip or 0
+    u, y, step = data.input, data.output, data.sample_time
+    skip, late = request.skip or 0, 0
+
+    def gain(value: float) -> HysteresisParameters:
+        return HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=value))
+
     if "modes" in request.parts:
-        gain, part, constant = gain_and_dynamics(u, y, data.sample_time, request.parts, skip)
+        for _ in range(TURNS):
+            stage = fit_stage(u, y, step, MODES, skip, parts=request.parts, late=late)
+            late = max(round(stage.part.group_delay / step), 0)
+        _refuse_gain(stage.gain)
+        part = replace(stage.part, settled=True)
         if part.modes or part.delay:
-            hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=gain))
-            chain = chain_of(data, request, hysteresis, part, part.dynamics(data.sample_time), False, constant)
-            return identified(chain, request, FittedHysteresis(hysteresis, 2), part)
+            constant = float(np.mean((y - stage.gain * part.apply(u, step))[skip:]))
+            return identified(data, request, FittedHysteresis(gain(stage.gain), 2), part, False, constant)
     if request.stage:
         # an initial size: with dynamics behind it, a line through the samples does not show the gain
-        size = ProportionalParameters(gain=data.stroke / float(np.ptp(u)))
-        return with_stage(
-            data, request, FittedHysteresis(HysteresisParameters(type="proportional", proportional=size), 1)
-        )
-    gain, constant = np.polyfit(u[skip:], y[skip:], 1)
+        return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
+    slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
+    _refuse_gain(slope)
+    plain = identified(data, request, FittedHysteresis(gain(slope), 2), LinearPart(), True, constant)
+    if not request.parts:
+        return plain
+    # add a lag if it helps: output error of one pole against none
+    best = float(np.std((y - slope * u - constant)[skip:]))
+    try:
+        stage = fit_stage(u, y, step, "first_order", skip, intersample="linear", initial="rest")
+    except FitError:
+        return plain
+    if stage.transfer_function is None or not LAG_OF_A_GAIN.improves(stage.rmse, best):
+        return plain
+    part = LinearPart(lag=1.0 / stage.transfer_function[1][-1], settled=True)
+    fit = FittedHysteresis(gain(stage.gain), 2, warnings=stage.warnings, converged=stage.converged)
+    return identified(data, request, fit, part, part.synchronous(step), stage.offset)
+
+
+def _refuse_gain(gain: float) -> None:
     if not gain > 0.0:
         raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")
-    hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=float(gain)))
-    if not request.parts:
-        chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), True, float(constant))
-        return identified(chain, request, FittedHysteresis(hysteresis, 2), LinearPart())
-    # add a lag if it helps: output error of one pole against none
-    best = float(np.std((y - gain * u - constant)[skip:]))
-    found = fit_transfer_function(u, y, data.sample_time, Structure(1, 0, "linear", "rest", offset=True), skip=skip)
-    if not LAG_OF_A_GAIN.improves(np.sqrt(found.mse), best) or not found.dc_gain > 0.0:
-        return _proportional(data, replace(request, parts=()))
-    part = LinearPart(lag=float(-1.0 / found.poles[0].real), settled=True)
-    hysteresis = HysteresisParameters(
-        type="proportional", proportional=ProportionalParameters(gain=float(found.dc_gain))
-    )
-    dynamics, synchronous = part.dynamics(data.sample_time), part.lag < 0.5 * data.sample_time
-    chain = chain_of(data, request, hysteresis, part, dynamics, synchronous, found.offset)
-    fit = FittedHysteresis(hysteresis, 2, warnings=found.warnings, converged=found.converged)
-    return identified(chain, request, fit, part)
 
 
 def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
@@ -430,9 +461,8 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
     hysteresis = HysteresisParameters(type="bouc_wen_mechanical", bouc_wen_mechanical=fit.parameters)
     error = data.output - fit.simulate(data.input, data.sample_time)
     offset = float(np.mean(error[request.skip or 0 :]))
-    chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), False, offset)
     found = FittedHysteresis(hysteresis, len(OSCILLATOR_FREE) + 1, fit.deviations, fit.warnings, fit.converged)
-    result = identified(replace(chain, initial=initial), request, found, LinearPart())
+    result = identified(data, request, found, LinearPart(), False, offset)
     unit: dict[str, Any] = (
         {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
     )

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, did_you_mean
-from hysteresis_ros.identification.chains import STAGES
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.dynamics import STAGES
 from hysteresis_ros.identification.plant_model import Identification, Request
 from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS

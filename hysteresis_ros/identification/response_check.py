@@ -32,10 +32,9 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import SegmentSpectra, segment_spectra
 from hysteresis_ros.identification.frequency_response import PROBABILITY, Analysis
-from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.matrix_fraction import MatrixFractionFit, identify_matrix_fraction
 from hysteresis_ros.identification.plant_model import PlantModel, group_delay
-from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.prediction import before_dynamics
 from hysteresis_ros.models.linear import LinearParameters
 
 #: Bands per octave, and narrow bands per octave for resonances.
@@ -145,12 +144,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     """Return the check of a chain's response by a recording; None for dynamics inside the hysteresis."""
     if not chain.invertible:
         return None
-    part = chain.continuous
-    creeping = LinearPart(creep_rate=part.creep_rate, longest_time=part.longest_time, settled=part.settled)
-    bare = replace(
-        chain, dynamics=LinearParameters(), linear_part=creeping, transfer_function=None, synchronous=True, offset=0.0
-    )
-    moved = predict(bare, data.input, data.sample_time, "zoh", measured=data.output)
+    moved = before_dynamics(chain, data.input, data.sample_time, data.output)
     late = max(round(group_delay(chain.dynamics)) + 1 - chain.synchronous, 0)
     spectra = segment_spectra(moved, data.output, data.sample_time, skip, late)
     z = np.exp(2j * np.pi * spectra.frequencies * data.sample_time)

@@ -30,14 +30,12 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import found_with
 from hysteresis_ros.identification.hammerstein import stretches
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_systems import LinearPart, undo, undo_creep
 from hysteresis_ros.identification.plant_model import Request, at_rest
 from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
-from hysteresis_ros.identification.prediction import undo
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.identification.preprocessing import Cleaned, Condensed, cleaned, condense, wiped_out
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
-from hysteresis_ros.models.creep import Creep, creep, creep_inverse
 
 #: Plays and dead zones of the trials, and samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
@@ -274,21 +272,6 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
         constant = at_rest(fit.hysteresis, data.sample_time) * part.settled_gain
         output = undo_creep(output - constant, part, data.sample_time)
     return Separated(clean, output, part, start, fit.warnings, constant)
-
-
-def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), whose creep gives ``y``, step by step as the compensator does.
-
-    Units: ``sample_time`` [s].
-    """
-    y = np.ascontiguousarray(y, dtype=np.float64)
-    block = Creep(part.creep, sample_time)
-    block.settle(float(y[0]) / part.settled_gain if part.settled else 0.0)
-    found = np.empty_like(y)
-    for k in range(y.size):
-        found[k] = creep_inverse(block.p, block.x, y[k])
-        creep(block.p, block.x, found[k])
-    return found
 
 
 #: Range of the search for the past, as parts of the voltage of the first fit, and its tolerance.

@@ -24,7 +24,6 @@ import numpy as np
 from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
 from hysteresis_ros.identification import registry
-from hysteresis_ros.identification.chains import automatic_skip, described
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import with_fast_dynamics
 from hysteresis_ros.identification.parameter_file import (
@@ -36,7 +35,7 @@ from hysteresis_ros.identification.parameter_file import (
 )
 from hysteresis_ros.identification.plant_model import Identification, PlantModel
 from hysteresis_ros.identification.prediction import InverseValidation, at_rate, judge, predict
-from hysteresis_ros.identification.preprocessing import wiped_out
+from hysteresis_ros.identification.preprocessing import automatic_skip, wiped_out
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.safe_motion import largest_change
@@ -434,7 +433,7 @@ def _finished(
 def _with_fast(result: Identification, fast: Fast) -> Identification:
     """Return an identification with the dynamics of a fast recording."""
     chain, gain = with_fast_dynamics(result.chain, fast.data, fast.skip)
-    numbers, words = described(chain.continuous)
+    numbers, words = chain.continuous.described()
     kept = {name: value for name, value in result.numbers.items() if name not in ("lag_s", "delay_s")}
     numbers |= {**kept, "small_gain_over_model": gain}
     return replace(result, chain=chain, linear=", ".join(words) or "none", numbers=numbers)

@@ -18,7 +18,7 @@ import pytest
 import scipy.signal
 
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.linear_part import first_order_hold
+from hysteresis_ros.identification.linear_systems import first_order_hold
 from hysteresis_ros.identification.preprocessing import FEWEST_REDUCED, MOST_SAMPLES, reduced
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.workflow import identify, validate

@@ -20,7 +20,7 @@ from measured_data import measured_data
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import choose_dynamics, segment_spectra
-from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.registry import slow_gain

@@ -18,9 +18,8 @@ from foreign_plant import ForeignPlant
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import choose_dynamics, in_series, part_response, segment_spectra
-from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode, undo
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
-from hysteresis_ros.identification.prediction import undo
 from hysteresis_ros.identification.workflow import identify, validate
 
 RATE = 2000.0

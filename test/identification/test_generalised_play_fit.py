@@ -20,7 +20,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import separation, workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.generalised_play import fit_generalised_play, speeds_differ
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.plant_model import Request
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preprocessing import condense

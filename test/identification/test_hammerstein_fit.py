@@ -14,7 +14,7 @@ import pytest
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import simulate_chain
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import recover_voltage
 from hysteresis_ros.identification.preisach import fit_preisach

@@ -26,7 +26,7 @@ from hysteresis_ros.control.uncertainty import (
     integral_controller,
 )
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.response_check import check_response
 from hysteresis_ros.models.creep import CreepParameters

@@ -20,7 +20,7 @@ from hysteresis_ros.control.margins import close
 from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, doubts
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.response_check import MeasuredPlant
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
