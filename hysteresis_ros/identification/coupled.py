@@ -12,7 +12,7 @@
 
 The steps, each on what the one before it found:
 
-1. frequency response matrix of each level, with noise and nonlinear distortion apart (``frequency_response_matrix``);
+1. frequency response matrix of each level, with noise and nonlinear distortion apart (``frequency_response``);
 2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), the order by the
    error of the simulation on realisations held out;
 3. hysteresis inside the structure (``structure_fit``): gains and plays first, the linear part with them, then C_z, then
@@ -35,7 +35,7 @@ import scipy
 from hysteresis_ros.configuration import dump_configuration
 from hysteresis_ros.errors import IdentificationError, Problem
 from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.frequency_response_matrix import ResponseMatrix, experiments_of, response_matrix
+from hysteresis_ros.identification.frequency_response import ResponseMatrix, experiments_of, response_matrix
 from hysteresis_ros.identification.linear_systems import LinearModel
 from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.structure_fit import LINEAR_GROUPS, Experiments, ModalStructure, refine_in_time

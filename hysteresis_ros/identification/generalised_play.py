@@ -29,10 +29,9 @@ from hysteresis_ros.identification.hammerstein import (
     survivor,
     without_drift,
 )
-from hysteresis_ros.identification.play_fit import PlayFit
+from hysteresis_ros.identification.play_fit import PlayFit, radii
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
-from hysteresis_ros.identification.weights import radii
 from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (

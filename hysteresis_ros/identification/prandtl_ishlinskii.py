@@ -20,9 +20,9 @@ amplitude hardly distinguish κ from the map: κ is kept at :data:`PRIOR_DECAY`,
 unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. Plays realise the density and dead zones
 the map, so nodes run the model as any other of this kind.
 
-*Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.weights`). *Modified*:
-dead zones behind the plays, which bend both branches equally, make the output bilinear in the two sets of weights; a
-few Gauss-Newton steps, each a constrained linear problem, solve it.
+*Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
+*Modified*: dead zones behind the plays, which bend both branches equally, make the output bilinear in the two sets of
+weights; a few Gauss-Newton steps, each a constrained linear problem, solve it.
 
 *Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
 radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising and f'(v) + W((V - v)/2) on its
@@ -50,7 +50,7 @@ from hysteresis_ros.identification.hammerstein import (
     without_drift,
 )
 from hysteresis_ros.identification.linear_systems import LinearPart
-from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit
+from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit, radii, smooth_weights
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (
     ANOTHER_KIND,
@@ -59,7 +59,6 @@ from hysteresis_ros.identification.thresholds import (
     NOTABLE_AMBIGUITY,
     STRUCTURE,
 )
-from hysteresis_ros.identification.weights import radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 

@@ -13,7 +13,7 @@ One large loop does not determine a Preisach density over two variables, so the 
 loops: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width of an
 elementary loop and linear in its bias. The Everett map of such a density is that of plays behind the mapped voltage
 ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
-squares (:mod:`.weights`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
+squares (:mod:`.play_fit`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.identification.hammerstein import HammersteinFit, robust_fit, without_drift
-from hysteresis_ros.identification.play_fit import PlayFit
-from hysteresis_ros.identification.preprocessing import Condensed
-from hysteresis_ros.identification.weights import plays, radii
+from hysteresis_ros.identification.play_fit import PlayFit, radii
+from hysteresis_ros.identification.preprocessing import Condensed, plays
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 

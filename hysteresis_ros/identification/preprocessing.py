@@ -28,7 +28,6 @@ import scipy
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import GRID_TOLERANCE, DataError, IdentificationData
 from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
-from hysteresis_ros.identification.weights import plays
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
 
@@ -474,6 +473,29 @@ class Condensed:
     def stroke(self) -> float:
         """Peak-to-peak displacement [m] of the samples that count."""
         return float(np.ptp(self.counted(self.displacement)))
+
+
+def plays(voltage, play_radii, start=None) -> np.ndarray:
+    """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
+
+    Between reversals the play is a running maximum (minimum) of V - r (V + r), so NumPy can process all samples between
+    two reversals at once.
+
+    Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
+    """
+    voltage = np.asarray(voltage, dtype=float)
+    z = np.zeros(len(play_radii)) if start is None else np.array(start, dtype=float)
+    result = np.empty((voltage.size, len(play_radii)))
+    direction = np.sign(np.diff(voltage, prepend=voltage[0] - 1.0))
+    moving = np.flatnonzero(direction)
+    turns = moving[1:][np.diff(direction[moving]) != 0.0]
+    edges = sorted({0, min(1, voltage.size), *turns.tolist(), voltage.size})
+    for first, last in zip(edges, edges[1:], strict=False):  # V moves one way within a stretch; the first is one step
+        part = voltage[first:last, None]
+        block = np.maximum(part - play_radii, np.minimum(part + play_radii, z))
+        result[first:last] = block
+        z = block[-1]
+    return result
 
 
 def condense(

@@ -22,8 +22,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
 from hysteresis_ros.identification.coupled import StructureData, StructureEstimator, identify_structure
 from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.frequency_response import FrequencyResponse
-from hysteresis_ros.identification.frequency_response_matrix import response_matrix
+from hysteresis_ros.identification.frequency_response import FrequencyResponse, response_matrix
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.structure_fit import (
     LINEAR_GROUPS,

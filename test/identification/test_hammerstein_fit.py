@@ -15,11 +15,11 @@ import pytest
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.play_fit import radii, smooth_weights
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import recover_voltage
 from hysteresis_ros.identification.preisach import fit_preisach
-from hysteresis_ros.identification.preprocessing import condense
-from hysteresis_ros.identification.weights import plays, radii, smooth_weights
+from hysteresis_ros.identification.preprocessing import condense, plays
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 
