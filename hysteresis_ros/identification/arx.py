@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array, refuse_short
+from hysteresis_ros.identification.data import checked_signals, refuse_short
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
 from hysteresis_ros.identification.validation import parameter_covariance
 
@@ -196,16 +196,7 @@ def _check_orders(orders: ArxOrders, zero_radius: float | None) -> None:
 def _records(u, y):
     single = np.ndim(u[0]) == 0
     pairs = [(u, y)] if single else list(zip(u, y, strict=True))
-    records = []
-    for inputs, outputs in pairs:
-        inputs, outputs = finite_array("input", inputs), finite_array("output", outputs)
-        if inputs.shape != outputs.shape or inputs.ndim != 1:
-            raise DataError("shape", f"input {inputs.shape} and output {outputs.shape} must both be (N,)")
-        for name, values in (("input", inputs), ("output", outputs)):
-            if values.size and np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
-                raise DataError("constant", f"the {name} is constant; excite the actuator and record again")
-        records.append((inputs, outputs))
-    return records
+    return [checked_signals(*pair, ("input", "output"), fewest=1) for pair in pairs]
 
 
 def _regression(u, y, orders: ArxOrders, offset: bool):

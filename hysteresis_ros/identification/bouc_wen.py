@@ -25,8 +25,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.data import checked_signals
 from hysteresis_ros.identification.linear_systems import METHODS, find_period, upsample
-from hysteresis_ros.identification.preprocessing import checked_signals, require_both_directions, split_branches
+from hysteresis_ros.identification.preprocessing import require_both_directions, split_branches
 from hysteresis_ros.identification.restarted_nelder_mead import (
     SimplexSearch,
     SimplexSettings,
@@ -293,8 +294,8 @@ def fit_bouc_wen_mechanical(
 
     Units: ``u`` [m], ``y`` [m], ``sample_time`` [s].
     """
-    u, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (u, y))
-    _check_oscillator(u, y, start, intersample, initial)
+    u, y = checked_signals(u, y, ("input", "output"), fewest=100)
+    _check_oscillator(start, intersample, initial)
     if not 0 <= skip < u.size - 100:
         raise IdentificationError(f"skip = {skip}: must leave at least 100 of the {u.size} samples")
     problem = _OscillatorProblem(u, y, sample_time, start, intersample=intersample, initial=initial, skip=skip)
@@ -313,13 +314,7 @@ def fit_bouc_wen_mechanical(
     return problem.result(problem.descend(coarse.x, FINE_GRID), agreeing, len(results))
 
 
-def _check_oscillator(u, y, start, intersample, initial):
-    if u.ndim != 1 or u.shape != y.shape or u.size < 100:
-        raise IdentificationError(f"input {u.shape} and output {y.shape}: must have one shape (N,), N ≥ 100")
-    if not (np.all(np.isfinite(u)) and np.all(np.isfinite(y))):
-        raise IdentificationError("input or output has NaN or infinite values; cut them out or resample")
-    if np.ptp(u) == 0.0 or np.ptp(y) == 0.0:
-        raise IdentificationError("input or output is constant; excite the oscillator")
+def _check_oscillator(start, intersample, initial):
     if initial == "estimate":
         raise IdentificationError(
             "initial = 'estimate': the state of an oscillator is not fitted, it decays within a few cycles: skip "

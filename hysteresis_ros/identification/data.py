@@ -584,6 +584,32 @@ def refuse_short(samples: int, needed: int, what: str) -> None:
         raise DataError("short", f"{samples} samples are too few for {what}; at least {needed} are needed")
 
 
+#: Fewest samples of a recording.
+FEWEST_SAMPLES = 20
+
+
+def checked_signals(input_, output, names=("voltage", "displacement"), fewest: int = FEWEST_SAMPLES):
+    """Return both signals as float arrays of one length, shape (N,); raise DataError if they cannot be fitted."""
+    signals = []
+    for name, values in zip(names, (input_, output), strict=True):
+        values = np.ascontiguousarray(values, dtype=np.float64)
+        if np.ndim(values) != 1:
+            raise DataError("shape", f"{name} has {values.ndim} dimensions; give one column of numbers")
+        if values.size < fewest:
+            raise DataError("short", f"{name} has {values.size} samples, too short; N ≥ {fewest} are needed")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            text = f"{name} is not finite at {bad.size} samples (NaN or infinite), the first is number {bad[0]}"
+            raise DataError("nan", f"{text}; cut them out or resample")
+        if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
+            raise DataError("constant", f"{name} is constant at {values[0]:g}; excite the actuator and record again")
+        signals.append(values)
+    if signals[0].size != signals[1].size:
+        text = f"{names[0]} has {signals[0].size} samples and {names[1]} {signals[1].size}"
+        raise DataError("shape", f"{text}; they must belong together and have one shape (N,)")
+    return signals[0], signals[1]
+
+
 def finite_array(name: str, values) -> np.ndarray:
     """Return ``values`` as float64 array; raise DataError for values that are not finite."""
     array = np.ascontiguousarray(values, dtype=np.float64)

@@ -33,9 +33,9 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.arx import ArxFit, fit_arx
+from hysteresis_ros.identification.data import checked_signals
 from hysteresis_ros.identification.preprocessing import (
     FEWEST_BRANCH_SAMPLES,
-    checked_signals,
     require_both_directions,
     split_branches,
 )

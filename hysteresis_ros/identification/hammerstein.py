@@ -31,23 +31,22 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.linear_systems import Known, LinearPart
 from hysteresis_ros.identification.preprocessing import (
-    ROUNDS,
     Condensed,
     cleaning_notes,
     condense,
-    inliers,
-    outliers_matter,
+    notable_outliers,
+    repeated,
 )
 from hysteresis_ros.identification.thresholds import (
     DELAY_OR_LAG,
     DRIFT,
     LINEAR_PART,
-    MOST_OUTLIERS,
     SETTLED_START,
     STANDARD_ERRORS,
     STRUCTURE,
     Threshold,
 )
+from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -59,6 +58,8 @@ from hysteresis_ros.recordings.loops import turning_points
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
+#: Singular values of the sensitivities below this part of the largest are rounding.
+SMALLEST_VALUE = 3e-8
 #: Points of each voltage ramp before the recording.
 FINE = 65
 
@@ -261,7 +262,9 @@ class PartSearch:
             residual, inside, bounds=(low, low + 1.0), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS
         )
         values = dict(zip(keys, found.x * scale, strict=True))
-        deviations = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
+        # a number at its bound has no column
+        covariance = parameter_covariance(found.jac, found.fun, truncated=SMALLEST_VALUE, correlated=True)
+        deviations = dict(zip(keys, np.sqrt(np.diag(covariance)) * scale, strict=True))
         return PartTrial(values, found.fun * self.data.stroke, deviations, found.status > 0)
 
     def at_ends(self, parts, values: dict):
@@ -278,19 +281,6 @@ def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
     """Split fitted values: return the linear part with its values set, and the remaining (shape) values."""
     own: dict[str, Any] = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
-
-
-def _deviations(jacobian, residual) -> np.ndarray:
-    """Return standard deviations from the Jacobian; correlated residuals count as fewer samples."""
-    n, m = jacobian.shape
-    centred = residual - residual.mean()
-    power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
-    correlation = np.fft.irfft(power)[: n // 4]
-    below = np.flatnonzero(correlation < 0.05 * correlation[0])
-    reach = int(below[0]) if below.size else n // 4
-    inflation = 1.0 + 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
-    variance = inflation * float(centred @ centred) / max(n - m, 1)
-    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * variance, 0.0))
 
 
 #: Samples for the final search of the lag with the blocks of the nodes.
@@ -378,7 +368,7 @@ def robust_fit(
     """
     structure = before
 
-    def once(kept):
+    def fit(kept, _):
         nonlocal structure
         data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
         if structure is None or again is None:
@@ -387,27 +377,15 @@ def robust_fit(
             structure = again(structure, replace(data, drifts=structure.data.drifts))
         return finished(structure, voltage, displacement, sample_time, kept)
 
-    return _without_outliers(once, voltage, displacement), structure
+    def look(found: HammersteinFit, kept):
+        drift = found.drift * sample_time * np.arange(len(voltage))
+        error = np.asarray(displacement, dtype=float) - drift - found.simulate(voltage)
+        return notable_outliers(error, found.skipped, kept)
 
-
-def _without_outliers(once, voltage, displacement) -> HammersteinFit:
-    """Repeat ``once(kept)`` without outliers until they no longer matter."""
-    kept, fit = None, once(None)
-    for _ in range(ROUNDS):
-        drift = fit.drift * fit.sample_time * np.arange(len(voltage))
-        error = np.asarray(displacement, dtype=float) - drift - fit.simulate(voltage)
-        good = inliers(error, fit.skipped)
-        error = error - np.median(error[fit.skipped :])
-        known = np.ones(len(good), dtype=bool) if kept is None else kept
-        added = known & ~good
-        used = np.flatnonzero(known)[np.flatnonzero(known) >= fit.skipped]
-        many = np.count_nonzero(~good) > MOST_OUTLIERS * (len(error) - fit.skipped)
-        if many or not outliers_matter(error, added, used):
-            break
-        kept = good
-        fit = once(kept)
-    outliers = 0 if kept is None else int(np.count_nonzero(~kept))
-    return replace(fit, numbers={**fit.numbers, "outliers": float(outliers)}) if outliers else fit
+    kept, found = repeated(fit, look, None)
+    if kept is not None:
+        found = replace(found, numbers={**found.numbers, "outliers": float(np.count_nonzero(~kept))})
+    return found, structure
 
 
 #: Number of held-out parts, and of intervals in each.

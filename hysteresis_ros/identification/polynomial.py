@@ -33,9 +33,9 @@ from typing import Any
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.data import checked_signals
 from hysteresis_ros.identification.preprocessing import (
     FEWEST_BRANCH_SAMPLES,
-    checked_signals,
     require_both_directions,
     split_branches,
 )
@@ -335,13 +335,14 @@ def identify_polynomial(
         theta, converged = _monotone(theta, table, wanted, slopes, SMALLEST_SLOPE * mean)
         warnings.append(_not_monotone(worst * x_unit / v_unit, converged))
     residual, scale = matrix @ theta - x, _scale(v_unit, x_unit)
+    covariance = parameter_covariance(matrix, residual, truncated=1e-10)
     parameters = _parameters(scale * (basis @ theta), low, v_unit)
     if converged:
         parameters.validated()
     return PolynomialIdentification(
         parameters=parameters,
         loops=tuple(in_units(loop, v_unit, x_unit) for loop in loops),
-        covariance=_covariance(matrix, basis, residual) * np.outer(scale, scale),
+        covariance=basis @ covariance @ basis.T * np.outer(scale, scale),
         rms=x_unit * float(np.sqrt(np.mean(residual**2))),
         maximum=x_unit * float(np.max(np.abs(residual))),
         criterion=criterion,
@@ -412,13 +413,6 @@ def _parameters(coefficients, low: float, high: float) -> PolynomialParameters:
     named = zip(_NAMES, coefficients.reshape(7, 3), strict=True)
     rows: dict[str, Any] = {name: tuple(row.tolist()) for name, row in named}
     return PolynomialParameters(**rows, voltage_low=low, voltage_high=high)
-
-
-def _covariance(matrix, basis, residual) -> np.ndarray:
-    """Return the covariance of the 21 coefficients in normalised units, for white residuals."""
-    variance = float(residual @ residual) / max(residual.size - basis.shape[1], 1)
-    spread = basis @ np.linalg.pinv(matrix.T @ matrix, rcond=1e-20) @ basis.T
-    return variance * spread
 
 
 #: Fewest points of the curve.

@@ -23,7 +23,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
@@ -38,7 +37,7 @@ from hysteresis_ros.identification.linear_systems import (
     upsample,
 )
 from hysteresis_ros.identification.plant_model import PlantModel
-from hysteresis_ros.identification.preprocessing import wiped_out
+from hysteresis_ros.identification.preprocessing import remanent_voltage, wiped_out
 from hysteresis_ros.identification.thresholds import PAST_WHILE_PREDICTING
 from hysteresis_ros.identification.validation import Validation, validate
 from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
@@ -93,8 +92,6 @@ def recover_voltage(
 
 #: Known initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
-#: Tried voltages before the recording, as parts of the largest.
-PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 #: Relative difference of equal sample times.
 SAME_RATE = 1e-4
 #: Most states with distinguishable free responses.
@@ -159,19 +156,13 @@ def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tup
     last = wiped_out(voltage)
     v, y = voltage[:last], measured[:last]
     largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))
-    parts = PASTS if chain.voltage_low < 0.0 else tuple(part for part in PASTS if part > 0.0)
+    first = float(voltage[0])
 
     def error(history=()):
         return float(np.std(y - _forced(chain, v, intersample, True, history)))
 
-    def remanent(part):
-        return error((part * largest, float(voltage[0])))
-
-    place = int(np.argmin([remanent(part) for part in parts]))
-    ends = parts[max(place - 1, 0)], parts[min(place + 1, len(parts) - 1)]
-    found = scipy.optimize.minimize_scalar(remanent, bounds=ends, method="bounded", options={"maxiter": 10})
-    best = min((remanent(parts[place]), parts[place]), (float(found.fun), float(found.x)))
-    return (best[1] * largest, float(voltage[0])) if PAST_WHILE_PREDICTING.improves(best[0], error()) else ()
+    before, least = remanent_voltage(lambda before: error((before, first)), largest, chain.voltage_low < 0.0)
+    return (before, first) if PAST_WHILE_PREDICTING.improves(least, error()) else ()
 
 
 def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:

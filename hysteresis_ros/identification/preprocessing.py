@@ -7,13 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preprocessing of data for fits: resampling, reduction, outliers and drift, block averages, branches.
+"""Preprocessing of data for fits, the stages in their order.
 
-Resampling puts samples on a uniform grid and bridges gaps. Reduction selects the interval of a long recording that
-shows most of the loops, and averages neighbours as far as both signals contain only noise above the new band. Outliers
-and drift are detected in the residual of a fit and removed before it is repeated. A fit of hysteresis uses block
-averages, as coarse as the loops allow, from the sample at which the past is known (:class:`Condensed`), or the branches
-between the turning points of the input.
+1. :func:`prepared`, once for each recording: stamps that jitter beside a uniform grid are corrected (:func:`steadied`),
+   gaps bridged or avoided (:func:`uninterrupted`) or the samples interpolated (:func:`resample`), missing samples at
+   the ends omitted, the rest checked. Of long data :func:`reduced` selects the interval that shows most of the loops,
+   and averages neighbours as far as both signals contain only noise above the new band.
+2. The past: the samples before the voltage has been near both ends of its range are omitted (:func:`wiped_out`), or the
+   voltage that left the actuator remanent is searched (:func:`remanent_voltage`).
+3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Laws of branches use
+   :func:`split_branches` instead.
+4. :func:`repeated`, around each fit: outliers and drift are seen in its residual, removed, and the fit is repeated.
+   Fits of plays leave outliers out and have a column for the drift; other models need whole branches and get a
+   recording without both (:func:`cleaned`).
 """
 
 from __future__ import annotations
@@ -26,10 +32,38 @@ import numpy as np
 import scipy
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.data import GRID_TOLERANCE, DataError, IdentificationData
+from hysteresis_ros.identification.data import (
+    GRID_TOLERANCE,
+    DataError,
+    DataReport,
+    IdentificationData,
+    check_behaviour,
+    check_samples,
+    checked_signals,
+)
 from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
+
+
+def prepared(
+    data: IdentificationData, grid: float | str | None = None, all_samples: bool = False, whole: bool = False
+) -> tuple[IdentificationData, DataReport]:
+    """Return checked data on a uniform grid, if long only what carries information, and the report of all of it.
+
+    ``grid`` is a sample time [s] or ``auto``; by default gaps are bridged or avoided. ``whole`` omits no interval.
+    """
+    data = steadied(data)
+    data = uninterrupted(data) if grid is None else resample(data, None if isinstance(grid, str) else grid)
+    data = data.trimmed()
+    if all_samples or len(data) <= MOST_SAMPLES:
+        return data.checked()
+    units = data.input_unit, data.output_unit
+    report = check_samples(data.time, data.input, data.output, units)
+    report.raise_errors()
+    data = reduced(data, whole)
+    return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
+
 
 #: Smoothness of the signals with uniform times over that with their stamps, above which uniform times are assumed.
 SMOOTHER = 0.7
@@ -368,10 +402,34 @@ def _within(error, first: int) -> np.ndarray:
     return good
 
 
-def outliers_matter(error, added, used) -> bool:
-    """Return whether outliers make up a notable part of the squared error."""
-    share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
-    return share >= OUTLIERS_MATTER
+def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
+    """Return which samples are no outliers, shape (N,) of bool; None if outliers are too many, or too small to matter.
+
+    They matter as a part of the squared error of the samples that are still in use, ``known``.
+    """
+    good = inliers(error, first)
+    used = np.ones(len(error), dtype=bool) if known is None else known.copy()
+    added = used & ~good
+    used[:first] = False
+    if np.count_nonzero(~good) > MOST_OUTLIERS * (len(error) - first):
+        return None
+    square = (error - np.median(error[first:])) ** 2
+    share = float(np.sum(square[added])) / max(float(np.sum(square[used])), 1e-300)
+    return good if share >= OUTLIERS_MATTER else None
+
+
+def repeated(fit, look, state):
+    """Return the state of the data and the result of ``fit(state, before)``, repeated until ``look`` finds nothing new.
+
+    ``look(result, state)`` returns the data without the outliers and the drift that the result shows, or None.
+    """
+    result = fit(state, None)
+    for _ in range(ROUNDS):
+        better = look(result, state)
+        if better is None:
+            break
+        state, result = better, fit(better, result)
+    return state, result
 
 
 def drift_of(error, kept) -> float:
@@ -401,13 +459,11 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
         drift = drift_of(error, kept) / data.sample_time
     slope = drift * data.sample_time * places
     error = error - slope
-    good = inliers(error, first)
-    count = int(np.count_nonzero(~good))
-    centred = error - np.median(error[first:])
-    if count > MOST_OUTLIERS * (len(data) - first) or not outliers_matter(centred, ~good, places >= first):
+    good = notable_outliers(error, first)
+    if good is None:
         return Cleaned(replace(data, output=data.output - slope) if drift else data, drift, 0)
     error = np.interp(places, places[good], error[good])
-    return Cleaned(replace(data, output=predicted + error), drift, count)
+    return Cleaned(replace(data, output=predicted + error), drift, int(np.count_nonzero(~good)))
 
 
 #: Data is averaged until the voltage moves by this part of its range in one sample …
@@ -512,13 +568,7 @@ def condense(
 
     Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
-    v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
-    if v.ndim != 1 or v.shape != y.shape or v.size < 50:
-        raise IdentificationError(f"voltage {v.shape} and displacement {y.shape}: must have one shape (N,), N ≥ 50")
-    if not np.all(np.isfinite(v)) or not np.all(np.isfinite(y)):
-        raise IdentificationError("voltage or displacement has NaN or infinite values; cut them out or resample")
-    if np.ptp(v) == 0.0 or np.ptp(y) == 0.0:
-        raise IdentificationError("voltage or displacement is constant; record a moving input")
+    v, y = checked_signals(voltage, displacement, fewest=50)
     if len(turning_points(v)) < 3:
         raise IdentificationError("the voltage never reverses: a loop model needs a rising and a falling branch")
     wiped = wiped_out(v)
@@ -562,6 +612,26 @@ def automatic_skip(data: IdentificationData) -> int:
     return condense(data.input, data.output, data.sample_time).skipped
 
 
+#: Tried voltages before the recording, as parts of the largest known.
+PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+
+
+def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]:
+    """Return the voltage before the recording [V] for which ``cost(voltage)`` is least, and its cost.
+
+    Units: ``largest`` [V].
+    """
+    parts = [part for part in PASTS if bipolar or part > 0.0]
+    costs = [cost(part * largest) for part in parts]
+    place = int(np.argmin(costs))
+    ends = parts[max(place - 1, 0)], parts[min(place + 1, len(parts) - 1)]
+    fine = scipy.optimize.minimize_scalar(
+        lambda part: cost(part * largest), bounds=ends, method="bounded", options={"maxiter": 10}
+    )
+    least, part = min((costs[place], parts[place]), (float(fine.fun), float(fine.x)))
+    return part * largest, least
+
+
 def simple_loops(data: Condensed) -> bool:
     """Return whether all loops that count have one size, so that the recording shows no minor loops."""
     voltage = data.voltage[data.first :]
@@ -569,8 +639,7 @@ def simple_loops(data: Condensed) -> bool:
     return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
 
 
-#: Fewest samples of a recording, and of one branch that is fitted.
-FEWEST_SAMPLES = 20
+#: Fewest samples of one branch that is fitted.
 FEWEST_BRANCH_SAMPLES = 5
 
 
@@ -591,30 +660,6 @@ class Branch:
 
     def __len__(self) -> int:
         return self.stop - self.start + 1
-
-
-def checked_signals(input_, output, names=("voltage", "displacement"), fewest: int = FEWEST_SAMPLES):
-    """Return both signals as float arrays of one length, shape (N,)."""
-    signals = []
-    for name, values in zip(names, (input_, output), strict=True):
-        values = np.asarray(values, dtype=np.float64)
-        if values.ndim != 1:
-            raise IdentificationError(f"{name} has {values.ndim} dimensions; give one column of numbers")
-        if values.size < fewest:
-            raise IdentificationError(f"{name} has {values.size} samples, too short; at least {fewest} are needed")
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise IdentificationError(
-                f"{name} is not finite at {bad.size} samples, the first is number {bad[0]}; cut or repair the recording"
-            )
-        if np.ptp(values) == 0.0:
-            raise IdentificationError(f"{name} is constant at {values[0]:g}; record a motion")
-        signals.append(np.ascontiguousarray(values))
-    if signals[0].size != signals[1].size:
-        raise IdentificationError(
-            f"{names[0]} has {signals[0].size} samples and {names[1]} {signals[1].size}; they must belong together"
-        )
-    return signals[0], signals[1]
 
 
 def split_branches(input_, reversal: float = REVERSAL) -> tuple[Branch, ...]:

@@ -52,7 +52,7 @@ from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
-from hysteresis_ros.identification.preprocessing import ROUNDS, Cleaned, automatic_skip, cleaned, condense
+from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import Separated, find_start, remembered, separated
 from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, SAME_DRIFT
@@ -348,22 +348,23 @@ class _ParametricSearch:
         return dict(zip(self.model.free, (np.sqrt(np.diag(covariance)) * size).tolist(), strict=True))
 
 
-def _repeated(fit, data: IdentificationData, skip: int) -> Identification:
+def _robust(fit, data: IdentificationData, skip: int) -> Identification:
     """Return the result of ``fit(data, before)`` on data without the outliers and the drift that it shows."""
-    clean, result = Cleaned(data, 0.0, 0), fit(data, None)
-    for _ in range(ROUNDS):
+
+    def look(result: Identification, clean: Cleaned) -> Cleaned | None:
         predicted = predict(result.chain, data.input, data.sample_time, measured=clean.data.output)
         found = cleaned(data, predicted, skip)
-        if found.outliers == clean.outliers and abs(found.drift - clean.drift) <= SAME_DRIFT * abs(found.drift):
-            break
-        clean, result = found, fit(found.data, result)
+        same = found.outliers == clean.outliers and abs(found.drift - clean.drift) <= SAME_DRIFT * abs(found.drift)
+        return None if same else found
+
+    clean, result = repeated(lambda clean, before: fit(clean.data, before), look, Cleaned(data, 0.0, 0))
     numbers, warnings = {**result.numbers, **clean.numbers}, (*result.warnings, *clean.doubts)
     return replace(result, numbers=numbers, warnings=warnings, drift=clean.drift)
 
 
 def proportional(data: IdentificationData, request: Request) -> Identification:
     """Fit a gain, and dynamics behind it."""
-    return _repeated(lambda clean, _: _proportional(clean, request), data, request.skip or 0)
+    return _robust(lambda clean, _: _proportional(clean, request), data, request.skip or 0)
 
 
 def _proportional(data: IdentificationData, request: Request) -> Identification:
@@ -415,7 +416,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
     def fit(clean, before):
         return _oscillator(clean, request, before)
 
-    result = _repeated(fit, data, skip)
+    result = _robust(fit, data, skip)
     if request.initial is None:
         predicted = [
             predict(result.chain, data.input, data.sample_time, initial=start) for start in ("zero", "periodic")
@@ -424,7 +425,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
         if PAST_WHILE_FITTING.improves(repeated, rest):
             request = replace(request, initial="periodic")
             note = "the input was periodic before, which fits better than rest at 0 V"
-            return replace(_repeated(fit, data, skip), start=note)
+            return replace(_robust(fit, data, skip), start=note)
     notes = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
     asked = "as asked for: " if request.initial else ""
     return replace(result, start=asked + notes[request.initial or "zero"])

@@ -19,13 +19,11 @@ from hysteresis_ros.identification.data import (
     DataError,
     DataReport,
     IdentificationData,
-    check_behaviour,
-    check_samples,
     from_recording,
     from_table,
     load_data,
 )
-from hysteresis_ros.identification.preprocessing import MOST_SAMPLES, reduced, resample, steadied, uninterrupted
+from hysteresis_ros.identification.preprocessing import prepared
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.foreign_tables import (
     TABLE_SUFFIXES,
@@ -125,26 +123,9 @@ def _read(source, columns: Columns, progress) -> Reading:
         )
     if ranged != (0, None):
         data = data.part(*ranged)
-    data = steadied(data)
-    if columns.resample is not None:
-        data = resample(data, None if isinstance(columns.resample, str) else columns.resample)
-    else:
-        data = uninterrupted(data)
     if columns.negate:
         data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
-    return Reading(*(data.checked() if columns.all_samples else _reduced(data, columns.whole)), guessed)
-
-
-def _reduced(data: IdentificationData, whole: bool) -> tuple[IdentificationData, DataReport]:
-    """Return checked data without redundant samples, and the report of all data."""
-    data = data.trimmed()
-    if len(data) <= MOST_SAMPLES:
-        return data.checked()
-    units = data.input_unit, data.output_unit
-    report = check_samples(data.time, data.input, data.output, units)
-    report.raise_errors()
-    data = reduced(data, whole)
-    return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
+    return Reading(*prepared(data, columns.resample, columns.all_samples, columns.whole), guessed)
 
 
 def _load(path: pathlib.Path, columns: Columns, progress):

@@ -24,7 +24,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
@@ -34,7 +33,15 @@ from hysteresis_ros.identification.linear_systems import LinearPart, undo, undo_
 from hysteresis_ros.identification.plant_model import Request, at_rest
 from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import fit_preisach
-from hysteresis_ros.identification.preprocessing import Cleaned, Condensed, cleaned, condense, wiped_out
+from hysteresis_ros.identification.preprocessing import (
+    PASTS,
+    Cleaned,
+    Condensed,
+    cleaned,
+    condense,
+    remanent_voltage,
+    wiped_out,
+)
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 
 #: Plays and dead zones of the trials, and samples of their reduced data.
@@ -48,9 +55,6 @@ BIPOLAR = 0.1
 AS_WELL, AT_REST = 1.5, 0.01
 #: A recording is closed if input and output return to their start within this part of their range.
 CLOSED_PART = 0.02
-#: Tried past voltages of a remanent actuator, as parts of the largest of the recording.
-LARGEST_PAST = 1.5
-TRIED_PASTS = (-1.0, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, LARGEST_PAST)
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,10 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
     found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other past fits better"))]
     if _closed(data):
         note = "the input was periodic before: the recording ends where it begins, and this fits better than rest"
-        found.append((_trimmed(trials.error(periodic=True)), Start("periodic", 0, (), note)))
+        periodic = Start("periodic", 0, (), note)
+        found.append((_trimmed(trials.error(periodic)), periodic))
     voltage, error = trials.remanent()
-    found.append((error, Start("estimate", 0, (voltage, float(data.input[0])), remanence(voltage))))
+    found.append((error, _after(voltage, float(data.input[0]))))
     best = min(found, key=lambda row: row[0])
     return best[1] if PAST_WHILE_FITTING.improves(best[0], rest) else found[0][1]
 
@@ -133,16 +138,14 @@ class _PastTrials:
     def __init__(self, data: IdentificationData, structure):
         self.data, self.structure = data, structure
 
-    def condensed(self, history, periodic: bool):
+    def condensed(self, start: Start) -> Condensed:
         """Return the recording after a past."""
-        v, y, skip = self.data.input, self.data.output, 0
-        if periodic:
-            v, y, skip = np.tile(v, 2), np.tile(y, 2), len(v)
-        return condense(v, y, self.data.sample_time, skip, history=history, enough=COARSE)
+        v, y, skip = start.signals(self.data)
+        return condense(v, y, self.data.sample_time, skip, history=start.history, enough=COARSE)
 
-    def error(self, history=(), periodic: bool = False, part=None) -> np.ndarray:
+    def error(self, start: Start = Start("zero", 0), part=None) -> np.ndarray:
         """Return the residual [m] of the samples with this past, shape (N,) or a little less."""
-        condensed = self.condensed(history, periodic)
+        condensed = self.condensed(start)
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
@@ -157,21 +160,19 @@ class _PastTrials:
         """Return the voltage [V] whose remanence fits best, and its error [m]."""
         voltage = self.data.input
         largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
-        both = float(np.min(voltage)) < -BIPOLAR * largest
-        parts = TRIED_PASTS if both else tuple(part for part in TRIED_PASTS if part > 0.0)
-        place, lag = int(np.searchsorted(parts, 1.0)), None
-
-        def cost(part):
-            return _trimmed(self.error((part * largest, first), part=lag))
-
+        bipolar = float(np.min(voltage)) < -BIPOLAR * largest
+        found = largest, 0.0
         for _ in range(2):  # the lag for the best past, then the past again
-            lag = _lag(self.condensed((parts[place] * largest, first), False))
-            errors = [cost(part) for part in parts]
-            place = int(np.argmin(errors))
-        ends = parts[max(place - 1, 0)], parts[min(place + 1, len(parts) - 1)]
-        fine = scipy.optimize.minimize_scalar(cost, bounds=ends, method="bounded", options={"maxiter": 6})
-        error, part = min((errors[place], parts[place]), (float(fine.fun), float(fine.x)))
-        return part * largest, error
+            lag = _lag(self.condensed(_after(found[0], first)))
+            found = remanent_voltage(
+                lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
+            )
+        return found
+
+
+def _after(voltage: float, first: float) -> Start:
+    """Return the remanent beginning after a voltage; ``first`` is that of the recording's beginning [V]."""
+    return Start("estimate", 0, (voltage, first), remanence(voltage))
 
 
 def _lag(condensed: Condensed) -> LinearPart:
@@ -299,7 +300,7 @@ def remembered(static: Separated, fit, block):
         return float(np.std(run.simulate(other.voltage) - other.displacement))
 
     given = static.start.history[0]
-    near = min((given, *(part * largest for part in TRIED_PASTS)), key=lambda voltage: error(found, after(voltage)))
+    near = min((given, *(part * largest for part in PASTS)), key=lambda voltage: error(found, after(voltage)))
     tried = {given: found}
 
     def cost(voltage: float) -> float:

@@ -34,7 +34,7 @@ import scipy
 
 from hysteresis_ros.executors import Job, shared
 from hysteresis_ros.identification.arx import ArxOrders, fit_arx
-from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array, refuse_short
+from hysteresis_ros.identification.data import CONSTANT, DataError, checked_signals, refuse_short
 from hysteresis_ros.identification.linear_systems import (
     INTERSAMPLE,
     CanonicalSimulation,
@@ -186,8 +186,8 @@ def fit_transfer_function(
     Units: ``sample_time`` [s].
     """
     structure, search = structure or Structure(), search or Search()
-    u, y = finite_array("input", u), finite_array("output", y)
-    _check(u, y, structure, skip)
+    u, y = checked_signals(u, y, ("input", "output"), fewest=1)
+    _check(y, structure, skip)
     scale_u, scale_y = float(np.ptp(u)), float(np.ptp(y[skip:]))
     problem = _Problem(u / scale_u, y / scale_y, sample_time, structure, skip)
     candidates = _starts(problem, u, y, search)
@@ -385,16 +385,13 @@ def _warnings(problem: _Problem, best, numerator, denominator):
         yield "the DC gain is not positive: the output moves against the input"
 
 
-def _check(u, y, structure: Structure, skip: int) -> None:
-    """Refuse unusable data and settings."""
-    if u.shape != y.shape or u.ndim != 1:
-        raise DataError("shape", f"input {u.shape} and output {y.shape} must both be (N,)")
+def _check(y, structure: Structure, skip: int) -> None:
+    """Refuse unusable settings, and an output that rests after the skipped samples."""
     structure.check()
     if not 0 <= skip < len(y):
         raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")
-    for name, values in (("input", u), ("output", y[skip:])):
-        if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
-            raise DataError("constant", f"the {name} is constant; excite the actuator and record again")
+    if np.ptp(y[skip:]) <= CONSTANT * np.max(np.abs(y[skip:])):
+        raise DataError("constant", "the output is constant; excite the actuator and record again")
     poles, zeros = structure.poles, structure.zeros
     needed = 3 * (poles + structure.columns)
     refuse_short(len(y) - skip, needed, f"a transfer function with {poles} poles and {zeros} zeros")

@@ -223,22 +223,36 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     return _correlation_test(every, correlation, slice(None), np.sqrt(spread / N), confidence)
 
 
-def parameter_covariance(jacobian, residual, others: int = 0) -> np.ndarray:
-    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals.
+def parameter_covariance(
+    jacobian, residual, others: int = 0, *, truncated: float | None = None, correlated: bool = False
+) -> np.ndarray:
+    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d).
 
-    ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns.
+    ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns. Residuals
+    are white, or ``correlated``: they then count as fewer samples. What the data does not determine raises DataError;
+    with ``truncated``, directions with a singular value below this part of the largest have no variance instead.
     """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape
     refuse_short(N, d + others + 1, f"the covariance of {d} parameters")
     length = np.linalg.norm(J, axis=0)
     if np.any(length == 0.0):
-        raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
+        if truncated is None:
+            raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
+        length[length == 0.0] = 1.0
     _, values, Vt = np.linalg.svd(J / length, full_matrices=False)
-    if values[-1] < 1e-12 * values[0]:
+    known = values > (truncated or 1e-12) * values[0]
+    if truncated is None and not known.all():
         raise DataError("rank", f"the data does not determine all {d} parameters")
-    root = Vt.T / values / length[:, None]
-    return float(e @ e) / (N - d - others) * root @ root.T
+    root = Vt[known].T / values[known] / length[:, None]
+    inflation = 1.0
+    if correlated:
+        e = e - e.mean()
+        correlation = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * N)) ** 2)[: N // 4]
+        below = np.flatnonzero(correlation < 0.05 * correlation[0])
+        reach = int(below[0]) if below.size else N // 4
+        inflation += 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
+    return inflation * float(e @ e) / (N - d - others) * root @ root.T
 
 
 def covariance_or_infinite(jacobian, residual, others: int = 0) -> np.ndarray:
