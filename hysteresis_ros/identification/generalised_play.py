@@ -25,10 +25,10 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     robust_fit,
-    stretches,
     survivor,
     without_drift,
 )
+from hysteresis_ros.identification.plant_model import stretches
 from hysteresis_ros.identification.play_fit import PlayFit, radii
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE

@@ -30,6 +30,7 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.linear_systems import Known, LinearPart
+from hysteresis_ros.identification.plant_model import PlantModel, simulate_chain
 from hysteresis_ros.identification.preprocessing import (
     Condensed,
     cleaning_notes,
@@ -47,11 +48,7 @@ from hysteresis_ros.identification.thresholds import (
     Threshold,
 )
 from hysteresis_ros.identification.validation import parameter_covariance
-from hysteresis_ros.models.actuator import ActuatorParameters
-from hysteresis_ros.models.creep import Creep, CreepParameters
-from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.recordings.loops import turning_points
 
 #: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate per decade.
@@ -60,34 +57,20 @@ LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
 #: Singular values of the sensitivities below this part of the largest are rounding.
 SMALLEST_VALUE = 3e-8
-#: Points of each voltage ramp before the recording.
-FINE = 65
 
 
-@dataclass(frozen=True, eq=False)
-class HammersteinFit:
-    """Identified voltage → hysteresis → creep → lag and delay, as the nodes run it."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HammersteinFit(PlantModel):
+    """A plant identified with its linear part, and what the fit says about it."""
 
-    hysteresis: HysteresisParameters
-    creep: CreepParameters
-    dynamics: LinearParameters  #: For ``sample_time``.
-    #: The same linear part in continuous time; ``linear_part.dynamics(Ts)`` gives it at another rate.
     linear_part: LinearPart
-    sample_time: float  #: Sample time of the recording [s].
     rmse: float  #: RMS residual of the fit [m], including outliers.
     stroke: float  #: Peak-to-peak displacement of the fitted samples [m].
-    voltage_low: float  #: voltage_low, voltage_high: Range of the recording [V].
-    voltage_high: float
     #: Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis;
     #: the correlation of the residual is taken into account.
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the optimiser ran out of evaluations, and this is the best point found.
-    #: The lag is below half a sample: each displacement belongs to the voltage of the same sample (quasi-static
-    #: sweeps); an axis reads it one sample later.
-    synchronous: bool = False
-    #: Identified voltages [V] before the recording, from rest at 0 V.
-    history: tuple[float, ...] = ()
     skipped: int = 0  #: First samples of the recording that the fit omits.
     drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
@@ -97,68 +80,6 @@ class HammersteinFit:
     def doubts(self) -> tuple[str, ...]:
         """Sentences about drift and outliers, which are not part of the model."""
         return cleaning_notes(self.drift, int(self.numbers.get("outliers", 0)))
-
-    @property
-    def actuator(self) -> ActuatorParameters:
-        """Parameters of a plant, limited to the voltages of the recording."""
-        limits = LimitsParameters(minimum=min(self.voltage_low, 0.0), maximum=max(self.voltage_high, 0.0))
-        return ActuatorParameters(limits=limits, hysteresis=self.hysteresis, creep=self.creep, dynamics=self.dynamics)
-
-    def simulate(self, voltage, sample_time: float | None = None, settled: bool = True) -> np.ndarray:
-        """Return the displacement [m], shape (N,), see :func:`simulate_chain`.
-
-        Units: ``voltage`` [V], ``sample_time`` [s].
-        """
-        sample_time = self.sample_time if sample_time is None else sample_time
-        dynamics = self.dynamics if sample_time == self.sample_time else self.linear_part.dynamics(sample_time)
-        return simulate_chain(
-            self.hysteresis,
-            self.creep,
-            dynamics,
-            voltage,
-            sample_time,
-            settled=self.linear_part.settled and settled,
-            synchronous=self.synchronous and sample_time == self.sample_time,
-            history=self.history if settled else (),
-        )
-
-
-def simulate_chain(
-    hysteresis: HysteresisParameters,
-    creep: CreepParameters,
-    dynamics: LinearParameters,
-    voltage,
-    sample_time: float,
-    *,
-    settled: bool = False,
-    synchronous: bool = False,
-    history: tuple[float, ...] = (),
-) -> np.ndarray:
-    """Return the displacement of a plant under ``voltage`` by the kernels of the nodes, without limits and sensor.
-
-    It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
-
-    Units: ``voltage`` [V], ``sample_time`` [s].
-    """
-    voltage = np.ascontiguousarray(voltage, dtype=np.float64)
-    front = hysteresis_block(hysteresis, sample_time)
-    pass_through(front, history)
-    behind, last = Creep(creep, sample_time), LinearDynamics(dynamics, sample_time)
-    last.settle(behind.settle(front.step(voltage[0] if settled else 0.0)))
-    start = last.output()
-    after = last.simulate(behind.simulate(front.simulate(voltage)))
-    return after if synchronous else np.append(start, after[:-1])
-
-
-def pass_through(block, history) -> None:
-    """Step a hysteresis through voltages [V] in small steps, because some models are integrated along the path."""
-    block.simulate(stretches(history))
-
-
-def stretches(history) -> np.ndarray:
-    """Return voltages [V] in steps from 0 V through those of a history, shape (K,)."""
-    ends = zip((0.0, *history), history, strict=False)
-    return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
 
 def search_linear_part(search: PartSearch, linear):

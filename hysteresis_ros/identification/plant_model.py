@@ -22,12 +22,11 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.hammerstein import HammersteinFit
 from hysteresis_ros.identification.linear_systems import LinearPart
-from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.creep import Creep, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.inverses import InverseParameters
-from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.units import readable
 
 
@@ -78,6 +77,8 @@ class PlantModel:
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     #: A displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis reads it before.
     synchronous: bool = False
+    #: Identified voltages [V] before the recording, from rest at 0 V, through which :meth:`simulate` goes.
+    history: tuple[float, ...] = ()
     initial: str = "zero"  #: Initial state: ``zero``, ``periodic`` or ``estimate``.
     intersample: str = "zoh"  #: Input between samples: ``zoh``, ``linear`` or ``bandlimited``.
     voltage_low: float = 0.0  #: voltage_low, voltage_high: Range of the recording [V].
@@ -99,19 +100,22 @@ class PlantModel:
         delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
         return LinearPart(lag=max(delay, 0.0))
 
-    def as_hammerstein(self, rmse: float = 0.0, stroke: float = 1.0) -> HammersteinFit:
-        """Return the chain as the result of a Hammerstein fit, without its offset."""
-        return HammersteinFit(
-            hysteresis=self.hysteresis,
-            creep=self.creep,
-            dynamics=self.dynamics,
-            linear_part=self.continuous,
-            sample_time=self.sample_time,
-            rmse=rmse,
-            stroke=stroke,
-            voltage_low=self.voltage_low,
-            voltage_high=self.voltage_high,
-            synchronous=self.synchronous,
+    def simulate(self, voltage, sample_time: float | None = None) -> np.ndarray:
+        """Return the displacement [m], shape (N,), without the offset, see :func:`simulate_chain`.
+
+        Units: ``voltage`` [V], ``sample_time`` [s].
+        """
+        other = sample_time is not None and sample_time != self.sample_time
+        sample_time = self.sample_time if sample_time is None else sample_time
+        return simulate_chain(
+            self.hysteresis,
+            self.creep,
+            self.continuous.dynamics(sample_time) if other else self.dynamics,
+            voltage,
+            sample_time,
+            settled=self.continuous.settled,
+            synchronous=self.synchronous and not other,
+            history=self.history,
         )
 
 
@@ -172,6 +176,48 @@ class Procedure(Protocol):
     def __call__(self, data: IdentificationData, request: Request) -> Identification:
         """Return the plant that fits the data, with deviations, warnings and whether the search converged."""
         ...
+
+
+#: Points of each voltage ramp before the recording.
+FINE = 65
+
+
+def simulate_chain(
+    hysteresis: HysteresisParameters,
+    creep: CreepParameters,
+    dynamics: LinearParameters,
+    voltage,
+    sample_time: float,
+    *,
+    settled: bool = False,
+    synchronous: bool = False,
+    history: tuple[float, ...] = (),
+) -> np.ndarray:
+    """Return the displacement of a plant under ``voltage`` by the kernels of the nodes, without limits and sensor.
+
+    It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
+
+    Units: ``voltage`` [V], ``sample_time`` [s].
+    """
+    voltage = np.ascontiguousarray(voltage, dtype=np.float64)
+    front = hysteresis_block(hysteresis, sample_time)
+    pass_through(front, history)
+    behind, last = Creep(creep, sample_time), LinearDynamics(dynamics, sample_time)
+    last.settle(behind.settle(front.step(voltage[0] if settled else 0.0)))
+    start = last.output()
+    after = last.simulate(behind.simulate(front.simulate(voltage)))
+    return after if synchronous else np.append(start, after[:-1])
+
+
+def pass_through(block, history) -> None:
+    """Step a hysteresis through voltages [V] in small steps, because some models are integrated along the path."""
+    block.simulate(stretches(history))
+
+
+def stretches(history) -> np.ndarray:
+    """Return voltages [V] in steps from 0 V through those of a history, shape (K,)."""
+    ends = zip((0.0, *history), history, strict=False)
+    return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
 
 def group_delay(dynamics: LinearParameters) -> float:

@@ -26,7 +26,6 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.hammerstein import HammersteinFit, pass_through, simulate_chain
 from hysteresis_ros.identification.linear_systems import (
     BANDLIMITED_POINTS,
     METHODS,
@@ -36,7 +35,7 @@ from hysteresis_ros.identification.linear_systems import (
     undo,
     upsample,
 )
-from hysteresis_ros.identification.plant_model import PlantModel
+from hysteresis_ros.identification.plant_model import PlantModel, pass_through, simulate_chain
 from hysteresis_ros.identification.preprocessing import remanent_voltage, wiped_out
 from hysteresis_ros.identification.thresholds import PAST_WHILE_PREDICTING
 from hysteresis_ros.identification.validation import Validation, validate
@@ -63,7 +62,7 @@ class InverseValidation:
 
 
 def recover_voltage(
-    fit: HammersteinFit, displacement, voltage, skip: int = 0, free_offset: bool = True
+    plant: PlantModel, displacement, voltage, skip: int = 0, free_offset: bool = True
 ) -> InverseValidation:
     """Invert the model for a measured displacement, and compare with the applied voltage.
 
@@ -71,18 +70,18 @@ def recover_voltage(
     """
     y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
     if free_offset:
-        y = y - np.mean((y - fit.simulate(v))[skip:])
-    wanted = undo(y, fit.linear_part, fit.sample_time)
-    margin = VOLTAGE_MARGIN * (fit.voltage_high - fit.voltage_low)
+        y = y - np.mean((y - plant.simulate(v))[skip:])
+    wanted = undo(y, plant.continuous, plant.sample_time)
+    margin = VOLTAGE_MARGIN * (plant.voltage_high - plant.voltage_low)
     parameters = CompensatorParameters(
         inverse=InverseParameters(type="general"),
-        hysteresis=fit.hysteresis,
-        creep=fit.creep,
+        hysteresis=plant.hysteresis,
+        creep=plant.creep,
         limits=LimitsParameters(
-            minimum=min(fit.voltage_low, 0.0) - margin, maximum=max(fit.voltage_high, 0.0) + margin
+            minimum=min(plant.voltage_low, 0.0) - margin, maximum=max(plant.voltage_high, 0.0) + margin
         ),
     )
-    compensator = Compensator(parameters, fit.sample_time)
+    compensator = Compensator(parameters, plant.sample_time)
     found = compensator.simulate(wanted)
     error = (found - v)[skip:]
     rmse = float(np.sqrt(np.mean(error**2)))
@@ -254,7 +253,7 @@ def judge(
         return found, None, f"{chain.hysteresis.type} includes dynamics and has no inverse"
     displacement = data.output - chain.offset
     try:
-        back = recover_voltage(chain.as_hammerstein(), displacement, data.input, skip, free_offset)
+        back = recover_voltage(chain, displacement, data.input, skip, free_offset)
     except ParameterError as error:
         return found, None, " ".join(str(error).split())
     if not np.isfinite(back.rmse):

@@ -28,9 +28,8 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import found_with
-from hysteresis_ros.identification.hammerstein import stretches
 from hysteresis_ros.identification.linear_systems import LinearPart, undo, undo_creep
-from hysteresis_ros.identification.plant_model import Request, at_rest
+from hysteresis_ros.identification.plant_model import Request, at_rest, stretches
 from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.identification.preprocessing import (

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.plant_model import simulate_chain
 from hysteresis_ros.identification.play_fit import radii, smooth_weights
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import recover_voltage

@@ -17,7 +17,7 @@ import pytest
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.bouc_wen import simulate_oscillator
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.hammerstein import pass_through
+from hysteresis_ros.identification.plant_model import pass_through
 from hysteresis_ros.identification.preprocessing import cleaned, drift_of
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.block import COMPILED

@@ -18,8 +18,8 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import TurnSearch
-from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.plant_model import simulate_chain
 from hysteresis_ros.identification.prandtl_ishlinskii import (
     PRIOR_DECAY,
     SmoothDensity,
