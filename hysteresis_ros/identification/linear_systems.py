@@ -183,8 +183,10 @@ def _list(values):
     return ", ".join(f"{v.real:.4g}" if abs(v.imag) < 1e-12 else f"{v.real:.4g}{v.imag:+.4g}j" for v in values)
 
 
+#: How an input may run between its samples; ``foh`` is another word for ``linear``.
 METHODS = ("zoh", "linear", "bandlimited")
-#: Samples beyond each end over which a band-limited input that is not periodic is mirrored.
+INTERSAMPLE = (*METHODS, "foh")
+#: Samples to each side that determine a band-limited input between two samples; beyond both ends it is mirrored.
 MARGIN = 64
 
 
@@ -210,7 +212,8 @@ def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False
     margin = min(MARGIN, u.size - 1)
     # mirrored about the ends, so that level and slope continue
     head, tail = 2.0 * u[0] - u[margin:0:-1], 2.0 * u[-1] - u[-2 : -margin - 2 : -1]
-    longer = scipy.signal.resample_poly(np.concatenate([head, u, tail]), factor, 1, window=("kaiser", 12.0))
+    taps = scipy.signal.firwin(2 * MARGIN * factor + 1, 1.0 / factor, window=("kaiser", 12.0))
+    longer = scipy.signal.resample_poly(np.concatenate([head, u, tail]), factor, 1, window=taps)
     return longer[margin * factor : (margin + u.size) * factor]
 
 
@@ -234,8 +237,6 @@ def find_period(u, tolerance: float = 1e-6) -> int | None:
     return None
 
 
-#: How an input may run between its samples; ``linear`` is another word for ``foh``.
-INTERSAMPLE = ("zoh", "foh", "linear", "bandlimited")
 #: Known initial states of a simulation.
 KNOWN_STARTS = ("zero", "rest", "periodic")
 #: Points per sample of a reconstructed band-limited input.
@@ -279,7 +280,7 @@ class CanonicalSimulation:
     def states(self, u, initial: str = "zero") -> np.ndarray:
         """Return the states at the samples, shape (N, n), in scaled time."""
         if self.intersample == "bandlimited":
-            fine = _reconstructed(u, initial == "periodic")
+            fine = upsample(u, BANDLIMITED_POINTS, "bandlimited", initial == "periodic")
             Ad, B0, B1 = self.discrete(self.sample_time / BANDLIMITED_POINTS)
             return self._run(Ad, B0, B1, fine, initial)[::BANDLIMITED_POINTS][: len(u)]
         Ad, B0, B1 = self.discrete(self.sample_time)
@@ -354,20 +355,6 @@ def simulate_transfer_function(
         raise FitError(f"initial = {initial!r}: must be one of {', '.join(KNOWN_STARTS)}")
     simulation = CanonicalSimulation(denominator / denominator[0], sample_time, intersample)
     return simulation.bases(np.asarray(u, dtype=float), len(numerator) - 1, initial, delay) @ numerator[::-1]
-
-
-def _reconstructed(u, periodic):
-    """Return ``u`` at BANDLIMITED_POINTS points a sample, as the band-limited signal through its samples."""
-    if periodic:
-        return scipy.signal.resample(u, BANDLIMITED_POINTS * len(u))
-    # mirrored about its end points, so that a step at the ends causes no ringing
-    pad = min(len(u) - 1, 64)
-    head, tail = 2 * u[0] - u[pad:0:-1], 2 * u[-1] - u[-2 : -pad - 2 : -1]
-    long = np.concatenate([head, u, tail])
-    points = BANDLIMITED_POINTS
-    taps = scipy.signal.firwin(2 * 32 * points + 1, 1.0 / points, window=("kaiser", 8.0))
-    fine = scipy.signal.resample_poly(long, points, 1, window=taps)
-    return fine[pad * points : (pad + len(u)) * points]
 
 
 #: Smallest lag, as a part of the sample time; smaller ones are neglected.

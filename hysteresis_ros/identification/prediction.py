@@ -241,21 +241,30 @@ def judge(
     free_offset: bool = False,
     fitted: int = 0,
     inverse: bool = True,
-) -> tuple[Validation, InverseValidation | None, str]:
-    """Compare prediction with measurement, and the voltage of the inverse with the applied voltage.
+) -> tuple[Validation, InverseValidation | None, dict, list[str]]:
+    """Compare prediction and measurement, and the voltage of the inverse with the applied one; with figures and notes.
 
     Units: ``predicted`` [m].
     """
     found = validate(data.output, predicted, data.input, parameters=fitted, skip=skip, free_offset=free_offset)
-    if not inverse:
-        return found, None, "not requested"
+    figures = found.to_dict()
+    notes = figures.pop("warnings")
+    back = _recovered(chain, data, skip, free_offset) if inverse else None
+    if isinstance(back, str):
+        notes.append(f"no inverse validation: {back}")
+        back = None
+    figures["inverse_rmse_v"] = back and back.rmse
+    figures["inverse_rmse_m"] = back and back.rmse_displacement
+    figures["inverse_rmse_percent"] = back and back.rmse_percent
+    return found, back, figures, notes
+
+
+def _recovered(chain: PlantModel, data: IdentificationData, skip: int, free_offset: bool) -> InverseValidation | str:
+    """Return the validation of the inverse, or why there is none."""
     if not chain.invertible:
-        return found, None, f"{chain.hysteresis.type} includes dynamics and has no inverse"
-    displacement = data.output - chain.offset
+        return f"{chain.hysteresis.type} includes dynamics and has no inverse"
     try:
-        back = recover_voltage(chain, displacement, data.input, skip, free_offset)
+        back = recover_voltage(chain, data.output - chain.offset, data.input, skip, free_offset)
     except ParameterError as error:
-        return found, None, " ".join(str(error).split())
-    if not np.isfinite(back.rmse):
-        return found, None, "the inverse overflows"
-    return found, back, ""
+        return " ".join(str(error).split())
+    return back if np.isfinite(back.rmse) else "the inverse overflows"

@@ -404,13 +404,9 @@ def _finished(
     drift = result.drift * data.sample_time * np.arange(len(data))
     still = replace(data, output=data.output - drift)
     predicted = predict(result.chain, still.input, still.sample_time, measured=still.output)
-    found, back, reason = judge(result.chain, still, predicted, skip=skip, free_offset=free, fitted=result.fitted)
-    figures = found.to_dict()
-    judged = figures.pop("warnings")
-    figures |= inverse_figures(back)
+    fitted = result.fitted
+    found, back, figures, judged = judge(result.chain, still, predicted, skip=skip, free_offset=free, fitted=fitted)
     notes = [*read, *result.warnings, *model_warnings(result), *judged]
-    if back is None:
-        notes.append(f"no inverse validation: {reason}")
     if fast is not None:
         result = _with_fast(result, fast)
     judged_on = fast or Fast(data, skip)
@@ -467,23 +463,12 @@ def validate(
     if skip is None:
         # samples with an unknown past are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
-    found, back, reason = judge(
-        plant,
-        data,
-        predicted,
-        skip=skip,
-        free_offset=given.get("offset") == "free",
-        inverse=inverse,
-    )
-    figures = found.to_dict()
-    judged = figures.pop("warnings")
+    free = given.get("offset") == "free"
+    found, back, figures, judged = judge(plant, data, predicted, skip=skip, free_offset=free, inverse=inverse)
     notes = [*reading.report.warnings, *_beyond(plant, data), *judged]
-    if back is None and inverse:
-        notes.append(f"no inverse validation: {reason}")
     figures = {
         "model": plant.hysteresis.type,
         **figures,
-        **inverse_figures(back),
         "largest_autocorrelation": found.autocorrelation.largest,
         "autocorrelation_bound": found.autocorrelation.bound,
         "lags_outside": found.autocorrelation.outside,
@@ -528,17 +513,6 @@ def _beyond(plant: PlantModel, data: IdentificationData):
             f"the voltage runs from {low:.4g} to {high:.4g} V, beyond the {plant.voltage_low:.4g} … "
             f"{plant.voltage_high:.4g} V of the identification: extrapolated"
         )
-
-
-def inverse_figures(back: InverseValidation | None) -> dict:
-    """Return the figures of an inverse validation; None without one."""
-    if back is None:
-        return {"inverse_rmse_v": None, "inverse_rmse_m": None, "inverse_rmse_percent": None}
-    return {
-        "inverse_rmse_v": back.rmse,
-        "inverse_rmse_m": back.rmse_displacement,
-        "inverse_rmse_percent": back.rmse_percent,
-    }
 
 
 def finite(figures: dict) -> dict:
