@@ -27,6 +27,7 @@ from hysteresis_ros.designs.setpoint_step import require_gentle, setpoint_step
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import SECTION, write_file
+from hysteresis_ros.identification.preprocessing import averaged
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.workflow import Fast, Identified, identify
@@ -61,9 +62,9 @@ def slow_data(situation: Situation) -> IdentificationData:
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
     factor = max(int(situation.rate / (SAMPLES_A_CYCLE * situation.plan.cycle_frequency)), 1)
-    voltage = np.concatenate([_averaged(part["voltage"], factor) for part in parts])
+    voltage = np.concatenate([averaged(part["voltage"], factor) for part in parts])
     measured = np.concatenate(
-        [_averaged(np.interp(part.time + late, part.time, part["measured"]), factor) for part in parts]
+        [averaged(np.interp(part.time + late, part.time, part["measured"]), factor) for part in parts]
     )
     time = np.arange(voltage.size) * factor / situation.rate
     return IdentificationData(time, voltage, measured, source="hysteresis.npz, creep.npz", factor=factor)
@@ -72,11 +73,6 @@ def slow_data(situation: Situation) -> IdentificationData:
 def _is_quick(situation: Situation) -> bool:
     """Return whether a resonance is the slowest dynamics of the stage; otherwise it has a lag."""
     return "resonance_hz" in situation.found["resonance"].figures
-
-
-def _averaged(values: np.ndarray, factor: int) -> np.ndarray:
-    count = values.size // factor
-    return values[: count * factor].reshape(count, factor).mean(axis=1)
 
 
 def fast_data(situation: Situation, recording: Recording) -> Fast:
