@@ -282,7 +282,7 @@ class Parameters:
                 row = next(row for row in self.table() if row.name == item.name)
                 found.append(Problem(prefix + item.name, None, f"missing; give a {row.allowed()}"))
         if not found:
-            found += [Problem(prefix + p.name, p.value, p.remedy) for p in self.check()]
+            found += [replace(problem, name=prefix + problem.name) for problem in self.check()]
         return found
 
     def check(self):

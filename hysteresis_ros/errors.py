@@ -41,9 +41,11 @@ class Problem:
     name: str  #: Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
     value: object  #: Given value.
     remedy: str  #: What is allowed, and what to do.
+    unit: str = ""  #: Unit of the value, printed after it.
 
     def __str__(self) -> str:
-        return f"{self.name} = {shortened(self.value)}: {self.remedy}"
+        value = f"{shortened(self.value)} {self.unit}".rstrip()
+        return f"{self.name} = {value}: {self.remedy}"
 
 
 def shortened(value: object) -> str:

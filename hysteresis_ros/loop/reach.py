@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from hysteresis_ros.configuration import Configuration, Parameters
 from hysteresis_ros.control.feedforward import relative_degree
@@ -71,7 +71,7 @@ def check_reach(axis: AxisParameters) -> None:
     try:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
     except ParameterError as error:
-        named = [Problem(f"reference_generator: {p.name}", p.value, p.remedy) for p in error.problems]
+        named = [replace(problem, name=f"reference_generator: {problem.name}") for problem in error.problems]
         raise ParameterError(named) from None
     problems = [*_bare_steps(axis, given), *_beyond_stroke(axis, given, generator)]
     if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
@@ -99,7 +99,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
             )
     if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
-        found += [f"{p.name} = {p.value}: {p.remedy}" for p in _too_fast(axis, given, generator, TOLERANCE)]
+        found += [str(problem) for problem in _too_fast(axis, given, generator, TOLERANCE)]
     return tuple(found)
 
 

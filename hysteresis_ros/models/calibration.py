@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -331,4 +331,4 @@ class AmplifierCalibration:
         least, most = sorted((voltage - self.p[ZERO]) * self.p[GAIN] for voltage in (low, high))
         found = list(rising_problems(self.parameters.polynomial, least, most, self.parameters.unit))
         if found:
-            raise ParameterError([Problem(prefix + item.name, item.value, item.remedy) for item in found])
+            raise ParameterError(replace(item, name=prefix + item.name) for item in found)

@@ -17,7 +17,7 @@ slider and friction those of :mod:`hysteresis_ros.models.friction`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -346,7 +346,7 @@ class Inchworm(Chain):
             try:
                 getattr(self, name).check_retune(getattr(motor, name))
             except ParameterError as error:
-                found = [Problem(f"inchworm.{name}.{item.name}", item.value, item.remedy) for item in error.problems]
+                found = [replace(item, name=f"inchworm.{name}.{item.name}") for item in error.problems]
                 raise ParameterError(found) from None
         self.slider.check_travel(motor.slider)
         self.extender.retune(_extender(parameters))  # the last that may refuse

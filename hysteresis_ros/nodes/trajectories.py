@@ -56,7 +56,7 @@ def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
     if names != [joint]:
         raise _refused("joint_names", names, f"allowed: ['{joint}'], the joint of this axis")
     if seconds(message.header.stamp):
-        raise _refused("header.stamp", seconds(message.header.stamp), "s: must be 0, a trajectory begins at once")
+        raise _refused("header.stamp", seconds(message.header.stamp), "must be 0; a trajectory begins at once", "s")
     if len(message.points) > MOST_POINTS:
         raise _refused("points", f"{len(message.points)} points", f"allowed: at most {MOST_POINTS}")
     found: dict[str, list[float]] = {"times": [], "positions": [], "velocities": [], "accelerations": []}
@@ -89,8 +89,8 @@ def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
     return replace(default, **found)
 
 
-def _refused(name: str, value, text: str) -> ParameterError:
-    return ParameterError([Problem(name, value, text)])
+def _refused(name: str, value, text: str, unit: str = "") -> ParameterError:
+    return ParameterError([Problem(name, value, text, unit)])
 
 
 class Trajectories:

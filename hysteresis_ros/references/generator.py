@@ -349,16 +349,17 @@ class ReferenceGenerator(Chain):
             acceleration of a limited approach; nothing is changed then.
         """
         if not self.running:
-            raise ParameterError([Problem("trajectory", len(times), "refused: the generator is stopped; call start")])
+            text = "refused, because the generator is stopped; call start"
+            raise ParameterError([Problem("trajectory", len(times), text, "points")])
         points = Points(times, positions, velocities, accelerations)
         own = self.parameters
         x = self.xs.trajectory
         if points.times[0] == 0.0 and not abs(points.positions[0] - x[following.POSITION]) <= self.start_tolerance:
             text = (
-                f"m at 0 s: the axis is at {x[following.POSITION]:g} m, allowed: within {self.start_tolerance:g} m of "
-                "that (trajectory.start_tolerance); give the first point a later time"
+                f"the axis is at {x[following.POSITION]:g} m; a first point at 0 s must be within "
+                f"{self.start_tolerance:g} m of it (trajectory.start_tolerance); give the first point a later time"
             )
-            raise ParameterError([Problem("trajectory positions", float(points.positions[0]), text)])
+            raise ParameterError([Problem("trajectory positions", float(points.positions[0]), text, "m")])
         segments = points.segments(*x[following.POSITION : following.ACCELERATION + 1].tolist())
         low, high = self.approach.p[LOW], self.approach.p[HIGH]
         limits = own.approach.maximum_velocity, own.approach.maximum_acceleration

@@ -579,10 +579,10 @@ def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
                 lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
                 upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
                 text = (
-                    f"m reached by the path with its turns, {excess:.4g} m out of range, allowed: "
+                    f"the path with its turns is {excess:.4g} m out of range, allowed: "
                     f"{' and '.join(filter(None, (lower, upper)))}; make the scan smaller, or move its centre"
                 )
-                yield Problem(f"position of {AXES[axis]}", float(value), text)
+                yield Problem(f"position of {AXES[axis]}", float(value), text, "m")
 
 
 def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:

@@ -223,27 +223,28 @@ class Points:
         for name, numbers in values.items():
             needed = name in ("times", "positions")
             if len(numbers) != count and (needed or len(numbers)):
-                raise _refused(
-                    name, len(numbers), f"of {count} points: give one for every point{'' if needed else ' or none'}"
-                )
+                text = f"the path has {count} points; give one for every point{'' if needed else ' or none'}"
+                raise _refused(name, len(numbers), text, "numbers")
             for number in numbers[~np.isfinite(numbers)][:1]:
                 raise _refused(name, number, "not a finite number")
         if len(self.accelerations) and not len(self.velocities):
-            raise _refused("accelerations", count, "without velocities: give both, velocities alone, or neither")
+            text = "cannot be given without velocities: give both, velocities alone, or neither"
+            raise _refused("accelerations", count, text, "numbers")
         self._check_times()
         if len(self.velocities) and self.velocities[-1] != 0.0:
             raise _refused(
-                "velocities", self.velocities[-1], "of the last point: must be 0 m/s, because the axis rests there"
+                "velocities", self.velocities[-1], "must be 0 at the last point, because the axis rests there", "m/s"
             )
 
     def _check_times(self) -> None:
         times = self.times
         if times[0] < 0.0:
-            raise _refused("times", times[0], "s of point 0: must not be negative")
+            raise _refused("times", times[0], "the time of the first point must not be negative", "s")
         for index in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
-            raise _refused("times", times[index + 1], f"s of point {index + 1}: must be later than {times[index]:g} s")
+            text = f"point {index + 1} must be later than {times[index]:g} s, the time of the point before it"
+            raise _refused("times", times[index + 1], text, "s")
         if times[-1] == 0.0:
-            raise _refused("times", 0.0, "s of the last point: must be later than 0 s")
+            raise _refused("times", 0.0, "the last point must be later than 0 s", "s")
 
     def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
         """Return the segments of the path that continues the present motion, shape (segments, WIDTH).
@@ -325,23 +326,22 @@ class Bounds:
         position, speed, acceleration = (_polynomials(coefficients, tau) for coefficients in orders)
         slack = ROUNDING * (self.high - self.low)
         for bad in np.argwhere((position < self.low - slack) | (position > self.high + slack))[:1]:
-            text = f"m at {times[tuple(bad)]:g} s: out of range, allowed: {self.low:g} … {self.high:g} m"
-            raise _refused("positions", position[tuple(bad)], text)
+            text = f"at {times[tuple(bad)]:g} s out of range, allowed: {self.low:g} … {self.high:g} m"
+            raise _refused("positions", position[tuple(bad)], text, "m")
         _within("velocities", "m/s", np.abs(speed), self.velocity, times)
         _within("accelerations", "m/s²", np.abs(acceleration), self.acceleration, times)
         corners = np.abs(np.concatenate([speed[0], [0.0]]) - np.concatenate([[velocity], speed[-1]]))
         steep = corners[None, :] / self.sample_time
         at = np.concatenate([segments[:, BEGIN], [length]])[None, :]
-        _within("accelerations", "m/s² at a corner (give velocities, which round it)", steep, self.acceleration, at)
+        _within("accelerations", "m/s²", steep, self.acceleration, at, "at a corner at", "velocities, which round it")
 
 
-def _within(name: str, unit: str, values: np.ndarray, limit: float, times: np.ndarray) -> None:
+def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at="at", remedy="more time") -> None:
     """Refuse the largest of these values when it is larger than a limit that is not 0."""
     worst = np.unravel_index(np.argmax(values), values.shape)
     if limit > 0.0 and values[worst] > limit * (1.0 + ROUNDING):
-        raise _refused(
-            name, values[worst], f"{unit} at {times[worst]:g} s: too high, allowed: ≤ {limit:g}; give more time"
-        )
+        text = f"{at} {times[worst]:g} s too high, allowed: ≤ {limit:g} {unit}; give {remedy}"
+        raise _refused(name, values[worst], text, unit)
 
 
 def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -352,5 +352,5 @@ def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return value
 
 
-def _refused(name: str, value, text: str) -> ParameterError:
-    return ParameterError([Problem(f"trajectory {name}", float(value), text)])
+def _refused(name: str, value, text: str, unit: str = "") -> ParameterError:
+    return ParameterError([Problem(f"trajectory {name}", float(value), text, unit)])

@@ -211,7 +211,8 @@ def test_the_range_names_axis_excess_and_what_is_allowed():
     scan = made("raster", rotation=0.0)
     check_limits(scan, ScanLimits(low=(0.0, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(
-        ParameterError, match="position of x = 3.7.*: m reached .* 6.25e-06 m out of range, allowed: ≥ 1e-05"
+        ParameterError,
+        match="position of x = 3.7.* m: the path with its turns is 6.25e-06 m out of range, allowed: ≥ 1e-05",
     ):
         check_limits(scan, ScanLimits(low=(1e-5, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(ParameterError, match="position of y") as refused:
@@ -462,7 +463,7 @@ def test_files_that_are_no_path_are_refused(tmp_path, text, message):
         ("raster", dict(width=1e-5, depth=1e-5, slope_x=0.1), "third axis"),
         ("rosette", dict(diameter=1e-5, lines=8), "must be odd.*take 9"),
         ("cycloid", dict(width=1e-5, diameter=1e-5), "more than the diameter"),
-        ("spiral", dict(diameter=1e-5, turns=4, law="clv", core=4.0), "core = 4.0: turns: must be less than 4"),
+        ("spiral", dict(diameter=1e-5, turns=4, law="clv", core=4.0), "core = 4.0 turns: must be less than 4"),
         ("spiral", dict(diameter=1e-5, turns=4, rim=5.0), "rim = 5.0: must be ≤ the turns of a frame, 4"),
         ("file", dict(path="missing.csv"), "no such file"),
         ("lissajous", dict(width=1e-5, depth=1e-5, line=5), "did you mean lines"),

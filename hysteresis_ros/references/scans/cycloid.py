@@ -58,7 +58,8 @@ class Cycloid(Scan):
         """Yield entries that exclude each other."""
         yield from super().check()
         if self.width <= self.diameter:
-            yield Problem("width", self.width, f"m: must be more than the diameter of the circles, {self.diameter:g} m")
+            text = f"must be more than the diameter of the circles, {self.diameter:g} m"
+            yield Problem("width", self.width, text, "m")
 
     @property
     def frames_per_period(self) -> int:

@@ -81,7 +81,8 @@ class Spiral(Scan):
             return
         most = self.turns + 0.25 - 0.5 * self.rim
         if self.law == "clv" and self.core >= most:
-            yield Problem("core", self.core, f"turns: must be less than {most:g}, what the turn at the rim leaves")
+            text = f"must be less than {most:g}, which the reversal at the rim leaves"
+            yield Problem("core", self.core, text, "turns")
 
     @property
     def frames_per_period(self) -> int:
