@@ -52,7 +52,7 @@ class PreloadParameters(Parameters):
         return self.A1 + self.force * (self.B1 + self.force * self.B2)
 
 
-PRELOAD = 3  # ps.sensor[PRELOAD]: offset W [m], behind the sensor's own parameters
+PRELOAD = 3  # ps.sensor[PRELOAD]: offset W [m], after the sensor's own parameters
 DISPLACEMENT = sensing.STATES  # xs.sensor[DISPLACEMENT]: true displacement at the last measurement [m]
 
 
@@ -90,7 +90,7 @@ def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
 
 @nested
 def actuator_measure(ps, xs):
-    """Reading [m] of the sensor of an actuator, ``ps`` and ``xs`` being :class:`ActuatorArrays`."""
+    """Reading [m] of the sensor of an actuator; ``ps`` and ``xs`` are :class:`ActuatorArrays`."""
     return reading(ps.dynamics, xs.dynamics, ps.sensor, xs.sensor)
 
 
@@ -127,7 +127,7 @@ class Actuator(Chain):
     Raises
     ------
     ParameterError
-        A parameter is wrong; the message names all that are.
+        Parameters are wrong; the message names each of them.
     """
 
     def __init__(self, parameters: ActuatorParameters, sample_time: float):

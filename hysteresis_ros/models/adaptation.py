@@ -10,23 +10,24 @@
 """Online adaptation of an inverse: recursive least squares on the weights of its model while the axis runs.
 
 The models are linear in their weights, displacement = Σ f_i w_i z_i: f_i is the factor on an identified weight w_i, z_i
-the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i of the output voltage passes the model's
-creep, linear dynamics and delay, so that they are not identified as hysteresis. Terms and measurement then pass the
-same high-pass filter, so that an offset or a drift is not identified as gain. The factors are fitted by least squares
-with exponential forgetting, over the used samples k [1]_:
+the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i, computed from the output voltage, passes
+the model's creep, linear dynamics and delay, so that these are not identified as hysteresis. Terms and measurement then
+pass the same high-pass filter, so that an offset or a drift is not identified as gain. The factors are fitted by least
+squares with exponential forgetting, over the used samples k [1]_:
 
 minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)   within  1/range ≤ f_i ≤ range
 
-The normal equations are stored as running means of φ φ' and φ y: without an inversion nothing winds up. R = ε² P⁻¹ is
-the prior (P: a factor common to all weights, one common to those of the loop width, and one of each): weights that the
-reference does not excite follow the others and decay to them. The bounds keep weights above zero, so that an inverse
-exists. One sweep of coordinate descent per sample tracks the minimum, within the bounds and with at most ``rate`` per
-factor. The present displacement does not change: the model's offset compensates the change of the weights, so that the
-voltage does not jump, and then follows slow changes.
+The normal equations are stored as running means of φ φ' and φ y. They are not inverted, so nothing winds up without
+excitation. R = ε² P⁻¹ is the prior: weights that the reference does not excite follow the excited ones. P is the sum of
+three covariances: of a factor common to all weights, of one common to the weights that widen the loops, and of one
+factor for each weight. The bounds keep the weights above zero, so that an inverse exists. One sweep of coordinate
+descent per sample tracks the minimum. No factor leaves its bounds or changes faster than ``rate``. The model's offset
+compensates the change of the weights: the model's present displacement does not change, and the voltage does not jump.
+Afterwards the offset follows slow changes.
 
-Dead zones behind the sum make it nonlinear. Their thresholds scale with the gain g = Σ f_i w_i / Σ w_i, so the
-displacement is homogeneous in f and, by Euler's theorem, the sum of its derivatives times f; these derivatives are then
-the terms.
+Dead zones behind the sum make the displacement nonlinear in f. Their thresholds scale with the gain g = Σ f_i w_i / Σ
+w_i, so the displacement is homogeneous in f. By Euler's theorem it equals the sum of its derivatives times f, and these
+derivatives are used as the terms.
 
 Each model declares the indices of its weights (:class:`~hysteresis_ros.models.declaration.LinearTerms`).
 
@@ -63,7 +64,7 @@ LARGEST_STEP = 7  # largest change of a factor per sample
 LEAST_POWER = 8  # [m²]
 STROKE = 9  # [m]
 SETTLING_SAMPLES = 10
-OUTPUT_PLACE = 11  # indices of the last output in the model's state and of the offset in its parameters; NOWHERE
+OUTPUT_PLACE = 11  # indices of the last output in the model's state and of the offset in its parameters; or NOWHERE
 OFFSET_PLACE = 12
 OFFSET = 13  # identified [m]
 OFFSET_SHARE = 14  # fraction of the offset's error corrected per sample
@@ -71,10 +72,10 @@ OWN_PARAMETERS = 15
 
 # Layout of x.own.
 STATE = 0  # one of those below
-TOLD = 1  # 1 while a service has frozen it
+TOLD = 1  # 1 while a service keeps the adaptation frozen
 BEGUN = 2  # 1 after the first measurement
 WAIT = 3  # samples before learning begins
-POWER = 4  # mean square of the modelled displacement behind the filter [m²]
+POWER = 4  # mean square of the high-pass filtered modelled displacement [m²]
 ERROR_POWER = 5  # mean square of measurement minus model [m²]
 LAST = 6  # last measurement [m]
 LAST_MODELLED = 7  # [m]
@@ -85,8 +86,8 @@ ZEROED = 11  # 1 after the origin of the displacement is known
 ZERO = 12  # measurement at zero displacement [m]
 OWN_STATES = 13
 
-#: States of the adaptation: none; the weights adapt; frozen without excitation, by a service, because the axis does not
-#: run or has just started, or because range or slew rate limit the voltage.
+#: States of the adaptation: off; the weights adapt; frozen: no excitation, by a service, the axis does not run or has
+#: just started, range or slew rate limits the voltage.
 OFF, ADAPTING, UNEXCITED, FROZEN, WAITING, SATURATED = range(6)
 STATE_NAMES = (
     "off",
@@ -102,7 +103,8 @@ class AdaptationSettings(NamedTuple):
     """Parameter arrays of an adaptation."""
 
     own: np.ndarray
-    places: np.ndarray  # indices of weights in p, of what they multiply in x; of thresholds and slopes of zones in p
+    #: Indices of the weights in p and of their play outputs in x, then of the zones' thresholds and slopes in p.
+    places: np.ndarray
     nominal: np.ndarray  # identified weights, then thresholds
     prior: np.ndarray  # R, row by row [m²]
     dynamics: np.ndarray
@@ -211,7 +213,7 @@ def arrive(settings, states):
 
 @called
 def believe(settings, states, measured, modelled, whole):
-    """Store the displacement [m] that counts as measured, and tell whether it is a measurement.
+    """Store the displacement [m] to use as the measurement; return whether it was measured.
 
     The model replaces a missing or implausible measurement, until so many are implausible that the model must be wrong.
     """
@@ -332,7 +334,7 @@ def put_in(settings, states, p_h, x_h, voltage):
 def adapt(settings, states, p_h, x_h, voltage, measured, usable):
     """Learn from a measurement and update the model; arguments as above.
 
-    One call, because a node makes it from Python.
+    One function for both, because a node calls it from Python.
     """
     if learn(settings, states, measured, usable):
         put_in(settings, states, p_h, x_h, voltage)
@@ -402,7 +404,7 @@ class AdaptationParameters(Parameters):
     dynamics: LinearParameters = group(LinearParameters)
 
     def fits(self, hysteresis: HysteresisParameters, inverse: str):
-        """Yield a Problem when the weights of this model, behind this inverse, cannot be adapted.
+        """Yield a Problem when the weights of this model cannot be adapted with this inverse.
 
         Parameters
         ----------
@@ -422,7 +424,9 @@ class AdaptationParameters(Parameters):
         terms = hysteresis_block(hysteresis, 1.0).terms
         count = len(terms.weights) if terms else 0
         if count > MOST_WEIGHTS:
-            yield Problem("adaptation.type", self.type, f"{name} has {count} weights; at most {MOST_WEIGHTS} adapt")
+            yield Problem(
+                "adaptation.type", self.type, f"{name} has {count} weights; at most {MOST_WEIGHTS} can be adapted"
+            )
         if self.factors and len(self.factors) != count:
             remedy = f"must contain one factor for each of the {count} weights of {name}"
             yield Problem("adaptation.factors", self.factors, remedy)
@@ -546,7 +550,7 @@ class Adaptation(Chain):
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
         self._rest()
-        # its past is unknown
+        # the past of the axis is unknown
         self.xs.own[WAIT] = self.settings.own[SETTLING_SAMPLES]
         self._count_from_zero()
 
@@ -562,7 +566,7 @@ class Adaptation(Chain):
         unit = np.concatenate([creep.x, self.dynamics.x])
         drive(self.settings, self.xs, creep.p, block.p, block.x, compensator.voltage)
         filters = self.xs.filters.reshape(-1, length)
-        # the output of empty filters is the terms themselves, except for the feedthrough
+        # filters at rest at zero output the terms times the feedthrough
         terms = filters[:, len(creep.x) + HELD_INPUT] / creep.p[FEEDTHROUGH]
         filters[:] = terms[:, np.newaxis] * unit
 

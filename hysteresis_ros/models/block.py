@@ -10,14 +10,14 @@
 """Blocks: every model, inverse, controller and observer is a kernel over plain arrays with a small class around it.
 
 A *kernel* is a function ``y = kernel(p, x, u)`` over contiguous float64 arrays: parameters ``p`` (read only), state
-``x`` (updated in place), input ``u`` and output ``y`` scalars. Controllers are ``u = kernel(p, x, r, y)``. Kernels
-allocate nothing and do not depend on ROS. With Numba (optional extra ``fast``) the same source is compiled; without it
-the same source runs as plain Python and agrees to 1e-12 of full scale.
+``x`` (updated in place), input ``u`` and output ``y`` scalars. Controllers are ``u = kernel(p, x, r, y)`` with
+reference r and measurement y. Kernels allocate nothing and do not depend on ROS. With Numba (optional extra ``fast``)
+the same source is compiled; without it the same source runs as plain Python and agrees to 1e-12 of full scale.
 
 A *composite* connects kernels that it receives as arguments (plant, compensator, closed loop). Offline loops run it
-compiled; a node, which calls once per sample, runs its Python form with compiled kernels, because passing functions to
-compiled code costs 25 µs per call and a compiled kernel 0.2 µs. Both forms do the same IEEE arithmetic in the same
-order, so their results are equal bit for bit.
+compiled. A node calls it once per sample and runs its Python form with compiled kernels, because passing functions to
+compiled code costs 25 µs per call, and calling a compiled kernel 0.2 µs. Both forms do the same IEEE arithmetic in the
+same order, so their results are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 def _leave_blas_for_later() -> None:
     """Import what Numba imports for its first kernel, except the linear algebra of SciPy.
 
-    Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of the start of a node, and no kernel
-    here uses one. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.
+    Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of the start of a node. No kernel
+    here uses a BLAS. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.
     """
     name = "scipy.linalg.cython_blas"
     if name in sys.modules:
@@ -75,10 +75,10 @@ def _leave_blas_for_later() -> None:
 if COMPILED:
     _leave_blas_for_later()
 
-# Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to nine
-# tenths of the time of a small kernel. Without it (`_nrt`), a kernel that allocates does not compile.
+# Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to 90 %
+# of the time of a small kernel. Without it (`_nrt`), a kernel that allocates does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-# Called by other compiled code only: without entry points from Python and C, which would each be compiled separately.
+# Only other compiled code calls these: they get no entry points from Python and C, which would each be compiled.
 _WITHIN: dict[str, Any] = {
     "error_model": "numpy",
     "_nrt": False,
@@ -116,7 +116,7 @@ CACHE_DAYS = 30
 
 @functools.cache
 def cache_folder() -> pathlib.Path:
-    """Return the folder of these sources' machine code; unused folders of older sources are removed."""
+    """Return the folder with the machine code of these sources; remove unused folders of older sources."""
     base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
     root = pathlib.Path(base) / "hysteresis_ros"
     package = pathlib.Path(__file__).parents[1]
@@ -149,7 +149,7 @@ def called(function):
 
 
 def _in_two_forms(function, **options):
-    """Return a kernel's form for Python and as an argument; other kernels that name it use its second form.
+    """Return the form of a kernel for Python and for arguments; kernels that call it by name use its second form.
 
     Each is compiled on first use: a kernel that only kernels call gets no entry points and no file in the cache.
     """
@@ -183,22 +183,23 @@ if COMPILED:
 def nested(function):
     """Mark a composite that other composites call: compiled with them, plain Python when Python calls it.
 
-    Called from Python its kernels arrive as compiled functions (0.2-0.3 µs a call), and nothing is compiled for it.
+    When Python calls it, its kernels arrive as compiled functions (0.2-0.3 µs per call), and the composite itself is
+    not compiled.
     """
     if COMPILED:
         register_jitable(forceinline=True, **_WITHIN)(function)
-        # Numba inlines a function with this attribute. Without it each level would also be compiled on its own,
-        # including all levels below, a third of the time of a cold start. A version of Numba that ignores the attribute
-        # uses the form registered above.
+        # Numba inlines a function with this attribute. Without the attribute each level would also be compiled on its
+        # own, including all levels below, which takes a third of the time of a cold start. A version of Numba that
+        # ignores the attribute uses the form registered above.
         function.targetoptions, function.py_func = {"inline": "always"}, function
     return function
 
 
 def by_part(function):
-    """Mark a composite that exists once for each kind of part: which one runs follows from the type of ``part``.
+    """Mark a composite that exists in one form for each kind of part; the type of ``part`` decides which form runs.
 
     ``function(laws, part, row)`` gets an attribute ``kinds``, a dict of part classes (named tuples of arrays) to
-    composites of the same arguments; the choice is made when it is compiled, so it costs nothing in a sample.
+    composites of the same arguments; the choice is made at compile time, so it costs nothing in a sample.
     """
     kinds: dict = {}
 
@@ -210,7 +211,7 @@ def by_part(function):
     choose.__name__ = choose.__qualname__ = function.__name__
     choose.__doc__, choose.__module__ = function.__doc__, function.__module__
     if COMPILED:
-        # not strict: the forms may name their arguments differently
+        # the names are not compared: the forms may name their arguments differently
         @overload(choose, jit_options=_BY_PART, strict=False)
         def compiled_form(laws, part, row):
             return kinds[part.instance_class]
@@ -221,9 +222,9 @@ def by_part(function):
 def each(function):
     """Mark a composite ``function(laws, parts, row)`` of one axis that runs for all axes of a stage.
 
-    The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order.
-    Compiled, it takes the tuples apart into halves, so axes may have parts of different classes; axes, and halves, of
-    the same classes share one machine code.
+    The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order. The
+    compiled form divides the tuples into halves, so axes may have parts of different classes. Axes, or halves, of the
+    same classes share one machine code.
     """
 
     def over(laws, parts, rows):
@@ -294,7 +295,7 @@ def interpreted(function):
 def kernels_of(*names: str):
     """Mark a named tuple of kernels, in the words of :func:`signature`, so that compiled code takes it as one argument.
 
-    The kernels are first-class functions in it: one machine code serves all of them.
+    The kernels in it are first-class functions, so one machine code serves any kernels.
     """
 
     def mark(cls):

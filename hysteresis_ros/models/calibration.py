@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Calibration between a driver and an axis: readings to displacements [m], voltages to values of an amplifier.
+"""Calibration between a driver and an axis: readings to displacements [m], voltages to values for an amplifier.
 
-A sensor: displacement = sign · scale · P(reading) + offset; an amplifier: value = P(sign · (voltage − offset) / scale).
-P is a polynomial in the driver's unit that linearises the characteristic; a simulated plant needs no calibration. A
-relative sensor counts from the position at which it was homed.
+Sensor: displacement = sign · scale · P(reading) + offset. Amplifier: value = P(sign · (voltage − offset) / scale). The
+polynomial P, in the driver's unit, linearises the characteristic. A relative sensor measures from the position at which
+it was homed. A simulated plant needs no calibration.
 """
 
 from __future__ import annotations
@@ -120,7 +120,11 @@ class SensorCalibrationParameters(LineParameters):
         if self.bounded and not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum = {self.maximum:g} {self.unit}")
         elif len(self.polynomial) > 2 and not self.bounded:
-            yield Problem("maximum", self.maximum, "a polynomial needs the range of readings in which it is valid")
+            yield Problem(
+                "maximum",
+                self.maximum,
+                "a polynomial needs the range of readings in which it is valid; give minimum and maximum",
+            )
         else:
             yield from rising_problems(self.polynomial, self.minimum, self.maximum, self.unit)
 
@@ -177,15 +181,15 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
     """
     if not coefficients:
         return
-    with np.errstate(all="ignore"):  # an overflow counts as not rising
+    with np.errstate(all="ignore"):  # a polynomial that overflows counts as not rising
         slope: Any = np.polynomial.Polynomial(coefficients).deriv()
         places = np.array([low, high, *_turns(slope, low, high)])
         slopes = np.nan_to_num(slope(places), nan=-np.inf)
     worst = int(np.argmin(slopes))
     if not slopes[worst] > 0.0:
         remedy = (
-            f"must rise everywhere from {low:g} to {high:g} {unit}, and has the slope {slopes[worst]:.3g} at "
-            f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; give a direction by sign"
+            f"must rise everywhere from {low:g} to {high:g} {unit}, but has the slope {slopes[worst]:.3g} at "
+            f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; use sign for a reversed direction"
         )
         yield Problem("polynomial", coefficients, remedy)
 
@@ -194,7 +198,7 @@ def _turns(slope: Any, low: float, high: float) -> list[float]:
     """Return the extrema of a polynomial between two values."""
     if not low < high:
         return []
-    # scaled to a variable from -1 to 1 the coefficients are comparable, so negligible ones can be dropped
+    # for a variable scaled to -1 … 1 the coefficients are comparable, so negligible ones can be dropped
     curve = slope.deriv().convert(domain=[low, high])
     largest = np.max(np.abs(curve.coef))
     if not np.isfinite(largest):
@@ -214,7 +218,7 @@ def evaluated(p, first, value):
 
 @kernel
 def sensor_displacement(p, x, reading):
-    """Return the displacement [m] of a reading; NaN if it is not valid, and while a relative sensor is homed."""
+    """Return the displacement [m] of a reading; NaN for an invalid reading and while a relative sensor is homed."""
     x[READING] = reading
     if reading != reading:
         return math.nan
@@ -270,12 +274,12 @@ class SensorCalibration(Block):
         return x
 
     def begin_homing(self) -> None:
-        """Home a relative sensor at its next readings; an absolute one is not changed."""
+        """Home a relative sensor with its next readings; an absolute sensor is not changed."""
         self.x[HOMING], self.x[SUM] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0, 0.0
 
     @property
     def homing(self) -> bool:
-        """Whether home has not been found yet."""
+        """Whether a relative sensor is not homed yet."""
         return bool(self.x[HOMING] > 0.0)
 
     @property

@@ -9,8 +9,9 @@
 
 """Clamp of an inchworm motor: a normally open piezo that presses on the slider.
 
-voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) with the combined
-stiffness K of clamp and contact and the wear factor w. Static friction holds up to μ_s N, sliding friction is μ_k N.
+voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) where K is the
+combined stiffness of clamp and contact, and w the wear factor. Static friction holds up to μ_s N, sliding friction is
+μ_k N.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ from hysteresis_ros.models.limits import FLAGS, OUTPUT, UNQUANTISED, Limits, Lim
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
 
-# Layout of ps.contact, behind the sensor's own parameters.
+# Layout of ps.contact, after the sensor's own parameters.
 GAP = 3  # [m]
 STIFFNESS = 4  # [N/m], including the wear factor
 STATIC = 5  # coefficients of friction
 KINETIC = 6
 
-# Layout of xs.contact, behind the sensor's own state.
+# Layout of xs.contact, after the sensor's own state.
 DISPLACEMENT = sensing.STATES  # [m]
 NORMAL = sensing.STATES + 1  # normal force [N]
 
 
 class ClampArrays(NamedTuple):
-    """Parameter arrays, or state arrays, of a clamp; the contact's begin with the sensor's."""
+    """Parameter arrays, or state arrays, of a clamp; the array of the contact begins with that of the sensor."""
 
     limits: np.ndarray
     hysteresis: np.ndarray
@@ -51,7 +52,7 @@ class ClampArrays(NamedTuple):
     contact: np.ndarray
 
 
-#: Samples of 1 ms in which a hysteresis model with internal dynamics comes to rest.
+#: Number of samples of 1 ms after which a hysteresis model with internal dynamics is assumed to be at rest.
 RESTING_SAMPLES = 20000
 
 
@@ -72,7 +73,7 @@ class SecondOrderParameters(Parameters):
 
 @dataclass(frozen=True)
 class LagParameters(Parameters):
-    """Lag of a clamp, of amplifier and mechanics together."""
+    """Lag of a clamp: amplifier and mechanics together."""
 
     type: str = parameter(
         "first_order", choices=("first_order", "second_order"), description="order of the lag", read_only=True
@@ -102,7 +103,7 @@ class LagParameters(Parameters):
     def settling_time(self, tolerance: float = 0.02) -> float:
         """Return the time [s] after a step beyond which the lag stays within ``tolerance`` of the step.
 
-        Exact without overshoot; for a damping below 1 the settling time of the envelope.
+        Exact without overshoot; for a damping ratio below 1 it is the settling time of the envelope.
         """
         if self.type == "first_order":
             return -self.first_order.time_constant * elementary.log(tolerance)
@@ -149,7 +150,7 @@ class ClampParameters(Parameters):
     )
     kick: float = parameter(
         0.0,
-        description="motion of the contact along the travel per newton of normal force, as the clamp closes",
+        description="motion of the contact along the travel, per newton of normal force, while the clamp closes",
         unit="m/N",
         low=-1e-6,
         high=1e-6,
@@ -159,7 +160,7 @@ class ClampParameters(Parameters):
     sensor: SensorParameters = group(SensorParameters)
 
     def check(self):
-        """Yield a Problem for kinetic above static friction, and for a clamp that never grips or never opens."""
+        """Yield a Problem when kinetic exceeds static friction, and when the clamp never grips or never opens."""
         if self.kinetic_friction > self.static_friction:
             remedy = f"must not be above static_friction = {self.static_friction:g}"
             yield Problem("kinetic_friction", self.kinetic_friction, remedy)
@@ -175,7 +176,7 @@ class ClampParameters(Parameters):
             yield Problem("gap", self.gap, remedy)
         elif residual >= self.gap:
             remedy = (
-                f"the clamp never opens: back at limits.minimum = {low:g} V after {high:g} V it stays at "
+                f"the clamp never opens: after {high:g} V it keeps, at limits.minimum = {low:g} V, a displacement of "
                 f"{residual:.4g} m; widen the gap"
             )
             yield Problem("gap", self.gap, remedy)
@@ -193,7 +194,8 @@ class ClampParameters(Parameters):
     def normal_force(self, voltage: float) -> float:
         """Return the normal force [N] at rest at ``voltage`` [V].
 
-        The smaller one of the first closing and of a closing after full opening (hysteresis).
+        Hysteresis makes it depend on the past: this is the smaller value of a first closing and a closing after full
+        opening.
         """
         low = self.limits.minimum
         displacement = min(self._displacements((voltage, low, voltage))[::2])
@@ -234,7 +236,7 @@ class Clamp(Chain):
     Raises
     ------
     ParameterError
-        Names every wrong parameter.
+        Parameters are wrong; the message names each of them.
     """
 
     def __init__(self, parameters: ClampParameters, sample_time: float):

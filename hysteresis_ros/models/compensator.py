@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis compensator: from the commanded displacement to the voltage and the achieved command; its range."""
+"""Hysteresis compensator: from the commanded displacement to the voltage and the achieved command; and its range."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ DECAY = 0  # decay of the bias per sample
 #: A bias below this is set to zero [V].
 NEGLIGIBLE_BIAS = 1e-9
 
-#: Fraction of the limits' range by which ``general`` searches beyond its ends, so that saturation is detected.
+#: Fraction of the voltage range by which ``general`` searches beyond both ends, so that saturation is detected.
 SEARCH_MARGIN = 0.1
 
 
@@ -73,7 +73,9 @@ class CompensatorParameters(Parameters):
     hysteresis: HysteresisParameters = group(HysteresisParameters)
     creep: CreepParameters = group(CreepParameters)
     limits: LimitsParameters = group(LimitsParameters)
-    safe_voltage: float = parameter(0.0, description="voltage at stop, exit and after lost commands", unit="V")
+    safe_voltage: float = parameter(
+        0.0, description="voltage while stopped, at exit, and after commands are lost", unit="V"
+    )
     handover_time: float = parameter(
         0.1,
         description="time constant with which the old voltage fades out after a change of parameters",
@@ -120,7 +122,7 @@ def compensator_step(hysteresis, inverse, ps, xs, command):
 
 @nested
 def compensator_resume(hysteresis, inverse, ps, xs, command):
-    """Continue the next voltage for ``command`` [m] from the present one; the difference becomes the bias."""
+    """Start the next voltage, for ``command`` [m], at the present one; the difference becomes the bias."""
     out, limited = xs.out, xs.limits
     out[COMMAND] = command
     out[BIAS] = 0.0
@@ -147,9 +149,9 @@ def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
 def inverse_step(inverse):
     """Return an inverse for calls from Python, once per sample, with the arguments of every inverse.
 
-    A kernel passed from Python would become part of the called function's type: it would be compiled again in every
-    process, because Numba cannot cache that. So an inverse that evaluates the kernel gets it as a first-class function,
-    and a closed form gets a number in its place.
+    A kernel passed from Python would become part of the type of the called function, which Numba cannot cache: every
+    process would compile the function again. So an inverse that evaluates the kernel gets it as a first-class function,
+    and a closed form gets a number instead.
     """
     if tries_model(inverse):
         return compiled(inverse)
@@ -172,7 +174,7 @@ class Compensator(Chain):
     Raises
     ------
     ParameterError
-        Names every wrong parameter.
+        Parameters are wrong; the message names each of them.
     """
 
     def __init__(self, parameters: CompensatorParameters, sample_time: float):
@@ -295,7 +297,7 @@ class Compensator(Chain):
         self.resume(self.xs.out[COMMAND])
 
     def resume(self, command: float) -> None:
-        """Continue the next voltage for ``command`` [m] from the present one, e.g. the safe one after :meth:`hold`.
+        """Start the next voltage, for ``command`` [m], at the present one, e.g. at the safe voltage after :meth:`hold`.
 
         The difference decays with ``handover_time``.
         """
@@ -318,7 +320,7 @@ def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_tim
 
 @lru_cache(maxsize=8)
 def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
-    """Return voltages [V] from zero to one end, through the whole range and back, for each end."""
+    """Return voltages [V] from zero to one end, through the whole range and back; then those for the other end."""
     start = min(max(0.0, low), high)
     return tuple(
         np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
@@ -343,8 +345,8 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 def commandable(compensator: CompensatorParameters, sample_time: float, *amplifiers: LimitsParameters):
     """Return the smallest and largest useful command [m] of the compensator.
 
-    It is one stroke beyond its range on either side: fast steps and inverse dynamics briefly need more than the range;
-    beyond this the voltage no longer changes.
+    They lie one stroke beyond its range on either side, because fast steps and inverse dynamics briefly need more than
+    the range. Beyond them the voltage no longer changes.
 
     Parameters
     ----------

@@ -9,9 +9,9 @@
 
 """Creep: slow drift after a step, as a sum of first-order operators behind the hysteresis, and its inverse.
 
-``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets
-(γ = 0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric
-sequence; d is such that the response to a unit step is exactly 1 at t_0.
+``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets (γ =
+0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric sequence;
+d is chosen so that the response to a unit step is exactly 1 at t_0.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LogarithmicCreepParameters(Parameters):
 
     rate: float = parameter(description="γ: creep per decade of time, as a fraction of the step", low=0.0, high=0.2)
     reference_time: float = parameter(
-        0.1, description="t_0: time after a step at which its response is defined as 1", unit="s", low=1e-6
+        0.1, description="t_0: time after a unit step at which the response is defined as 1", unit="s", low=1e-6
     )
     longest_time: float = parameter(1000.0, description="time up to which the law holds", unit="s", low=1e-6)
     operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
@@ -72,7 +72,7 @@ class LogarithmicCreepParameters(Parameters):
 
 @dataclass(frozen=True)
 class CreepOperatorsParameters(Parameters):
-    """Creep as a free sum of first-order operators."""
+    """Creep as a sum of first-order operators with given weights and time constants."""
 
     weights: tuple[float, ...] = parameter(description="weights a, as fractions of the step")
     time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
@@ -112,10 +112,16 @@ class CreepParameters(Parameters):
         """Yield a Problem when the immediate part of a step is too small for an inverse."""
         feedthrough, weights, _ = self.resolved()
         if feedthrough <= 0.0:
-            remedy = f"leaves {feedthrough:.3g} of a step as the immediate part; lower the rate or the time range"
+            remedy = (
+                f"the immediate part of a unit step is {feedthrough:.3g}, must be > 0; lower the rate or the time range"
+            )
             yield Problem("logarithmic.rate", self.logarithmic.rate, remedy)
         elif feedthrough + min(np.cumsum(weights), default=0.0) <= 0.0:
-            yield Problem("operators.weights", self.operators.weights, "cancels the whole step; lower the weights")
+            yield Problem(
+                "operators.weights",
+                self.operators.weights,
+                "must have partial sums above -1, or creep cancels a step; bring the negative weights closer to 0",
+            )
 
 
 @kernel
@@ -130,7 +136,7 @@ def crept(p, x):
 
 @kernel
 def creep(p, x, u):
-    """Output [m] at this sample for the displacement ``u`` [m], which then is held until the next one.
+    """Output [m] at this sample for the displacement ``u`` [m], which is held until the next sample.
 
     Without operators the output is ``u``, bit for bit.
     """
@@ -186,7 +192,7 @@ class Creep(Block):
 def creep_inverse(p, x, y):
     """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is not changed.
 
-    Exact at the samples. The model advances by the achieved displacement. Without operators the result is ``y``, bit
-    for bit.
+    Exact at the samples. The caller advances the model by the achieved displacement. Without operators the result is
+    ``y``, bit for bit.
     """
     return (y - crept(p, x)) / p[FEEDTHROUGH]

@@ -14,8 +14,7 @@ A model is one file, or one folder, in ``models/hysteresis``. It contains the pa
 an example.
 
 A rate-independent model depends only on the order of the voltages, not on their speed. Its kernel takes the voltage at
-the end
-of a step along which it moved monotonically and returns the displacement there.
+the end of a monotone step and returns the displacement at that voltage.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from hysteresis_ros.models.block import Block
 PARTS = ("lag", "delay", "creep", "modes")
 #: Index of the last output in the state of every model with memory.
 DISPLACEMENT_PLACE = 1
-#: Index for an entry that does not exist in parameters or state.
+#: Stands for the index of an entry that parameters or state do not have.
 NOWHERE = -1
 #: Default identification: fits the parameters that a model declares as ``free``, starting at its ``guess``.
 PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
@@ -41,7 +40,7 @@ PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Indices of the weights of a model that is linear in them: its output is Σ p[weight] x[signal], then dead zones.
+    """Indices of the weights of a model that is linear in them: Σ p[weight] x[signal] passes through dead zones.
 
     Parameters
     ----------
@@ -85,13 +84,13 @@ class HysteresisBlock(Block):
     inverse = None  # type: Any
     #: Whether the output depends on the order of the voltages only, not on their speed.
     rate_independent = False
-    #: Whether its output at the end of a step rises with the voltage there, for any history: then it has an inverse,
-    #: and linear dynamics are behind it, not inside.
+    #: Whether, for any history, the output at the end of a step rises with the voltage at the end. Then the model has
+    #: an inverse, and its linear dynamics follow the hysteresis instead of being inside.
     invertible = False
 
     @property
     def terms(self) -> LinearTerms | None:
-        """Indices of the weights in which its output is linear; None: it is not linear in weights."""
+        """Indices of the weights in which the output is linear; None: it is not linear in weights."""
         return None
 
     @property
@@ -178,8 +177,8 @@ class OwnInverse:
     description : str
         Short description for the table of parameters.
     follows_model : bool
-        True: it uses the state of this model and fits no other one. False: it has its own equation, given by
-        ``parameters`` and ``block``, and fits any model.
+        True: it uses the state of this model and works with no other one. False: it has its own equation, given by
+        ``parameters`` and ``block``, and works with any model.
     parameters : type, optional
         Dataclass of its parameters, ``inverse.<name>.*``.
     block : type, optional
@@ -213,19 +212,19 @@ class HysteresisModel:
     example : Parameters
         A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` makes an axis.
     scaled : callable
-        ``scaled(parameters, factor)`` returns the parameters whose displacement is ``factor`` > 0 times as large.
+        ``scaled(parameters, factor)`` returns parameters whose displacement is ``factor`` > 0 times as large.
     shifted : callable, optional
-        ``shifted(parameters, offset)`` returns those whose displacement is larger by ``offset`` [m]; without it the
-        model has no constant.
+        ``shifted(parameters, offset)`` returns parameters whose displacement is larger by ``offset`` [m]. None: the
+        model has no constant term.
     deviated : callable
         ``deviated(parameters, deviation)`` returns the parameters of a plant that deviates by a :class:`Deviation`.
     weighted : callable, optional
-        ``weighted(parameters, factors)`` returns those whose weights, in the order of the block's ``terms``, are
-        multiplied; without it the output is not linear in weights, and they are not adapted online.
+        ``weighted(parameters, factors)`` returns parameters whose weights, in the order of the block's ``terms``, are
+        multiplied by the factors. None: the output is not linear in weights, and they are not adapted online.
     inverses : tuple of str
-        Inverses that fit, the default first.
+        Names of the inverses that work with the model, the default first.
     own_inverses : dict of str to OwnInverse
-        Inverses that it declares.
+        Inverses that the model declares itself.
     identify : str
         Dotted path ``package.module:function`` of ``identify(data, request)``, see
         :mod:`hysteresis_ros.identification.procedures`. By default least squares fit the parameters in ``free``.
@@ -234,11 +233,11 @@ class HysteresisModel:
     free : tuple of str
         Names of the scalar parameters that the default fit changes.
     options : dict of str to Option
-        Options of the identification; with the default fit, initial values of the free parameters.
+        Options of the identification. The default fit has the initial values of its free parameters as options.
     parts : tuple of str
-        Those of :data:`PARTS` that can be identified together with it.
+        Entries of :data:`PARTS` that can be identified together with the model.
     stages : bool
-        Whether linear dynamics of higher order can be identified behind it.
+        Whether linear dynamics of higher order can be identified behind the hysteresis.
     response : str
         For models with internal dynamics, which are not invertible: dotted path of ``response(parameters, voltage,
         sample_time, intersample, initial)``, which returns the displacement [m] at the samples.
@@ -268,10 +267,12 @@ class HysteresisModel:
         """Refuse an incomplete declaration."""
         if self.identify == PARAMETRIC:
             if self.guess is None or not self.free:
-                raise TypeError(f"{self.name}: declare guess and free, or identify")
+                raise TypeError(f"{self.name}: must declare guess and free, or identify")
             initial = {row.name: row for row in self.rows() if row.type is float}
             if not set(self.free) <= set(initial):
-                raise TypeError(f"{self.name}: free = {self.free}: must be of the single numbers {', '.join(initial)}")
+                raise TypeError(
+                    f"{self.name}: free = {self.free}: must be names of scalar parameters: {', '.join(initial)}"
+                )
             options = {name: Option(float, f"initial value{_unit(initial[name])}") for name in self.free}
             object.__setattr__(self, "options", options)
         if not self.block.invertible and not self.response:
@@ -324,7 +325,7 @@ def require_structure(present, wanted) -> None:
 
 
 class InvertibleBlock(HysteresisBlock):
-    """Base of the models with memory whose output at the end of a step rises with the voltage there.
+    """Base of the models with memory whose output at the end of a step rises with the voltage at the end.
 
     Their parameters change live without a jump, and they have inverses.
 

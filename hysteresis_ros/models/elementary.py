@@ -9,13 +9,13 @@
 
 """Elementary functions in a fixed order of operations: the same bits on every processor and C library, compiled or not.
 
-The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and another version of
-it rounds otherwise: about one value in a thousand differs in its last digit. Values that a running axis uses, in a
-kernel or for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone,
-as Java's ``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``,
-``floor``, ``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
+The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and its versions round
+differently: about one value in a thousand differs in its last digit. Values that a running axis uses, in a kernel or
+for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone, as Java's
+``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``, ``floor``,
+``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
 
-A number that is not finite or outside the domain gives NaN or the infinite limit, never an exception.
+An argument that is not finite or is outside the domain gives NaN or the infinite limit, never an exception.
 
 References
 ----------
@@ -83,7 +83,7 @@ def _cosine(r, rest):
 
 @called
 def _turned(x, quarters):
-    """Sine of x and ``quarters`` quarter turns."""
+    """Sine of x plus ``quarters`` quarter turns."""
     if not abs(x) <= LARGEST_ANGLE:
         return math.nan
     count = math.floor(x * _QUARTERS + 0.5)
@@ -130,7 +130,7 @@ def exp(x):
 
 @called
 def expm1(x):
-    """Return e to the power ``x`` less one, exact near zero too; errors below 3 units in the last place."""
+    """Return e to the power ``x``, minus 1; accurate near zero too; errors below 3 units in the last place."""
     if not abs(x) < 0.35:
         return exp(x) - 1.0
     xx = x * x
@@ -166,7 +166,7 @@ def log(x):
 
 @called
 def log1p(x):
-    """Return the natural logarithm of one and ``x``, exact near zero too; errors below 3 units in the last place."""
+    """Return the natural logarithm of 1 + ``x``; accurate near zero too; errors below 3 units in the last place."""
     whole = 1.0 + x
     if whole == 1.0 or not 0.0 < whole < math.inf:
         return x if whole == 1.0 else log(whole)

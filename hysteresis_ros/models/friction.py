@@ -9,31 +9,33 @@
 
 """A slider held and carried by friction: set-valued Coulomb friction, Moreau's time stepping, solved exactly.
 
-The slider has two contacts, one fixed to the body (rear), one on the tip of an elastic extender (front). Over a step h
-from k to k+1, with the extender's free displacement u at k+1 and its stiffness k_e,
+The slider has two contacts: one fixed to the body (rear), one on the tip of an elastic extender (front). Over a step of
+length h from k to k+1, with the extender's free displacement u at k+1 and its stiffness k_e,
 
 * m (v⁺ - v) = h (F + λ_f + λ_r),  q⁺ = q + h v⁺
 * rear: λ_r ∈ -R_r Sign(v⁺)
 * front: λ_f ∈ -R_f Sign(h v⁺ - (t⁺ - t)), t⁺ = u - λ_f/k_e (the reaction of *this* step shortens the extender)
 
-where R is the friction limit μ N at k+1. The front's inclusion has the solution λ_f = clip(k_e (u - t - h v⁺), ±R_f), a
-decreasing function of v⁺, so v⁺ is the only zero of a strictly monotone function with two kinks and one jump. It has a
-closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and dry friction in finite
-freedom dynamics", 1988). A contact that stuck before has the static limit μ_s N, one that slid the kinetic μ_k N; one
-that begins to slide gets the kinetic limit within the same step. A sticking contact does not move at all; the grip is
-stored as a distance and not as a sum, so nothing drifts. End stops are rigid and stop the slider.
+where R is the friction limit μ N at k+1. The inclusion of the front contact has the solution λ_f = clip(k_e (u - t - h
+v⁺), ±R_f), a decreasing function of v⁺. So v⁺ is the only zero of a strictly monotone function with two kinks and one
+jump. This zero has a closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and
+dry friction in finite freedom dynamics", 1988). A contact that stuck in the step before has the static limit μ_s N, a
+sliding one the kinetic limit μ_k N. A contact that begins to slide gets the kinetic limit within the same step. A
+sticking contact does not move at all: its grip is stored as a distance, not summed up from steps, so nothing drifts.
+End stops are rigid and stop the slider.
 
-Real contacts deform before they slide, and move the slider as they close. With a compliance c of each contact the rear
-one is a spring k_r = 1/c_r to an anchor a, the front one in series with the extender, k_f = 1/(1/k_e + c_f):
+Real contacts deform before they slide, and move the slider as they close. Each contact has a compliance c. The rear
+contact is a spring k_r = 1/c_r to an anchor a; the front contact is in series with the extender, k_f = 1/(1/k_e + c_f):
 
 * λ_r = clip(k_r (a - q⁺) - d_r v⁺, ±R_r),  λ_f = clip(k_f (u + g - q⁺) + d_f (u̇ - v⁺), ±R_f)
 
-with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a, g), and a normal force that grows by ΔN moves it by
-κ ΔN: the kick of a clamp. The function is again decreasing in v⁺, with four kinks.
+with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a or g). A normal force that grows by ΔN moves the
+anchor by κ ΔN: the kick of a clamp. The sum of the forces again decreases with v⁺, with four kinks.
 
-The scheme is unconditionally stable. Like every implicit Euler step it damps: slider and extender, while the front
-clamp sticks, oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which replaces the damping of the real joint. With
-compliant contacts that damping is ζ, and a sample is divided into enough steps to make ω h/2 small compared with it.
+The scheme is unconditionally stable. Like every implicit Euler step it damps: while the front clamp sticks, slider and
+extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which stands for the damping of the real joint. With
+compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2 small
+compared with ζ.
 """
 
 from __future__ import annotations
@@ -68,7 +70,7 @@ REAR_KICK = 12
 POSITION = 0  # position of the slider [m]
 VELOCITY = 1  # [m/s]
 TIP = 2  # displacement of the extender under its load [m]
-GRIP = 3  # slider - tip while the front contact sticks [m]; with compliant contacts its anchor
+GRIP = 3  # slider - tip [m] while the front contact sticks; with compliant contacts: the front anchor
 FRONT_STUCK = 4  # 1 when the contact stuck in the last step
 REAR_STUCK = 5
 FRONT_FORCE = 6  # friction on the slider in the last step [N]; the extender carries -FRONT_FORCE
@@ -77,7 +79,7 @@ STOP_FORCE = 8  # force of the end stops [N]
 FRONT_SLIP = 9  # sliding distance in the contact in the last step [m]
 REAR_SLIP = 10
 DISSIPATED = 11  # energy dissipated by friction so far [J]
-FRONT_STATIC = 12  # friction limits of this step [N]: inputs, written by the caller
+FRONT_STATIC = 12  # friction limits [N] of this step: inputs, which the caller writes
 FRONT_KINETIC = 13
 REAR_STATIC = 14
 REAR_KINETIC = 15
@@ -103,7 +105,7 @@ def clip(value, bound):
 def slider_velocity(p, velocity, lead, front, rear):
     """Velocity [m/s] at the end of a step, without end stops.
 
-    ``velocity`` [m/s] is that before the step; ``lead`` [m] is the extender's free displacement minus the tip;
+    ``velocity`` [m/s] is the velocity before the step; ``lead`` [m] is the extender's free displacement minus the tip;
     ``front`` and ``rear`` [N] are the friction limits.
     """
     step, mass, stiffness = p[STEP], p[MASS], p[STIFFNESS]
@@ -125,7 +127,7 @@ def slider_velocity(p, velocity, lead, front, rear):
 
 @kernel
 def slide(p, x, u):
-    """Return the slider's position [m] one sample later, with the extender's free displacement ``u`` [m] there.
+    """Return the slider's position [m] one sample later; ``u`` is the extender's free displacement [m] at that sample.
 
     ``x[12:16]`` contains the friction limits of both contacts.
     """
@@ -188,8 +190,8 @@ def slide(p, x, u):
 def elastic_velocity(p, step, velocity, front, rear):
     """Velocity [m/s] at the end of a step between compliant contacts, without end stops.
 
-    ``velocity`` [m/s] is that before the step. ``front`` and ``rear`` are each a [N], b [N s/m] and a bound [N]: a
-    contact carries a − b v, limited to ± its bound.
+    ``velocity`` [m/s] is the velocity before the step. ``front`` and ``rear`` contain a [N], b [N s/m] and a bound [N]:
+    the contact carries the force a − b v, limited to ± the bound.
     """
     (a_f, b_f, most_f), (a_r, b_r, most_r) = front, rear
     inertia = p[MASS] / step
@@ -355,7 +357,7 @@ class SliderParameters(Parameters):
             remedy = f"must lie within the travel minimum … maximum = {self.minimum:g} … {self.maximum:g} m"
             yield Problem("start", self.start, remedy)
         if self.substeps == 0 and not self.damping > 0.0:
-            remedy = "steps converge to the damping of the joint: needs slider.damping above 0, e.g. 0.03"
+            remedy = "as many steps as needed to resolve slider.damping: set it above 0, e.g. 0.03"
             yield Problem("substeps", self.substeps, remedy)
 
 

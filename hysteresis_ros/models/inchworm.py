@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider they move by friction (K10).
+"""Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider, moved by friction (K10).
 
-The extender is the actuator of :mod:`hysteresis_ros.models.actuator`; its free displacement minus the force on its tip
-divided by its stiffness is the position of the front clamp. The clamps are those of :mod:`hysteresis_ros.models.clamp`,
-slider and friction those of :mod:`hysteresis_ros.models.friction`.
+The extender is the actuator of :mod:`hysteresis_ros.models.actuator`. The position of the front clamp is the extender's
+free displacement minus F/k, with the force F on its tip and its stiffness k. The clamps are those of
+:mod:`hysteresis_ros.models.clamp`, slider and friction those of :mod:`hysteresis_ros.models.friction`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; 
 TRUE_POSITION = 12  # [m]
 STARTED = 16  # 1 after the first measurement
 JOINT_STATES = 17
-# order within each four
+# order of the joints within each four
 SLIDER_JOINT, EXTENDER_JOINT, FRONT_JOINT, REAR_JOINT = 0, 1, 2, 3
 
 SAMPLE_RATE = 0  # ps.joints[SAMPLE_RATE] [Hz]
@@ -75,7 +75,7 @@ class InchwormArrays(NamedTuple):
 
 @kernels_of("kernel", "kernel", "kernel")
 class InchwormLaws(NamedTuple):
-    """Hysteresis of extender, front clamp and rear clamp."""
+    """Hysteresis kernels of extender, front clamp and rear clamp."""
 
     hysteresis: Callable
     front_hysteresis: Callable
@@ -87,7 +87,7 @@ class InchwormParameters(Parameters):
     """The parts of an inchworm motor besides the actuator: clamps, slider and the extender's stiffness."""
 
     extender_stiffness: float = parameter(
-        0.41e6, description="force that shortens the extender by one metre", unit="N/m", low=1.0, high=1e12
+        0.41e6, description="stiffness of the extender: force per shortening", unit="N/m", low=1.0, high=1e12
     )
     front_clamp: ClampParameters = group(ClampParameters)
     rear_clamp: ClampParameters = group(ClampParameters)
@@ -98,7 +98,11 @@ class InchwormParameters(Parameters):
         compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
         if compliant[0] != compliant[1]:
             name = "rear_clamp" if compliant[0] else "front_clamp"
-            yield Problem(f"{name}.compliance", 0.0, "the other contact is compliant: both or none, e.g. 2e-8 m/N")
+            yield Problem(
+                f"{name}.compliance",
+                0.0,
+                "the other contact is compliant: give both a compliance, e.g. 2e-8 m/N, or neither",
+            )
         elif not compliant[0]:
             for name, rest in (("damping", 0.0), ("substeps", 1)):
                 if getattr(self.slider, name) != rest:
@@ -126,8 +130,8 @@ class InchwormParameters(Parameters):
         front_voltage, rear_voltage : float
             Grip voltages of the gait [V].
         margin : float
-            Required holding force, as a multiple of the load. A load applied suddenly to the extender, which is a
-            spring, oscillates to twice its force: 2 is safe for any gait, 1 is the limit at rest.
+            Required holding force, as a multiple of the load. The extender is a spring: a load applied suddenly
+            oscillates, and its force reaches twice the load. 2 is safe for any gait, 1 is the limit at rest.
         prefix : str
             Prefix of the names of the parameters.
         """
@@ -150,7 +154,7 @@ class InchwormPlantParameters(ActuatorParameters):
     inchworm: InchwormParameters = group(InchwormParameters)
 
     def check(self):
-        """Yield a Problem for noisy sensors with equal noise."""
+        """Yield a Problem for each noisy sensor whose noise would equal that of another one."""
         yield from super().check()
         yield from seed_problems(self)
 
@@ -258,7 +262,7 @@ class Inchworm(Chain):
     Raises
     ------
     ParameterError
-        A parameter is wrong; the message names all that are.
+        Parameters are wrong; the message names each of them.
     """
 
     def __init__(self, parameters: InchwormPlantParameters, sample_time: float):
@@ -349,7 +353,7 @@ class Inchworm(Chain):
                 found = [replace(item, name=f"inchworm.{name}.{item.name}") for item in error.problems]
                 raise ParameterError(found) from None
         self.slider.check_travel(motor.slider)
-        self.extender.retune(_extender(parameters))  # the last that may refuse
+        self.extender.retune(_extender(parameters))  # the last part that can refuse
         self.front_clamp.retune(motor.front_clamp)
         self.rear_clamp.retune(motor.rear_clamp)
         self.slider.stiffness, self.slider.contacts = motor.extender_stiffness, motor.contacts

@@ -148,7 +148,7 @@ KeywordError
 
 
 def _concerns(name: str, model: str) -> bool:
-    """Tell whether a dotted name belongs to the chosen model and not to another one."""
+    """Return whether a dotted name belongs to the chosen model, not to another one."""
     parts = name.split(".")
     return len(parts) < 3 or parts[1] == model
 

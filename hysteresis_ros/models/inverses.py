@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inverses by name: exact by root search, approximate by Picard steps, and those that models declare.
+"""The inverses by name: an exact one by root search, an approximate one by Picard steps, and those that models declare.
 
-The inverse ``general`` evaluates the model's own kernel on a copy of its state, so for any model it finds the voltage
-at which that model gives the commanded displacement.
+The inverse ``general`` evaluates the model's kernel on a copy of its state. For any model it finds the voltage at which
+the model gives the commanded displacement.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is not changed.
 
     Trial voltages start at the last voltage and go in the direction of the change until the model's output has passed
-    the target. Then regula falsi with Anderson-Björck weights narrows the bracket, and bisection when three trials have
-    not halved it. The number of trials is bounded. A displacement beyond the model's range gives the lowest or the
+    the target. Then regula falsi with Anderson-Björck weights narrows the bracket; bisection follows when three trials
+    have not halved it. The number of trials is bounded. A displacement beyond the model's range gives the lowest or the
     highest voltage. NaN gives the last voltage.
 
     Parameters
@@ -92,7 +92,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
             return far
         if far_error > 0.0:
             break
-        # by the last slope and slightly further, at least half as far again
+        # extrapolate by the last slope and slightly beyond, at least by half the present distance
         seen = far_error - near_error
         ahead = 1.1 * step * (-far_error / seen) if seen > 0.0 else 4.0 * step
         step = max(0.5 * step, min(ahead, 8.0 * step))
@@ -106,7 +106,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
         if slow >= 3:
             voltage = near + 0.5 * (far - near)
             slow = 0
-        if (voltage - near) * (voltage - far) >= 0.0:  # no number is left between, or the secant left the bracket
+        if (voltage - near) * (voltage - far) >= 0.0:  # no float64 lies between them, or the secant left the bracket
             voltage = near + 0.5 * (far - near)
             if voltage in (near, far):
                 break
@@ -140,7 +140,7 @@ PICARD_GAIN = 2  # nominal gain [m/V]
 def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] for ``displacement`` [m]: V_0 = V_r = displacement/gain, V_{j+1} = V_j + (V_r - R H(V_j)).
 
-    One step is the paper's compensator in its correct form, 2 V_r - R X. Every trial H(V_j) starts from the state
+    One step gives the paper's compensator in its corrected form, 2 V_r - R X. Every trial H(V_j) starts from the state
     ``x_h``, which is not changed.
 
     Parameters
@@ -227,16 +227,16 @@ class InverseParameters(Parameters):
     )
 
     def fits(self, hysteresis: HysteresisParameters):
-        """Yield a Problem when this inverse does not fit the model."""
+        """Yield a Problem when this inverse does not work with the model."""
         kind, model, block = self.type, hysteresis.type, hysteresis.model.block
         brought = BROUGHT.get(kind)
         remedy = ""
         if kind == "exact" and block.inverse is None:
             remedy = f"{model} has no closed-form inverse; use general"
         if brought is not None and brought.inverse.follows_model and brought.model != model:
-            remedy = f"is the inverse of {brought.model} only, the model is {model}; use general"
+            remedy = f"is an inverse of {brought.model} only, and the model is {model}; use general"
         if kind != "none" and not block.invertible:
-            remedy = f"{model} has internal dynamics, no inverse fits it; use none, or another model"
+            remedy = f"{model} has internal dynamics, so no inverse works with it; use none, or another model"
         if remedy:
             yield Problem("inverse.type", kind, remedy)
 
@@ -278,5 +278,5 @@ class InverseParameters(Parameters):
 
 
 def tries_model(inverse) -> bool:
-    """Tell whether an inverse evaluates the model's kernel; all others are closed forms."""
+    """Return whether an inverse evaluates the model's kernel; the others are closed forms."""
     return inverse in (picard, general)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear dynamics of an actuator: discrete state spaces, their kernels, delay and units (K4, K7).
+"""Linear dynamics of an actuator: discrete state-space systems, their kernels, delay and units (K4, K7).
 
 Every linear system of the package is a :class:`StateSpace`. A plant is measured before the input of its sample changes,
 y_k = C x_k + D u_(k-1); :meth:`StateSpace.held` is the system from u_k to that y_k.
@@ -34,9 +34,9 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import Block, interpreted, kernel
 from hysteresis_ros.models.linear_algebra import exponential, product, solve
 
-#: A state nearer to 0 than this becomes 0. A decaying state would become a subnormal number, with which processors
-#: compute up to thirty times more slowly, and stay there: 0.9 · 2.5e-323 rounds to itself. The kernels do this because
-#: a mode of the processor may differ between threads and processes.
+#: A state nearer to 0 than this becomes 0. Otherwise a decaying state would become a subnormal number and remain one
+#: (0.9 · 2.5e-323 rounds to itself); processors compute up to thirty times more slowly with subnormal numbers. The
+#: processor's own mode for this is not used, because it may differ between threads and processes.
 NOTHING = 1e-290
 #: A pole or zero nearer to the unit circle than this counts as on it.
 BOUNDARY = 1e-9
@@ -121,7 +121,7 @@ class StateSpace:
         return self.C @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(z), *self.B.shape))) + self.D
 
     def held(self) -> StateSpace:
-        """Return the system from u_k to y_k = C x_k + D u_(k-1), with the input held last as its last states.
+        """Return the system from u_k to y_k = C x_k + D u_(k-1); its last states are the previous input.
 
         Returns
         -------
@@ -157,7 +157,7 @@ class StateSpace:
         )
 
 
-#: Relative difference of sample times below which they count as equal, written with fewer digits.
+#: Relative difference below which sample times count as equal: a file may state them with fewer digits.
 SAMPLE_TIME_TOLERANCE = 1e-6
 #: Tolerance for a delay of whole samples [samples].
 DELAY_TOLERANCE = 1e-6
@@ -172,7 +172,7 @@ OUTPUT_SCALE = 3
 MATRICES = 4
 
 # Layout of x, followed by the n states and n numbers of scratch for the next ones.
-HELD_INPUT = 0  # [SI], the input of the last advance
+HELD_INPUT = 0  # input of the last advance [SI]
 STATE = 1
 
 
@@ -197,15 +197,15 @@ class LinearParameters(Parameters):
     A: tuple[float, ...] = parameter((), description="state matrix, n·n numbers row by row; empty: no dynamics")
     B: tuple[float, ...] = parameter((), description="input matrix, n numbers")
     C: tuple[float, ...] = parameter((), description="output matrix, n numbers")
-    D: tuple[float, ...] = parameter((), description="feedthrough, one number or empty for none")
+    D: tuple[float, ...] = parameter((), description="feedthrough, one number; empty: none")
     input_scale: float = parameter(
-        0.0, description="SI units per model unit of the input; 0: such that the DC gain in SI is one", low=0.0
+        0.0, description="SI units per model unit of the input; 0: the value that makes the DC gain in SI one", low=0.0
     )
     output_scale: float = parameter(1.0, description="SI units per model unit of the output", low=1e-15)
     sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
     delay: float = parameter(
         0.0,
-        description="delay of amplifier, converter and transport beyond the matrices, also of fractions of a sample; "
+        description="delay of amplifier, converter and transport besides the matrices, not only in whole samples; "
         "needs "
         "sample_time",
         unit="s",
@@ -246,7 +246,7 @@ class LinearParameters(Parameters):
         if not whole and not part:
             return model
         n, order, through = model.order, self.order, model.D.item()
-        inputs = np.zeros(order - n + 1)  # weights of u_k, u_(k-1), … in the acting input
+        inputs = np.zeros(order - n + 1)  # weights of u_k, u_(k-1), … in the input that acts
         inputs[whole] = 1.0 - part
         if part:
             inputs[whole + 1] = part
@@ -262,10 +262,10 @@ class LinearParameters(Parameters):
 
     @property
     def acting(self) -> tuple[np.ndarray, float]:
-        """Acting input of a sample as (row, through): row · x + through · u of the state and the input before it."""
+        """Input that acts in a sample, as (row, through): row · x + through · u for state x and input u."""
         whole, part = self.delayed_samples
         n, row = self._rows, np.zeros(self.order)
-        # the last inputs, u_(k-1) first, are the states behind those of the matrices
+        # the states continue with the last inputs, u_(k-1) first, after the states of the matrices
         if whole:
             row[n + whole - 1] = 1.0 - part
         if part:
@@ -325,7 +325,7 @@ class LinearParameters(Parameters):
         for name, value in sizes:
             yield Problem(name, value, f"must be {n} numbers, as many as A has rows")
         if len(self.D) > 1:
-            yield Problem("D", self.D, "must be one number, or empty for none")
+            yield Problem("D", self.D, "must be one number, or empty for no feedthrough")
         if sizes or len(self.D) > 1:
             return
         model = self.matrices
@@ -340,7 +340,7 @@ class LinearParameters(Parameters):
             yield Problem(
                 "input_scale",
                 0.0,
-                f"cannot be derived: the DC gain is {model.dc_gain:.3g}; give input_scale",
+                f"cannot be derived from the DC gain, which is {model.dc_gain:.3g}; give input_scale",
             )
 
 
@@ -424,6 +424,9 @@ class LinearDynamics(Block):
             remedy = f"must have {len(present.B)} rows as before; another order needs a new configuration"
             raise ParameterError([Problem("A", parameters.A, remedy)])
         if given.order != present.order:
-            remedy = f"must take as many samples as {present.delay:g} s before; another needs a new configuration"
+            remedy = (
+                f"must be as many samples as before, when it was {present.delay:g} s; another delay needs "
+                "a new configuration"
+            )
             raise ParameterError([Problem("delay", given.delay, remedy)])
         super().retune(parameters)

@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Dense linear algebra of small matrices in a fixed order: the same bits on every processor.
+"""Dense linear algebra of small matrices in a fixed order of operations: the same bits on every processor.
 
-BLAS and LAPACK choose their kernels by processor; sums then have another order, or use fused multiply-add, and the last
-digit differs. Numbers that a running axis uses (gains, rest points, input scales, inverse filters) are therefore
-computed here. Every step is one addition, subtraction, multiplication, division or square root of float64, each rounded
-correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such steps
-whatever their vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
+BLAS and LAPACK choose their kernels by processor. Their sums then have another order, or use fused multiply-add, and
+the last digit differs. Numbers that a running axis uses (gains, rest points, input scales, inverse filters) are
+therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of float64,
+each rounded correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such
+steps whatever their vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
 
 Rank, stability and printed figures may use ``np.linalg``, because they do not enter these numbers.
 
@@ -32,8 +32,8 @@ import math
 
 import numpy as np
 
-#: Newton steps of a Riccati solution have converged at the first relative change, or when it stops falling below the
-#: second (a slow closed loop multiplies rounding errors); and their maximum number.
+#: Newton steps of a Riccati solution have converged when the relative change is below the first number, or when it is
+#: below the second and no longer falls (a slow closed loop multiplies rounding errors); then their maximum number.
 NEWTON_CHANGE = 1e-13
 LARGEST_NEWTON_CHANGE = 1e-8
 NEWTON_STEPS = 12
@@ -54,7 +54,7 @@ PADE_NORM = 4.0
 
 
 def product(*factors) -> np.ndarray:
-    """Return the matrix product of all factors, from left to right, each sum in the order of its index.
+    """Return the matrix product of all factors, computed from left to right; each sum runs in the order of its index.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def solve(matrix, right) -> np.ndarray:
     """
     upper, given = np.array(matrix, dtype=float), np.array(right, dtype=float)
     n = len(upper)
-    x = given if given.ndim == 2 else given[:, np.newaxis]  # changed in place
+    x = given if given.ndim == 2 else given[:, np.newaxis]  # a copy, changed in place
     for j in range(n):
         pivot = j + int(np.argmax(np.abs(upper[j:, j])))
         if not abs(upper[pivot, j]) > 0.0:
@@ -165,7 +165,7 @@ def balance(matrix) -> np.ndarray:
     """Return the powers of two t, shape (n,), that balance rows and columns of ``matrix[i, j] t[j] / t[i]``."""
     size, scale = np.abs(np.array(matrix, dtype=float)), np.ones(len(matrix))
     np.fill_diagonal(size, 0.0)
-    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # they would need powers that overflow
+    size[size < NEGLIGIBLE * np.max(size, initial=0.0)] = 0.0  # balancing them would need powers that overflow
     for _ in range(20):
         before = scale.copy()
         for i in range(len(size)):
@@ -233,7 +233,7 @@ def _feedback(A, B, R, P):
 
 
 def _refined(A, B, Q, R, P):
-    """Return P after Newton steps: each is the cost of the previous feedback, summed by doubling.
+    """Return P after Newton steps: each P is the cost of the feedback from the previous P, summed by doubling.
 
     Doubling alone loses digits when the input weight is small.
     """
@@ -318,7 +318,7 @@ def _qr_step(H, exceptional: bool) -> None:
 
 
 def _to_hessenberg(H, width: int) -> None:
-    """Bring a matrix to Hessenberg form in place; ``width`` > 0 is the number of subdiagonals with entries."""
+    """Bring a matrix to Hessenberg form in place; ``width`` > 0 is the number of subdiagonals that are not zero."""
     for j in range(len(H) - 2):
         last = len(H) if not width else min(len(H), j + 1 + width)
         _reflect(H, H[j + 1 : last, j].copy(), j + 1)

@@ -12,21 +12,21 @@
 The noise comes from a generator whose state is part of the block's, so that a run can be repeated and continued bit for
 bit: MRG32k3a of L'Ecuyer (Operations Research 47(1), 1999, figure I), whose integers are exact in float64.
 
-The stage is a mass m on a flexure k_f and a damper c, moved by a stack of stiffness k_a whose free stroke is δ [1]_:
+The stage is a mass m on a flexure k_f and a damper c, moved by a stack of stiffness k_a and free stroke δ [1]_:
 
 m y″ + c y′ + k_f y = F,  F = k_a (δ − y)
 
-At rest y = k_a δ/(k_a + k_f) equals d, the displacement from hysteresis and creep, because the dynamics from d to y
-have unit DC gain. So the force needs no dynamics of its own, for any dynamics between d and y, if y is the position of
-the stack:
+Let d be the displacement from hysteresis and creep. The dynamics from d to y have unit DC gain, so at rest y = k_a
+δ/(k_a + k_f) equals d. So for any dynamics between d and y the force needs no dynamics of its own, if y is the position
+of the stack:
 
 F = (k_a + k_f) d − k_a y
 
-with k_f y at rest, and zeros at ω √(k_f/(k_a + k_f)), below the poles at ω. Like the displacement it is read before the
-voltage of its sample changes: d is the displacement that has acted until then, behind amplifier and delay, without the
-preload.
+At rest the force is k_f y. Its zeros are at ω √(k_f/(k_a + k_f)), below the poles at ω. Like the displacement, the
+force is read before the voltage of its sample changes: d is the displacement that has acted until then, after amplifier
+and delay, without the preload.
 
-A piezoelectric sensor with its amplifier does not measure constant forces: it is modelled as a discrete first-order
+A piezoelectric sensor with its amplifier does not measure constant forces: its model is a discrete first-order
 high-pass.
 
 References
@@ -73,7 +73,7 @@ class SensorParameters(Parameters):
 
 
 def generator_state(seed: int) -> np.ndarray:
-    """Return the six words of MRG32k3a for ``seed`` ≥ 0, shape (6,): SplitMix64 spreads it over their ranges."""
+    """Return the six words of MRG32k3a for ``seed`` ≥ 0, shape (6,): SplitMix64 spreads the seed over their ranges."""
     words, state = [], seed
     for modulus in (int(MODULUS_1),) * 3 + (int(MODULUS_2),) * 3:
         state = (state + 0x9E3779B97F4A7C15) % 2**64
@@ -161,14 +161,14 @@ THROUGH = 4  # feedthrough from the input to d
 ROW = 5
 
 # Layout of x: eight numbers of the noise's generator, then
-ACTING = 8  # d [m], acting since the last sample
+ACTING = 8  # d [m], which has acted since the last sample
 SLOW = 9  # slow part of the force, which the high-pass removes [N]
 FORCE_STATES = 10
 
 
 @dataclass(frozen=True)
 class ForceParameters(Parameters):
-    """Stiffness of stack and flexure of a stage with a force sensor, and the sensor's high-pass."""
+    """Stiffnesses of stack and flexure of a stage with a force sensor, and the sensor's high-pass."""
 
     stack_stiffness: float = parameter(
         0.0, unit="N/m", low=0.0, high=1e12, description="stiffness of the stack with its force sensor; 0: no sensor"

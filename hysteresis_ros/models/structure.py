@@ -14,12 +14,12 @@ Of m inputs u [V], q outputs y [m] and n states x:
 
     z_i = g_i u_i + C_z,i x,   w_i = Σ_j a_ij play_rj(z_i),   x⁺ = A x + B u + B_w w,   y = C x + D u.
 
-Each actuator has its own hysteresis, driven by what acts on it: its voltage and, through C_z, the motion of the
-structure at it. There may be several for each actuator, as of its ceramic and of its joints: of h = m, 2 m …
-hystereses number i is driven by input i mod m. The play operators are those of Prandtl and Ishlinskii [1]_, collocated
-with the actuators, so that the modes shift with the level of the excitation, which no hysteresis in front of linear
-dynamics can do. C_z has no feedthrough: w in a sample needs the state of that sample only, and there is no algebraic
-loop.
+Each actuator has its own hysteresis. Its input z_i contains the voltage of the actuator and, through C_z, the motion of
+the structure at the actuator. An actuator may have several hystereses, for example of its ceramic and of its joints:
+with h = m, 2 m … hystereses, hysteresis i is driven by input i mod m. The play operators are those of Prandtl and
+Ishlinskii [1]_, collocated with the actuators, so the modes shift with the level of the excitation. Hysteresis in front
+of linear dynamics cannot reproduce that. z has no feedthrough from w: w of a sample needs only the state and the
+voltage of that sample, so there is no algebraic loop.
 
 States have no unit of their own; z, w and the radii are in volts, the weights and g have no unit.
 
@@ -45,13 +45,13 @@ MOST_CHANNELS = 16
 #: Fixed-point steps of a rest point, and the relative change below which it has settled.
 REST_STEPS, REST_CHANGE = 1000, 1e-13
 
-# Layout of p: sizes, and for each row of A its first column that is not zero and the one behind the last; then the
-# matrices row by row in the order A, B, B_w, C, D, C_z, g, radii, weights.
+# Layout of p: the sizes; for each row of A, the first column that is not zero and the column after the last such one;
+# then the matrices row by row in the order A, B, B_w, C, D, C_z, g, radii, weights.
 ORDER = 0
 INPUTS = 1
 OUTPUTS = 2
 HYSTERESES = 3
-PLAYS = 4  # of each hysteresis
+PLAYS = 4  # number of plays of each hysteresis
 ROWS = 5
 
 # Layout of x: n states, n numbers of scratch for the next ones, w of the h hystereses, their plays one after the other.
@@ -74,16 +74,14 @@ class StructureParameters(Parameters):
         (), description="input matrix of the hystereses, n·h numbers [1/V], or empty for none"
     )
     C_z: tuple[float, ...] = parameter(
-        (), description="motion of the structure that acts on the hystereses, h·n numbers [V], or empty for none"
+        (), description="matrix from the states to the inputs of the hystereses, h·n numbers [V], or empty for none"
     )
     input_gains: tuple[float, ...] = parameter(
-        (), description="voltage that acts on the hystereses: gains g, h numbers, or empty for ones"
+        (), description="gains g from the voltages to the inputs of the hystereses, h numbers; empty: all 1"
     )
     radii: tuple[float, ...] = parameter((), description="radii of the plays, r numbers ≥ 0", unit="V")
     weights: tuple[float, ...] = parameter((), description="weights a of the plays, h·r numbers; h is a multiple of m")
-    sample_time: float = parameter(
-        0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
-    )
+    sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
 
     @property
     def order(self) -> int:
@@ -147,7 +145,8 @@ class StructureParameters(Parameters):
     def sliding(self, slopes) -> StateSpace:
         """Return the linear system from u to y with w_i = ``slopes``_i z_i.
 
-        Small motions have the weights of the plays of radius 0 as slopes, large ones the sums of all weights.
+        For small motions the slopes are the weights of the plays of radius 0, for large motions the sums of all
+        weights.
         """
         linear, into = self.linear, self.hysteresis_input * np.asarray(slopes, dtype=float)
         A = linear.A + product(into, self.hysteresis_motion)
@@ -217,7 +216,7 @@ def structure_output(p, x, u, y):
 
 @kernel
 def structure_advance(p, x, u):
-    """Hold the inputs ``u`` (m) for one sample: plays and states go on to the next one."""
+    """Hold the inputs ``u`` (m) for one sample; plays and states advance to the next sample."""
     n, m, q, h, r = int(p[ORDER]), int(p[INPUTS]), int(p[OUTPUTS]), int(p[HYSTERESES]), int(p[PLAYS])
     a = ROWS + 2 * n
     b = a + n * n
@@ -241,14 +240,14 @@ def structure_advance(p, x, u):
             w += p[weight + i * r + j] * value
         x[drive + i] = w
     for i in range(n):
-        # a block-diagonal A, of modes, costs two products a row
+        # a block-diagonal A (of modes) costs two products per row
         first, behind = int(p[ROWS + 2 * i]), int(p[ROWS + 2 * i + 1])
         total = accumulate(0.0, p, b + i * m, u, 0, m)
         total = accumulate(total, p, bw + i * h, x, drive, h)
         x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
     for i in range(n):
         value = x[n + i]
-        # so asked, what is no number stays as it is
+        # this form of the comparison keeps NaN
         x[i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
@@ -261,14 +260,14 @@ def run_structure(p, x, u, y):
 
 
 class Structure:
-    """A structure that runs: output of the present state, then one sample further.
+    """A structure that runs: each step returns the output of the present state and advances by one sample.
 
     Parameters
     ----------
     parameters : StructureParameters
         Matrices and plays.
     sample_time : float
-        Of the loop [s].
+        Sample time of the loop [s].
 
     Raises
     ------
@@ -302,7 +301,7 @@ class Structure:
         self.x[:] = 0.0
 
     def step(self, u) -> np.ndarray:
-        """Return the output [m], shape (q,), of the present state and the inputs ``u`` [V], shape (m,); go on."""
+        """Return the output [m], shape (q,), at the inputs ``u`` [V], shape (m,); then advance by one sample."""
         u = np.ascontiguousarray(u, dtype=np.float64)
         y = np.empty(self.parameters.outputs)
         interpreted(structure_output)(self.p, self.x, u, y)
@@ -320,12 +319,12 @@ class Structure:
         return y
 
     def settle(self, u) -> None:
-        """Put the state to rest under the constant inputs ``u`` [V], reached from zero without turning back.
+        """Set the state to rest at the constant inputs ``u`` [V], as if reached from zero without reversal.
 
         Raises
         ------
         ParameterError
-            The hysteresis and the structure have no common rest point that is reached step by step.
+            The search for a common rest point of hysteresis and structure does not converge.
         """
         given, u = self.parameters, np.asarray(u, dtype=float)
         n, h, r = given.order, given.hystereses, len(given.radii)
@@ -341,7 +340,7 @@ class Structure:
             if np.all(np.abs(w - before) <= REST_CHANGE * np.abs(w)):
                 break
         else:
-            allowed = "has no rest point that is reached step by step: the hysteresis outweighs the structure"
+            allowed = "the search for a rest point does not converge: the hysteresis is too large for this structure"
             raise ParameterError([Problem("u", u.tolist(), allowed)])
         self.x[:] = np.concatenate([x, np.zeros(n), w, plays.ravel()])
 

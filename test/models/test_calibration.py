@@ -116,7 +116,7 @@ def test_a_polynomial_is_refused_exactly_when_it_does_not_rise(coefficients, low
         ({"sensor.polynomial": [0.0, 1.0, -1.0e-5]}, r"slope -0\.311 at 65535 count: fit a lower order"),
         # it rises at both ends
         ({"sensor.polynomial": [0.0, 2.5, -3.0, 1.0], "sensor.maximum": 2.0}, r"slope -0\.5 at 1 count"),
-        ({"sensor.polynomial": [0.0, -1.0]}, "give a direction by sign"),
+        ({"sensor.polynomial": [0.0, -1.0]}, "use sign for a reversed direction"),
         ({"sensor.polynomial": [0.0, 1.0, 1.0e300, 1.0e308]}, "must rise everywhere"),
         ({"sensor.polynomial": [0.0] * 9}, "more than 8 coefficients"),
         ({"amplifier.unit": "count"}, r"amplifier\.scale = 1\.0: is 1 V per count"),

@@ -170,7 +170,7 @@ def test_retune_takes_numbers_and_refuses_structure():
     "wrong, text",
     [
         (dict(gap=12.1e-6), r"gap = .*never grips: at limits.maximum = 120 V"),
-        (dict(gap=1.4e-6, hysteresis=STACK), r"gap = .*never opens: back at limits.minimum = 0 V"),
+        (dict(gap=1.4e-6, hysteresis=STACK), r"gap = .*never opens: after .* at limits.minimum = 0 V"),
         (dict(stiffness=-1.0), "stiffness = -1.0"),
         (dict(kinetic_friction=0.31), r"kinetic_friction = 0.31: must not be above static_friction = 0.3"),
         (dict(initial_voltage=130.0), r"initial_voltage = 130.0: must lie within"),

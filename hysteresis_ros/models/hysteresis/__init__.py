@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The hysteresis models: each is one file or folder here, found automatically; a parameter chooses one by name.
+"""The hysteresis models: each is one file or folder here and is found automatically; a parameter chooses one by name.
 
 :mod:`hysteresis_ros.models.declaration` describes the declaration of a model.
 """
@@ -29,7 +29,7 @@ MODELS: dict[str, HysteresisModel] = discover(__name__, "MODEL", HysteresisModel
 @dataclass(frozen=True)
 @variants("type", {name: model.parameters for name, model in MODELS.items()})
 class HysteresisParameters(Parameters):
-    """Type of the hysteresis model and the parameters of each, in a group of the model's name."""
+    """Type of the hysteresis model, and the parameters of every model in a group with the model's name."""
 
     type: str = parameter(description="hysteresis model", choices=tuple(MODELS), read_only=True)
 

@@ -23,11 +23,11 @@ positive in the direction of motion,
 
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
 other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
-changes by at most :data:`CURVATURE` of itself; the zero is located, so that no substep spans the kink there. Compared
-with a solution of 12 digits the error is below 1e-6 of the stroke for steps of any size, and below 1e-9 for 300 steps
-per sweep.
+changes by at most :data:`CURVATURE` of itself. The zero of g is located, so that no substep spans the kink at it.
+Compared with a solution of 12 digits the error is below 1e-6 of the stroke for steps of any size, and below 1e-9 for
+300 steps per sweep.
 
-The paper prints |dV/dt| V in place of |dV/dt| h; with that the output diverges.
+The paper prints |dV/dt| V instead of |dV/dt| h; with the printed form the output diverges.
 
 References
 ----------
@@ -69,7 +69,7 @@ STATES = 3
 
 #: Largest relative change of the right-hand side over one substep (exponents other than 1).
 CURVATURE = 0.005
-#: Maximum number of substeps of one step: a step across more than the whole range saturates anyway.
+#: Maximum number of substeps of one step; a step that needs more crosses the whole range, where h saturates anyway.
 MOST_SUBSTEPS = 20000
 #: Outside the bounded class h may grow by a factor of at most e^RUNAWAY per step, so that it stays finite.
 RUNAWAY = 600.0
@@ -200,7 +200,7 @@ def _power_advance(p, g, distance):
 
 @kernel
 def hysteretic_part(p, x, u):
-    """Value of h [m] after the voltage has moved monotonically from that in ``x`` to ``u`` [V]; x is not changed."""
+    """Value of h [m] after the voltage has moved monotonically from the one in ``x`` to ``u`` [V]; x is not changed."""
     direction = 1.0 if u > x[VOLTAGE] else -1.0
     distance = abs(u - x[VOLTAGE])
     if p[EXPONENT] == 1.0:
@@ -221,7 +221,7 @@ def bouc_wen(p, x, u):
 
 @kernel
 def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
-    """Voltage [V] that solves V = (ψ + h(V))/d_e, h being the hysteretic part after the step to V itself (B5).
+    """Voltage [V] that solves V = (ψ + h(V))/d_e, where h(V) is the hysteretic part after the step to V (B5).
 
     The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the model's
     own equation. If the loop is not monotone (see the warnings of the parameters) a step V = (ψ + h)/d_e replaces it.

@@ -164,8 +164,8 @@ def bouc_wen_mechanical(p, x, u):
 class BoucWenOscillator(HysteresisBlock):
     """Mass on a linear and a hysteretic spring: force [N] or voltage [V] to displacement [m].
 
-    In an actuator it is a hysteresis without further dynamics. It is not rate independent, so only the inverse ``none``
-    fits it. A change of parameters keeps position, velocity and force, so nothing jumps.
+    In an actuator it is used as a hysteresis without further dynamics. It depends on the rate, so only the inverse
+    ``none`` works with it. A change of parameters keeps position, velocity and force, so nothing jumps.
 
     Parameters
     ----------

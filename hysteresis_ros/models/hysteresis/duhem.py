@@ -14,12 +14,13 @@ r"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and
    \dot w = \alpha |\dot v| \left[ f(v) - w \right] + g(v) \dot v
 
 [1]_: rising dw/dv = α (f - w) + g, falling dw/dv = -α (f - w) + g. The functions f and g are small networks of tanh
-units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that weights do not depend
-on units. Beyond the input range f is linear and g constant.
+units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that their weights do not
+depend on units. Beyond the input range f is linear and g constant.
 
-Along a monotone step the equation is linear in w: each substep is integrated as ``e^(-α h) w`` plus a three-point Gauss
-rule for the integral of the shape functions under the exponential; with the substeps used the error is below 1e-9 of
-the output range. The inverse of W4 is the same equation with input and output exchanged and functions of its own.
+Along a monotone step the equation is linear in w. Each substep of length h is integrated as ``e^(-α h) w`` plus the
+integral of the shape functions times the exponential, by a three-point Gauss rule. With the substeps used the error is
+below 1e-9 of the output range. The inverse of W4 is the same equation with input and output exchanged, and with its own
+f and g.
 
 References
 ----------
@@ -83,10 +84,10 @@ class DuhemParameters(Parameters):
     alpha: float = parameter(
         description="α: rate at which the output approaches the new branch", unit="1/V (1/m as inverse)", low=0.0
     )
-    input_low: float = parameter(description="input at which the normalised one is -1", unit="V (m)")
-    input_high: float = parameter(description="input at which the normalised one is +1", unit="V (m)")
-    output_low: float = parameter(description="output at which the normalised one is -1", unit="m (V)")
-    output_high: float = parameter(description="output at which the normalised one is +1", unit="m (V)")
+    input_low: float = parameter(description="input that is normalised to -1", unit="V (m)")
+    input_high: float = parameter(description="input that is normalised to +1", unit="V (m)")
+    output_low: float = parameter(description="output that is normalised to -1", unit="m (V)")
+    output_high: float = parameter(description="output that is normalised to +1", unit="m (V)")
     shape: str = parameter(
         "network", choices=("network", "spline"), description="representation of f and g", read_only=True
     )
@@ -135,10 +136,12 @@ class DuhemParameters(Parameters):
             return (
                 f"{prefix}g_{self.shape}: g is not above 0 everywhere in {low:g} … {high:g}; loops may not be monotone",
             )
-        if swing * 0.05 > g.min():  # a loop width of 10 % of the range is 5 % off the middle
+        # in a loop with a width of 10 % of the range the output is up to 5 % from the middle
+        if swing * 0.05 > g.min():
             return (
-                f"{prefix}alpha = {self.alpha:.4g}: α times 5 % of the output range exceeds the smallest g, "
-                f"{g.min():.3g}; after a reversal inside a wide loop the output first moves against the input",
+                f"{prefix}alpha = {self.alpha:.4g}: α times 5 % of the output range exceeds "
+                f"{g.min():.3g}, the smallest g: after a reversal inside a wide loop the output first "
+                "moves against the input",
             )
         return ()
 
@@ -305,7 +308,7 @@ def shape_functions(parameters: DuhemParameters, v) -> tuple[np.ndarray, np.ndar
 class DuhemHysteresis(RateIndependentBlock):
     """Duhem hysteresis: voltage [V] to displacement [m] — or, as inverse of W4, displacement to voltage.
 
-    Its only memory is the output, so it has no return-point memory, and a retune needs no adjustment. It has no
+    Its only memory is the output: it has no return-point memory, and a retune needs no adjustment. It has no
     closed-form inverse; ``general`` is exact to rounding, ``duhem`` is the inverse of the paper.
 
     Parameters

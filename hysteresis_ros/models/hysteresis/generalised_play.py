@@ -23,13 +23,13 @@ A generalised play follows two curves instead of one line [1]_; rate-dependent o
 with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0 it is the classical Prandtl-Ishlinskii model.
 
 The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2`` with ν = -1 … 1 over it and h half of
-it, and are γ = V beyond. The speed is that of the steps *before* the present one, averaged over ``memory``. So the
-thresholds are known before a step: first they change at the held voltage, then the voltage moves, as in a
+it, and are γ = V outside the range. The speed is the average over ``memory`` of the steps *before* the present one, so
+the thresholds are known before a step: first they change at the held voltage, then the voltage moves, as in a
 rate-independent model. Because all thresholds grow by the same amount, the corners are in the order of the radii, and
-the inverse is a closed form, exact at every sample. While all plays move, it is stable if the thresholds grow by at
-most half a volt per volt of a step, averaged: rate ≤ memory/2. After a reversal only the slope responds to the voltage
-while shrinking thresholds still push all plays, which amplifies an error by Σ w_i / slope: on 6000 voltages with random
-reversals, up to 1.5 it stayed at rounding, at 2.6 some errors grew to 3e-5 V.
+the inverse is a closed form, exact at every sample. While all plays move, the inverse is stable if the averaged
+thresholds grow by at most half a volt per volt of a step: rate ≤ memory/2. After a reversal only the slope responds to
+the voltage, while shrinking thresholds still push all plays. This amplifies an error by Σ w_i / slope. On 6000 voltages
+with random reversals the error stayed at rounding for Σ w_i / slope up to 1.5; at 2.6 some errors grew to 3e-5 V.
 
 References
 ----------
@@ -80,13 +80,13 @@ RESIDUE = 2  # remaining offset after a retune [m]
 SPEED = 3  # averaged speed of the voltage [V/s]
 PLAY = 4
 
-#: Largest bend of an envelope, with which its slope stays above a tenth.
+#: Largest bend of an envelope; its slope then stays above 0.1.
 LARGEST_BEND = 0.9
-#: Largest rate, as a fraction κ of the averaging time of the speed: an error δ of the inverse's voltage returns as κ
-#: (δ_k-1 - δ_k-2), which decays for κ below one half.
+#: Largest rate, as a fraction κ of the averaging time of the speed. An error δ of the inverse's voltage returns as κ
+#: (δ_k-1 - δ_k-2), which decays for κ < 0.5.
 LARGEST_RATE = 0.5
-#: Sum of the weights over the slope up to which the inverse of rate-dependent plays does not amplify rounding (by
-#: trial).
+#: Largest ratio of the sum of the weights to the slope at which the inverse of rate-dependent plays does not amplify
+#: rounding errors (found by trial).
 LARGEST_PART = 1.5
 
 
@@ -98,19 +98,19 @@ class GeneralisedPlayParameters(Parameters):
         description="radii r of the plays (half widths) at rest, rising", unit="V", low=0.0
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
-    slope: float = parameter(description="part without hysteresis; above 0", unit="m/V", low=1e-18)
+    slope: float = parameter(description="slope of the part without hysteresis; above 0", unit="m/V", low=1e-18)
     rate: float = parameter(0.0, description="growth of all thresholds per speed of the voltage", unit="s", low=0.0)
     memory: float = parameter(2e-3, description="time over which the speed is averaged", unit="s", low=1e-9)
     voltage_low: float = parameter(0.0, description="lower end of the envelopes' parabolas", unit="V")
     voltage_high: float = parameter(100.0, description="upper end of the envelopes' parabolas", unit="V")
     rising_bend: float = parameter(
         0.0,
-        description="bend b of the envelope for rising: its slope runs from 1 - b to 1 + b",
+        description="bend b of the rising envelope: its slope runs from 1 - b to 1 + b",
         low=-LARGEST_BEND,
         high=LARGEST_BEND,
     )
     falling_bend: float = parameter(
-        0.0, description="bend of the envelope for falling; not above rising_bend", low=-LARGEST_BEND, high=LARGEST_BEND
+        0.0, description="bend of the falling envelope; not above rising_bend", low=-LARGEST_BEND, high=LARGEST_BEND
     )
     offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
 
@@ -120,18 +120,23 @@ class GeneralisedPlayParameters(Parameters):
         return {"radii": len(self.radii)}
 
     def check(self):
-        """Yield a Problem for wrong sizes, order of the radii, and envelopes that cross."""
+        """Yield a Problem for wrong sizes, radii that do not rise, and envelopes that cross."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         if self.rate > LARGEST_RATE * self.memory:
-            remedy = f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else an inverse's"
+            remedy = (
+                f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: otherwise the inverse's"
+            )
             yield Problem("rate", self.rate, f"{remedy} voltages oscillate from sample to sample and grow")
         if not self.voltage_low < self.voltage_high:
             yield Problem("voltage_high", self.voltage_high, f"must be above voltage_low = {self.voltage_low:g}")
         if self.falling_bend > self.rising_bend:
-            remedy = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage must not lead"
+            remedy = (
+                f"must not be above rising_bend = {self.rising_bend:g}, or the rising envelope would lie "
+                "above the falling one"
+            )
             yield Problem("falling_bend", self.falling_bend, remedy)
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
@@ -140,8 +145,9 @@ class GeneralisedPlayParameters(Parameters):
         if not self.rate or part <= LARGEST_PART:
             return ()
         return (
-            f"{prefix}slope = {self.slope:g}: the sum of the weights is {part:.2g} times as much; with a rate, an "
-            f"inverse's voltages may oscillate after reversals if that is above {LARGEST_PART:g}; without a rate they "
+            f"{prefix}slope = {self.slope:g}: the sum of the weights is {part:.2g} times as much; "
+            f"above {LARGEST_PART:g} times and with a rate, the inverse's voltages may oscillate "
+            "after reversals; without a rate they "
             "do not",
         )
 
@@ -157,11 +163,11 @@ def envelope(p, bend, voltage):
 
 @kernel
 def envelope_inverse(p, bend, slope, weight, wanted):
-    """Return the voltage at which ``slope V + weight γ(V)`` is ``wanted``; both factors are ≥ 0, their sum is > 0."""
+    """Return the voltage V at which ``slope V + weight γ(V)`` is ``wanted``, for factors ≥ 0 with a sum > 0."""
     both = slope + weight
     if abs(wanted - both * p[CENTRE]) >= both * p[HALF]:
         return wanted / both
-    # A ν² + B ν + C = 0 with B > 0: the root at which it rises
+    # A ν² + B ν + C = 0 with B > 0: the root at which the parabola rises
     a, b = 0.5 * weight * bend * p[HALF], both * p[HALF]
     c = both * p[CENTRE] - a - wanted
     return p[CENTRE] - p[HALF] * 2.0 * c / (b + np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
@@ -275,7 +281,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
 
     @property
     def terms(self) -> LinearTerms:
-        """The part without hysteresis, then the plays."""
+        """The weight of the part without hysteresis, then those of the plays."""
         plays = int(self.p[PLAYS])
         return LinearTerms(
             weights=(SLOPE, *range(RADII + plays, RADII + 2 * plays)),

@@ -21,17 +21,18 @@ The coefficients of the branches are quadratic polynomials of ``V_max``, the lar
 The branches of the paper jump at reversals unless the fit enforces the corners, and the paper does not describe minor
 loops. This rule is continuous at every reversal for any coefficients:
 
-* ``V_max`` starts at 0 and becomes the peak at a reversal from rising to falling if that is larger; then the lower
-  end ``V_lo`` is 0 again. Otherwise ``V_lo`` is the lowest reversal from falling to rising, if that is below 0.
+* ``V_max`` starts at 0. At a reversal from rising to falling it becomes the peak if the peak is larger, and the lower
+  end ``V_lo`` becomes 0 again. Otherwise ``V_lo`` is the lowest voltage of a reversal from falling to rising, if that
+  is below 0.
 * Rising from a turning point ``(V_t, x_t)`` the output is
   ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to the
   upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
 * Falling from ``(V_t, x_t)`` it is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower corner
-  ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. If a falling branch starts at the lower end (a stack at
-  rest is first driven negative) it cannot blend: the difference to ``x_f`` then stays until V_max grows.
+  ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (a stack at
+  rest is first driven negative) cannot blend: its difference to ``x_f`` stays until V_max grows.
 
-Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores the two
-corners only, not the corners of minor loops.
+Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores only these
+two corners, not the corners of minor loops.
 
 References
 ----------
@@ -60,7 +61,8 @@ from hysteresis_ros.models.declaration import (
     times,
 )
 
-#: The smallest loop whose branches are checked for monotony, as a fraction of the range (K2's smallest: 6 V of 120 V).
+#: Peak of the smallest loop whose branches are checked for monotony, as a fraction of the range (smallest of K2: 6 V of
+#: 120 V).
 SMALLEST_LOOP = 0.05
 CHECKED_LOOPS = 39
 
@@ -86,15 +88,17 @@ class PolynomialParameters(Parameters):
     falling_C1: tuple[float, ...] = _branch("falling branch, linear term C_f1", "m/V")
     falling_C2: tuple[float, ...] = _branch("falling branch, quadratic term C_f2", "m/V²")
     voltage_low: float = parameter(
-        0.0, description="lowest voltage down to which the branches must be monotone", unit="V", high=0.0
+        0.0, description="lower end of the range in which the branches must be monotone", unit="V", high=0.0
     )
-    voltage_high: float = parameter(description="highest voltage up to which the branches must be monotone", unit="V")
+    voltage_high: float = parameter(
+        description="upper end of the range in which the branches must be monotone", unit="V"
+    )
     scale: float = parameter(
         1.0, description="factor on every coefficient, for studies of mismatch", low=1e-3, high=1e3
     )
 
     def check(self):
-        """Yield a Problem for a wrong number of coefficients, the range, and branches that are not monotone."""
+        """Yield a Problem for a wrong number of coefficients, an empty range, and branches that are not monotone."""
         counted = True
         for name in ("virgin", *BRANCHES):
             value = getattr(self, name)
@@ -109,7 +113,7 @@ class PolynomialParameters(Parameters):
     def _monotony(self):
         """Yield a Problem for each family of curves that is not monotone.
 
-        The branches are those between the corners as the kernel blends them; a slope is linear in V, so its ends
+        The branches are checked between the corners, as the kernel blends them. A slope is linear in V, so its two ends
         suffice.
         """
         low, high = self.voltage_low, self.voltage_high
@@ -164,7 +168,8 @@ def assumed_stack(
     residual_slope : float
         d [m/V]: lower corner at d V_max.
     opening : float
-        w0: width at mid-stroke of the loop to ``opening_voltage``, as a fraction of g V_max; proportional to V_max.
+        w0: loop width at mid-stroke of the loop to ``opening_voltage``, as a fraction of g V_max. The fraction is
+        proportional to V_max.
     opening_voltage : float
         [V].
     voltage_low, voltage_high : float
@@ -204,7 +209,7 @@ TURN_DISPLACEMENT = 4
 V_MAX = 5
 V_LOW = 6
 ON_VIRGIN = 7
-LOWER_OFFSET = 8  # offset of x_f at and below V_lo when a falling branch started there
+LOWER_OFFSET = 8  # offset of x_f at and below V_lo if a falling branch has started at V_lo
 VIRGIN_OFFSET = 9  # offset of the virgin curve at VIRGIN_FROM after a retune; fades out up to VOLTAGE_HIGH
 VIRGIN_FROM = 10
 STATES = 11
@@ -444,7 +449,7 @@ def _shifted(parameters: PolynomialParameters, offset: float) -> PolynomialParam
 
 
 def _deviated(parameters: PolynomialParameters, deviation: Deviation) -> PolynomialParameters:
-    """Scale all coefficients by the gain and the difference of the branches by the loop width; corners stay joined."""
+    """Scale all coefficients by the gain, and the branches' difference by the loop width; the branches still meet."""
     changed: dict = {}
     for name in ("C1", "C2"):
         rising, falling = (np.array(getattr(parameters, f"{branch}_{name}")) for branch in ("rising", "falling"))

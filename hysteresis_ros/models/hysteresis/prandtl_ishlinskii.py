@@ -73,7 +73,7 @@ class PrandtlIshlinskiiParameters(Parameters):
     )
     weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
     thresholds: tuple[float, ...] = parameter(
-        (), description="thresholds t of the dead zones; below 0: zones for displacements below t", unit="m"
+        (), description="thresholds t of the dead zones; a zone with t < 0 acts below t, another one above t", unit="m"
     )
     zone_weights: tuple[float, ...] = parameter((), description="slopes s added by the dead zones; may be negative")
     offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
@@ -85,7 +85,7 @@ class PrandtlIshlinskiiParameters(Parameters):
         return {"radii": len(self.radii), "thresholds": len(self.thresholds), "thresholds below 0": below}
 
     def check(self):
-        """Yield a Problem for wrong sizes, order of the radii, and branches that are not monotone."""
+        """Yield a Problem for wrong sizes, radii that do not rise, and branches that are not monotone."""
         if len(self.radii) != len(self.weights) or not self.radii:
             yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
             return
@@ -186,7 +186,7 @@ def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     plays = int(p_h[PLAYS])
     wanted = dead_zones_inverse(p_h, displacement - (p_h[OFFSET] + x_h[RESIDUE]))
     direction = 1.0 if displacement > x_h[DISPLACEMENT] else -1.0
-    # the output at V: constant + slope V while the first plays move and the others do not
+    # while the first plays move and the others do not, the output at V is constant + slope V
     constant = 0.0
     for i in range(plays):
         constant += p_h[RADII + plays + i] * x_h[PLAY + i]
@@ -234,7 +234,7 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
 
     @property
     def terms(self) -> LinearTerms:
-        """The plays, with the dead zones behind them."""
+        """The weights of the plays, with the dead zones behind them."""
         plays, above, below = (int(self.p[place]) for place in (PLAYS, ABOVE, BELOW))
         first = RADII + 2 * plays
         second = first + 2 * above
@@ -255,9 +255,9 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
         return float(product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Move the plays to compensate the change of the output, each by the same fraction of its free range.
+        """Move the plays, each by the same fraction of its free range, to compensate the change of the output.
 
-        This keeps their order. The part beyond their range remains as a constant until :meth:`reset`.
+        This keeps their order. What the plays cannot compensate remains as a constant until :meth:`reset`.
         """
         x, p, plays = self.x, self.p, int(self.p[PLAYS])
         voltage, z = x[VOLTAGE], x[PLAY:]

@@ -54,11 +54,11 @@ SLOPE_BELOW = 7  # slopes outside the grid [m/V]
 SLOPE_ABOVE = 8
 TABLE = 9
 
-# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the voltages of the turning points (minimum, maximum,
-# minimum …; the first is the lower end of the range) and by the hysteretic outputs there.
+# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the voltages of the turning points (minimum, maximum, minimum
+# …; the first is the lower end of the range) and by the hysteretic outputs at them.
 DEPTH = 2  # number of turning points
-RESIDUE = 3  # offset [m] after a retune or a removed loop; fades out over RESIDUE_LEFT of the voltage's travel
-RESIDUE_LEFT = 4  # travel of the voltage after which it is zero [V]
+RESIDUE = 3  # offset [m] after a retune or a removed loop; fades out while the voltage travels by RESIDUE_LEFT
+RESIDUE_LEFT = 4  # remaining travel of the voltage [V], after which the offset is zero
 RESIDUE_TRAVEL = 5
 STACK = 6
 
@@ -97,7 +97,10 @@ class PreisachParameters(Parameters):
     def check(self):
         """Yield a Problem for a wrong range or size, a nonzero diagonal, and branches that are not monotone."""
         if not self.voltage_low <= 0.0 < self.voltage_high:
-            remedy = f"voltage_low … voltage_high must contain 0 V, the start; voltage_low = {self.voltage_low:g}"
+            remedy = (
+                "voltage_low … voltage_high must contain 0 V, at which the model starts; voltage_low = "
+                f"{self.voltage_low:g}"
+            )
             yield Problem("voltage_high", self.voltage_high, remedy)
         n = self.nodes
         if n < 2 or n * (n + 1) // 2 != len(self.everett):
@@ -114,7 +117,7 @@ class PreisachParameters(Parameters):
         if smallest < 0.0 or (smallest == 0.0 and self.slope == 0.0):
             remedy = (
                 f"must rise with a and fall with b everywhere (smallest difference of neighbours {smallest:.3g} m); "
-                "make it monotone, or give slope > 0 if it is level"
+                "make it monotone; if it is level somewhere, slope > 0 is sufficient"
             )
             yield Problem("everett", f"{n} x {n} nodes", remedy)
 
@@ -287,7 +290,7 @@ class PreisachHysteresis(RateIndependentBlock):
     def rebase(self) -> None:
         """Apply the changed map to the stored turning points; the jump of the output fades out.
 
-        It fades linearly while the voltage travels once over the range.
+        It becomes zero, linearly, while the voltage travels by the length of the range.
         """
         x, p, capacity = self.x, self.p, int(self.p[CAPACITY])
         depth, output = int(x[DEPTH]), x[DISPLACEMENT]

@@ -13,7 +13,8 @@ r"""An actuator without hysteresis: displacement proportional to the voltage.
 
    x = g V
 
-It has no memory for a change of parameters: the compensator's hand-over acts on the voltage instead.
+The model has no memory that could keep the output at a change of parameters; the compensator keeps the voltage from
+jumping instead (``handover_time``).
 """
 
 from __future__ import annotations
