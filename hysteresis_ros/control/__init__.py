@@ -10,6 +10,7 @@
 """Controllers that run in the loop, and the robustness of linear loops.
 
 Start with :mod:`.law` (definition and declaration of a controller) and one file of ``laws/``, then :mod:`.controller`,
-which chooses among them. ``damping/`` is an inner loop for any law; :mod:`.learning` and :mod:`.feedforward` add to a
-law. :mod:`.margins` and :mod:`.uncertainty` evaluate loops; designs of gains are in :mod:`hysteresis_ros.designs`.
+which chooses among them. ``damping/`` contains inner loops for any law; :mod:`.learning` and :mod:`.feedforward`
+supplement a law. :mod:`.margins` and :mod:`.uncertainty` evaluate loops; designs of gains are in
+:mod:`hysteresis_ros.designs`.
 """

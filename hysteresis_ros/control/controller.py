@@ -9,10 +9,10 @@
 
 """The motion controller: its laws by name, its parameters and blocks, and bumpless transfer to other laws or gains.
 
-A new law first processes the last samples of the run, as if it had run in parallel with its predecessor: an observer
+A new law first processes the last samples of the run, as if it had run in parallel with its predecessor. An observer
 that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
-share the observer and its state. The integrated states of the new law are set to continue from the present command, or
-to zero; the hand-over behind the controller fades the remaining difference.
+share the observer and its state. The integrated states of the new law are set so that the command continues from the
+present one; where this is impossible, to zero. The hand-over behind the controller fades out the remaining difference.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ LAWS: dict[str, ControllerLaw] = discover("hysteresis_ros.control.laws", "CONTRO
 
 
 def _designs() -> dict[str, tuple[ControllerLaw, Callable]]:
-    """Return law and design of each name; two laws with a design of the same name are a TypeError."""
+    """Return law and design of each name; raise TypeError when two laws have a design of the same name."""
     found: dict[str, tuple[ControllerLaw, Callable]] = {}
     for law in LAWS.values():
         for name, function in law.designs.items():
@@ -107,7 +107,7 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: 1.0 when the next output must equal the last one; 2.0 when x[BIAS] already contains the lasting part.
+#: x[ARMED]: 1.0: the next output must equal the last one; 2.0: also, x[BIAS] already contains the lasting part.
 ARMED = 2
 #: x[QUICK]: additional bias, which is halved in each sample.
 QUICK = 3
@@ -118,7 +118,7 @@ SMALLEST = 1e-300
 
 @kernel
 def handover(p, x, u):
-    """Return ``u + bias`` and let the bias decay; when armed, choose the bias such that the output does not move."""
+    """Return ``u + bias`` and let the bias decay; when armed, choose the bias so that the output stays the same."""
     if x[ARMED] != 0.0:
         lasting = x[ARMED] == 2.0
         x[ARMED] = 0.0
@@ -147,7 +147,7 @@ def handover(p, x, u):
 
 @kernel
 def go_on_from(x, last):
-    """Make the next output equal ``last`` and fade from there to the input."""
+    """Make the next output equal ``last``, and fade from it to the input."""
     x[LAST] = last
     x[ARMED] = 1.0
 
@@ -160,7 +160,7 @@ class HandoverParameters(Parameters):
         0.05,
         unit="s",
         low=0.0,
-        description="Time constant with which the difference between old and new command fades; 0: at once",
+        description="Time constant with which the difference between old and new command fades out; 0: at once",
     )
 
 
@@ -186,7 +186,7 @@ class Handover(Block):
 
 
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
-    """Make the next output of ``block`` equal its last one and fade from there to the input.
+    """Make the next output of ``block`` equal its last one, and fade from it to the input.
 
     Used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
 
@@ -196,9 +196,9 @@ def arm(block: Handover, last: float | None = None, lasting: float | None = None
     last : float, optional
         Value to continue from, when another output (a safe one) was sent since the block's last output.
     lasting : float, optional
-        Mean recent difference between the output and the new input. Only this part fades with the time constant; the
-        deviation of the present sample from it, mostly noise, is halved in each sample, because a lasting bias by noise
-        would disturb the feedback.
+        Mean recent difference between the output and the new input. Only this part fades with the time constant. The
+        deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly fading
+        bias from noise would disturb the feedback.
     """
     if last is not None:
         block.x[LAST] = float(last)
@@ -234,7 +234,7 @@ class ControllerParameters(Parameters):
         0.05,
         unit="s",
         low=0.0,
-        description="Time constant with which a change of controller or gains fades in; 0: at once",
+        description="Time constant with which the command fades to that of a new controller or new gains; 0: at once",
     )
     learning: LearningParameters = group(LearningParameters)
 
@@ -250,7 +250,7 @@ class ControllerParameters(Parameters):
 
     @property
     def without_preload(self) -> ControllerParameters:
-        """These parameters for measurements without the preload's offset; always the same instance."""
+        """These parameters without the preload's offset, for measurements without it; always the same instance."""
         if "_without_preload" not in self.__dict__:
             self.model.preload.validated("model.preload.")
             model = replace(self.model, preload=PreloadParameters())
@@ -258,7 +258,7 @@ class ControllerParameters(Parameters):
         return self.__dict__["_without_preload"]
 
     def before_damping(self, sample_time: float):
-        """Return the parameters for the law: the plant in its model is the damped one.
+        """Return the parameters for the law: its model is the damped plant.
 
         Raises
         ------
@@ -275,9 +275,9 @@ class ControllerParameters(Parameters):
         return kept[sample_time]
 
     def check(self):
-        """Yield a Problem for each obstacle to the design of the chosen controller."""
+        """Yield a Problem for each reason why the chosen controller cannot be computed."""
         yield from super().check()
-        rate = getattr(self, "sample_rate", None)  # the node's parameters contain these and the sample rate
+        rate = getattr(self, "sample_rate", None)  # only the parameters of the node contain a sample rate
         sample_time = 1.0 / rate if rate else None
         known = sample_time or self.model.dynamics.sample_time
         if rate and self.learning.in_use and not self.learning.problems():
@@ -299,7 +299,7 @@ class ControllerParameters(Parameters):
             yield from error.problems
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return the warnings about the parameters of groups and law, and about a truncating preview."""
+        """Return the warnings about groups and law, and about a preview that truncates the inverse."""
         found = super().warnings(prefix)
         if self.feedforward.type == "inverse_dynamics":
             found += preview_warning(self.model.dynamics, self.feedforward.preview, prefix)
@@ -331,7 +331,7 @@ def damping_block(parameters: ControllerParameters, sample_time: float) -> Dampi
 
 
 def prepare_controllers() -> None:
-    """Compile the kernels of all controllers, so that each can become active within a sample."""
+    """Compile the kernels of all controllers, so that any of them can take over within a sample."""
     if COMPILED:
         for law in LAWS.values():
             law.block.kernel.compile(signature("scalar", "array", "array", "scalar", "scalar").args)
@@ -355,7 +355,7 @@ def handover_block(parameters: ControllerParameters, sample_time: float) -> Hand
 
 #: Number of stored samples: long enough for an observer to settle.
 SAMPLES = 500
-#: Number of last samples over which two controllers are compared.
+#: Number of last samples over which the commands of two controllers are compared.
 AVERAGED = 50
 
 

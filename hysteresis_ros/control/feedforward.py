@@ -9,37 +9,39 @@
 
 """Feedforward: the command that makes the model follow the reference, by stable inversion of its dynamics (W6).
 
-**Zeros near the unit circle.** Sampling two modes, or a mode above half of the sample rate, may give a pair of zeros
-half a per cent outside the unit circle, far above the frequencies of the reference. Their exact inverse needs a command
-that grows at their frequency long in advance, and a small model error turns it into a motion. Zeros inside the circle,
-and those near -1 that the zero-order hold causes, need a command that alternates long after each corner: correct at the
-samples, with an unwanted motion between them. The inverse leaves such zeros out, without phase error. With g(z⁻¹) their
-polynomial, g(1) = 1, the reference passes through
+**Zeros near the unit circle.** Sampling two modes, or a mode above half the sample rate, may give a pair of zeros half
+a per cent outside the unit circle, at frequencies far above those of the reference. Their exact inverse needs a command
+that oscillates and grows at their frequency long in advance, and a small model error turns this command into a motion.
+Zeros inside the circle, and those near -1 from the zero-order hold, need a command that alternates long after each
+corner: the displacement is correct at the samples, but moves between them. The inverse leaves out such zeros without
+phase error. Let g(z⁻¹) be their polynomial with g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
-a least-squares inverse [1]_, θ the lowest of their angles: f cancels the zeros, and elsewhere it differs from one by ε
-(1 - cos ω)/(1 - cos θ)/(…), proportional to the square of low frequencies. p is real and even; ε is the smallest value
-with which p decays within :data:`REACH` samples: a larger range makes f more accurate and the preview longer.
+where p is a least-squares inverse [1]_ and θ the lowest angle of the zeros. f cancels the zeros; at other frequencies
+it differs from one by ε (1 - cos ω)/(1 - cos θ)/(…), at low frequencies in proportion to ω². p is real and even. ε is
+the smallest value with which p decays within :data:`REACH` samples: a larger range makes f more accurate and the
+preview longer.
 
-**Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later, d
-the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose poles are the
-zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. Zeros outside would make it grow
-without bound; their part of the state is instead summed backwards over the future references,
+**Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later,
+where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose
+poles are the zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. With zeros outside it
+would grow without bound; their part of the state is instead summed backwards over the future references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
-which needs the whole future. N samples of it are known: the reference is assumed constant from r(k+N) on. The weights
-of the unknown part decay as the smallest outside zero to the power of the preview.
+which needs the whole future. Only N samples of it are known: the reference is assumed constant from r(k+N) on. The
+weights of the unknown part decay with the preview as |λ|^(-N), where λ is the smallest zero outside.
 
 **Delay.** A delay of whole samples adds to d. A fraction f of a sample is g = (1 - f) + f z⁻¹, whose zero is on the
-unit circle at f = 1/2; its exact inverse makes commands alternate from sample to sample. It is inverted without phase
-error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z, which leaves
-an amplitude error (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 below 1e-4 up to a tenth of the sample rate.
+unit circle at f = 1/2; its exact inverse makes commands alternate from sample to sample. The fraction is inverted
+without phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z,
+which leaves an amplitude error (4 f (1 - f) sin²(ω/2))^(J+1). With J = 3 it is below 1e-4 up to a tenth of the sample
+rate.
 
 :func:`near_zeros` selects the zeros to leave out: those near or on the circle, far above the frequencies of a
-reference. Behind the filter that cancels them, their part of the inverse is finite. If the preview is too short for
-that, those inside the circle are inverted.
+reference. The filter f contains these zeros as the factor g, so f and their inverse together are the finite impulse
+response g* p. If the preview is too short for it, the zeros inside the circle are inverted.
 
 With ``preview: N`` the reference received at sample k is r(k + N); the controller follows the delayed reference r(k),
 and reports evaluate the error against it.
@@ -47,7 +49,7 @@ and reports evaluate the error against it.
 References
 ----------
 .. [1] Tomizuka, Zero phase error tracking algorithm for digital control, J. Dyn. Sys. Meas. Control 109 (1987) 65-68,
-   doi:10.1115/1.3143822, has p = 1: the amplitude g g*.
+   doi:10.1115/1.3143822. There p = 1, and the amplitude is g g*.
 """
 
 from __future__ import annotations
@@ -66,16 +68,16 @@ from hysteresis_ros.models.block import Block, kernel
 from hysteresis_ros.models.linear import LinearParameters, accumulate, advance
 from hysteresis_ros.models.linear_algebra import eigenvalues, inverse, polynomial, power, product, solve
 
-#: Modulus below which zeros outside the circle need more than 64 samples to decay to 1e-4; zeros inside that are as
-#: near ring as long.
+#: Modulus of zeros outside the circle whose weights need 64 samples to decay to 1e-4; those nearer to the circle need
+#: more. Zeros inside at the same distance ring as long.
 FARTHEST = 1.155
-#: Least angle of zeros that are left out (a fifth of the sample rate); tracking a reference needs those below.
+#: Smallest angle of zeros that are left out (a fifth of the sample rate); zeros below it are needed for tracking.
 LOWEST_ANGLE = 0.4 * math.pi
-#: Range on either side within which p decays, and the remaining fraction.
+#: Range of p on either side [samples], and the fraction to which p decays within it.
 REACH, LEFT = 10, 1e-3
 #: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
-#: Number of frequencies at which p is computed, and its smallest reported error.
+#: Number of frequencies at which p is computed, and the error of f from which on it is reported.
 POINTS = 128
 TOLD = 0.01
 
@@ -119,7 +121,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out; those smaller than one of a low angle cannot be separated from it and stay.
+    """Return the zeros to leave out. Zeros smaller than a zero of low angle cannot be separated from it and stay.
 
     Parameters
     ----------
@@ -169,15 +171,15 @@ def notch(zeros: np.ndarray) -> Notch:
     return Notch(zeros, falling[::-1].copy(), convolved(even, falling), known_to)
 
 
-#: Fraction of the largest response below which a response h is rounding, i.e. zero.
+#: Fraction of the largest response below which a response h is rounding and counts as zero.
 SMALLEST_ANSWER = 1e-11
 #: Distance from the unit circle below which zeros count as on it.
 CIRCLE_MARGIN = 1e-6
 #: Error of the command, as a fraction of the reference's span, at which a preview is long enough.
 GOOD_ENOUGH = 1e-3
-#: Error and longest preview of a design without a requested preview.
+#: Error that a design without a requested preview accepts, and its longest preview [samples].
 DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
-#: The future weights are computed until they have decayed by this many powers of ten ...
+#: Weights of the future are computed until they have decayed by this many powers of ten ...
 DECADES = 18.0
 #: ... or for this many samples: a zero that needs more is too near to the circle for any preview.
 LONGEST = 200_000
@@ -186,7 +188,7 @@ TERMS = 3
 #: Newton steps for the matrix sign function, and the change at which it has converged.
 SIGN_STEPS = 60
 SETTLED = 1e-14
-#: Least radius of the circle that separates modes: the root of this fraction of the slowest outer mode.
+#: The radius of the circle that separates modes is at least the root of this number times the smallest outer mode.
 NEAREST = 0.1
 
 
@@ -199,9 +201,9 @@ class InverseFilter:
     Parameters
     ----------
     first : int
-        The relative degree d [samples]; less, possibly negative, with a fraction of a sample or left-out zeros.
+        The relative degree d [samples]; smaller, possibly negative, with a fraction of a sample or left-out zeros.
     weights : ndarray, shape (m,)
-        Weights of r(k+first) … up to the preview; the last one includes all beyond it.
+        Weights of r(k+first) … up to the preview; the last one includes the weights of all references beyond.
     drive : ndarray, shape (l,)
         Weights that drive the causal part: 1 without a fraction of a sample and without left-out zeros.
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
@@ -209,7 +211,7 @@ class InverseFilter:
     rest : ndarray, shape (n,)
         State s at rest under a reference of 1 m.
     zeros : ndarray of complex
-        Zeros of the dynamics, without those at infinity and at 0, which only delay.
+        Zeros of the dynamics, except those at infinity and at 0, which only delay.
     error : float
         Result of :func:`inversion_error` for this preview.
     left_out : Notch or None
@@ -231,8 +233,9 @@ class InverseFilter:
 class _Parts(NamedTuple):
     """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
 
-    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. ``near`` are the
-    weights, of the reference behind g* p one to m samples ago, of the left-out modes, oldest first.
+    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. ``near``
+    contains the weights of the left-out modes for the reference, filtered by g* p, one to m samples ago; the oldest
+    first.
     """
 
     degree: int
@@ -272,18 +275,20 @@ def _matrices_degree(dynamics: LinearParameters) -> int:
         state = product(A, state)
     size = np.abs(answers)
     if not size.max() > 0.0:
-        raise ParameterError([Problem("model.dynamics.C", dynamics.C, "the input never reaches the output")])
+        raise ParameterError(
+            [Problem("model.dynamics.C", dynamics.C, "the input must reach the output; give other matrices")]
+        )
     return int(np.argmax(size > SMALLEST_ANSWER * size.max())) + 1
 
 
 def _vectors(dynamics: LinearParameters):
-    """Return A, and B, C and D of one input and one output as vectors, shape (n,), and a float, without the delay."""
+    """Return A, B and C (vectors, shape (n,)) and D (a float) of one input and one output, without the delay."""
     model = dynamics.matrices
     return model.A, model.B[:, 0], model.C[0], model.D.item()
 
 
 def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
-    """Return the parts of the inverse; ``inside``: leave out the ringing zeros inside the circle too."""
+    """Return the parts of the inverse; ``inside``: whether the ringing zeros inside the circle are left out too."""
     A, B, C, D = _vectors(dynamics)
     degree = _matrices_degree(dynamics)
     answer = float(product(C, power(A, degree - 1), B)) + (D if degree == 1 else 0.0)
@@ -321,7 +326,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return the response of modes 1 … m samples after a pulse through their cancelling factor, the last one first."""
+    """Return the response of modes 1 … m samples after a pulse through their cancelling factor, the latest first."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -330,16 +335,17 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 
 
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
-    """Return the projection on the modes larger than an edge along the smaller ones, shape (n, n).
+    """Return the projection, shape (n, n), on the modes larger than an edge, along the smaller ones.
 
-    The matrix sign function of (M + ρ)(M - ρ)⁻¹, ρ a radius between both, by Newton's iteration.
+    It follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, with a radius ρ between both, by Newton's
+    iteration.
     """
     identity, larger = np.eye(len(matrix)), sizes > edge
     if np.all(larger):
         return identity
     if not np.any(larger):
         return np.zeros_like(identity)
-    # between both, and not closer to 0 than needed: modes that coincide at 0 make M - ρ nearly singular there
+    # a radius between both, not smaller than needed: modes that coincide at 0 make M - ρ nearly singular near 0
     outer = np.min(sizes[larger])
     radius = math.sqrt(max(np.max(sizes[~larger]), NEAREST * outer) * outer)
     sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
@@ -353,7 +359,7 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i of r(k+d+i) by the outside zeros, as far as they exceed rounding [m/m]."""
+    """Return the weights w_i [m/m] of r(k+d+i) from the outside zeros, as far as they exceed rounding."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
@@ -366,7 +372,7 @@ def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
 
 
 def _advance(part: float) -> np.ndarray:
-    """Return the weights of r(k-J) … r(k+J+1) that invert a delay by a fraction of a sample; 1 without one."""
+    """Return the weights of r(k-J) … r(k+J+1) that invert a delay of a fraction of a sample; 1 without such a delay."""
     if not part:
         return np.ones(1)
     lost = part * (1.0 - part) * np.array([-1.0, 2.0, -1.0])  # 1 - g g*
@@ -386,7 +392,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     """Return the stable inverse of ``dynamics`` for a reference known ``preview`` samples ahead.
 
     With enough preview the model's output at sample k is the reference r(k) at every sample. Without dynamics (no A)
-    the inverse is the identity; with preview it compensates the sample by which every displacement follows its command.
+    the inverse is the identity; with preview it compensates the sample of delay from a command to its displacement.
 
     Parameters
     ----------
@@ -407,7 +413,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
     if preview < parts.degree + whole + _reach(parts, part):
-        parts = _parts(dynamics, inside=False)  # inverted zeros inside need no preview, but ring
+        parts = _parts(dynamics, inside=False)  # without preview the zeros inside are inverted, and ring
     advance = _advance(part)
     drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
     ahead = _reach(parts, part)
@@ -431,7 +437,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
 
 
 def _reach(parts: _Parts, part: float) -> int:
-    """Return the preview [samples], beyond the relative degree, for a fraction of a sample or left-out zeros."""
+    """Return the preview [samples] that a fraction of a sample or left-out zeros need beyond the relative degree."""
     return len(_advance(part)) // 2 + (0 if parts.left_out is None else parts.left_out.reach)
 
 
@@ -447,7 +453,7 @@ def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: in
 def inversion_error(dynamics: LinearParameters, preview: int) -> float:
     """Return the largest error of the command at this preview, as a fraction of the span of the reference.
 
-    It is the sum of the magnitudes of the truncated weights, Σ |w_i|, a bound for every reference within a span of one.
+    It is the sum of the magnitudes of the truncated weights, Σ |w_i|: a bound for every reference with a span of one.
     It is 0 when no zero is outside the unit circle.
 
     Raises
@@ -478,7 +484,7 @@ def designed_preview(dynamics: LinearParameters) -> int:
     Raises
     ------
     ParameterError
-        The dynamics have no stable inverse, or none with a practical preview.
+        The dynamics have no stable inverse, or its preview would be too long.
     """
     preview = sufficient_preview(dynamics, DESIGNED_ERROR)
     if preview > LONGEST_PREVIEW:
@@ -491,7 +497,7 @@ def designed_preview(dynamics: LinearParameters) -> int:
 
 
 def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") -> tuple[str, ...]:
-    """Return warnings about the inverse: truncated by this preview by more than 1e-3, or without some zeros."""
+    """Return warnings: this preview truncates the inverse by more than 1e-3, or the inverse leaves out zeros."""
     found, given = [], inverse_filter(dynamics, preview)
     if given.left_out is not None:
         rate = 1.0 / dynamics.sample_time if dynamics.sample_time else 1.0
@@ -512,7 +518,7 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
 
 
 # Parameter array: a head, the weights of the references (as many as the ring has entries), the weights that drive the
-# causal part, then its A (n·n, row by row), B, C and its state at rest under a reference of one (n each).
+# causal part, then its A (n·n, row by row), B, C and its rest state at a reference of one (n each).
 PREVIEW = 0
 ORDER = 1
 FIRST = 2  # index of the first weight relative to the oldest reference in the ring
@@ -593,8 +599,8 @@ class FeedforwardParameters(Parameters):
         low=0,
         high=10000,
         read_only=True,
-        description="number of samples by which the received reference is known in advance; errors are relative to "
-        "the delayed reference",
+        description="number of samples by which the received reference is ahead; the controller follows the "
+        "reference delayed by it",
     )
 
 
@@ -613,8 +619,8 @@ class Feedforward(Block):
     Raises
     ------
     ParameterError
-        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or their sample time
-        is another.
+        The preview is shorter than the delay of the dynamics, the dynamics have no stable inverse, or they are for
+        another sample time.
     """
 
     kernel = staticmethod(feedforward)
@@ -642,8 +648,8 @@ class Feedforward(Block):
     def retune(self, parameters) -> None:
         """Change to another model of the same order while running.
 
-        References and states continue, so nothing jumps while the reference rests; arm the hand-over behind the
-        controller for a moving reference.
+        References and states continue, so nothing jumps while the reference rests. For a moving reference the caller
+        arms the hand-over behind the controller.
 
         Raises
         ------
@@ -662,7 +668,7 @@ class Feedforward(Block):
                 [Problem("model.dynamics.A", parameters.model.dynamics.A, "the order of the model cannot change live")]
             )
         self.parameters = parameters
-        # a feedforward at rest stays at rest with the new model
+        # so that a feedforward at rest stays at rest with the new model
         length, order = _ring_length(packed), int(packed[ORDER])
         ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order

@@ -16,9 +16,9 @@ predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1)) + L ε_(k-1)        (y
 current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1))    (y_k acts at once)
 
 where ε is the innovation, measured minus predicted output. Kim, Kim & Park 2009, eqs 13-15, print the predictor form
-(and call it current).
+and call it current.
 
-The disturbance comes from a model of its own, w⁺ = A_d w, d = c_d w (internal model principle; Francis & Wonham 1976):
+The disturbance d has its own model, w⁺ = A_d w, d = c_d w (internal model principle; Francis & Wonham 1976):
 
 constant    d⁺ = d
 ramp        d⁺ = d + v, v⁺ = v
@@ -60,14 +60,14 @@ ESTIMATE = 3
 
 @kernel
 def input_matrix(p, first):
-    """Return the index in ``p`` of the model's B, which follows A, when the filter's part begins at p[first]."""
+    """Return the index in ``p`` of the model's B, if the filter's part begins at p[first]."""
     n = int(p[first + ORDER])
     return first + MATRICES + n * n
 
 
 @kernel
 def rest_state(p, first):
-    """Return the index in ``p`` of N_x, the model's rest state at an output of one."""
+    """Return the index in ``p`` of N_x, the rest state of the model at an output of one."""
     return input_matrix(p, first) + 3 * int(p[first + ORDER])
 
 
@@ -108,7 +108,7 @@ def kalman_step(p, x, first, start, applied, measured):
     cause = following + n
     coming = cause + m
     if x[start + RUNNING] == 0.0:
-        # assume the plant at rest at its measured position, under a constant disturbance
+        # the plant is assumed to be at rest at its measured position, under a constant disturbance
         x[start + RUNNING] = 1.0
         x[start + INNOVATION] = 0.0
         for i in range(n):
@@ -189,13 +189,12 @@ class KalmanParameters(Parameters):
         choices=("none", "constant", "ramp", "periodic"),
         read_only=True,
         description="Model of the input disturbance that is estimated and compensated: none, constant (offset-free), "
-        "ramp "
-        "(and its increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
+        "ramp (and its increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
     )
     q_disturbance: float = parameter(
         1e-4,
         low=0.0,
-        description="Variance of the change of the disturbance per sample (input unit squared), above 0",
+        description="Variance of the disturbance's change per sample (input unit squared), above 0",
     )
     q_disturbance_rate: float = parameter(
         1e-6,
@@ -209,7 +208,7 @@ class KalmanParameters(Parameters):
         description="periodic: variance of the change of each resonator per sample (input unit squared), above 0",
     )
     disturbance_frequency: float = parameter(
-        1.0, unit="Hz", low=0.0, description="periodic: frequency of the disturbance, that of the reference"
+        1.0, unit="Hz", low=0.0, description="periodic: frequency of the disturbance, usually that of the reference"
     )
     disturbance_harmonics: int = parameter(
         1, low=1, high=10, read_only=True, description="periodic: number of resonators, at 1, 2, … times the frequency"
@@ -258,7 +257,9 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
         if sample_time is None or not 0.0 < frequency * harmonics < 0.5 / sample_time:
             half = "half the sample rate" if sample_time is None else f"half the sample rate, {0.5 / sample_time:g} Hz,"
             state_feedback.refuse(
-                "kalman.disturbance_frequency", frequency, f"must be above 0 and below {half} with all its harmonics"
+                "kalman.disturbance_frequency",
+                frequency,
+                f"this frequency and its harmonics must be above 0 and below {half}",
             )
         for harmonic in range(1, harmonics + 1):
             i, phase = 2 * harmonic - 1, 2.0 * pi * frequency * harmonic * sample_time
@@ -289,7 +290,8 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     ------
     ParameterError
         ``kalman.form``, ``kalman.L``, ``kalman.q``, ``kalman.Q``, ``kalman.r``, ``kalman.disturbance``, a
-        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: they give no stable filter.
+        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: no stable filter follows
+        from it.
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:
@@ -310,7 +312,11 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
                 "is not observable: the model has a zero at the frequency of the disturbance (on the unit circle); "
                 "choose none or another frequency",
             )
-        state_feedback.refuse("model.dynamics.C", tuple(C[0].tolist()), "does not observe a mode that does not decay")
+        state_feedback.refuse(
+            "model.dynamics.C",
+            tuple(C[0].tolist()),
+            "a mode that does not decay is not observable; give a model in which it is",
+        )
     if parameters.gain == "given":
         L = np.array(parameters.L, dtype=float)
         late = product(whole, L) if current else L

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Definition and declaration of a controller: the common entries of its arrays, its base class, law, design and checks.
+"""Definition and declaration of a controller: common entries of its arrays, base class, law, design and checks.
 
 A controller is a kernel ``u = kernel(p, x, r, y)``: reference displacement r without preload offset [m], measured
 displacement y [m], command u [m] to the hysteresis compensator. The first entries of every state array are the same.
@@ -30,7 +30,7 @@ from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import StateSpace
 
 #: x[APPLIED]: achieved command of the previous sample [m]. The kernel writes its own command there; before the next
-#: call the loop replaces it by the part that the limits left.
+#: call the loop replaces it by the command that the limits have allowed.
 APPLIED = 0
 #: x[ESTIMATED]: displacement estimated by the observer [m], comparable with the measured one (including the preload
 #: offset).
@@ -47,7 +47,7 @@ STARTED = 5
 FEEDFORWARD = 6
 #: Number of entries of the common part of x.
 HEADER = 7
-#: p[FED]: 1.0 when there is a feedforward, the first entry of the parameters of every controller.
+#: p[FED], the first entry of the parameters of every controller: 1.0 when there is a feedforward.
 FED = 0
 
 #: Signals are limited to this magnitude, so that no product or sum becomes infinite.
@@ -56,7 +56,7 @@ BOUND = 1e60
 
 @kernel
 def bounded(value):
-    """Return ``value`` limited to ±1e60; NaN, which nodes refuse before, counts as 0."""
+    """Return ``value`` limited to ±1e60; NaN, which the nodes do not pass on, becomes 0."""
     if value != value:
         return 0.0
     if value > BOUND:
@@ -83,18 +83,18 @@ class Controller(Block):
         Sample time [s].
     """
 
-    #: Whether it continues with its observer's prediction while the measurement is NaN.
+    #: Whether the controller continues with its observer's prediction while the measurement is NaN.
     predicts = False
 
-    #: Whether it can process the samples of another controller, as if it had run in parallel.
+    #: Whether the controller can process past samples of another controller, as if it had run in parallel.
     runs_beside = False
 
     def shares_observer(self, other: Controller) -> bool:
-        """Tell whether the observer of another controller is the same, so that its state can be taken over."""
+        """Return whether another controller has the same observer, so that its state can be taken over."""
         return False
 
     def continue_from(self, predecessor: Controller) -> None:
-        """Take over the observer of a controller that shares it.
+        """Take over the state of the same observer of another controller.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class Controller(Block):
         raise TypeError(f"{type(self).__name__} has no observer to take over")
 
     def forget(self) -> None:
-        """Reset the integrated states, because the errors while another law is active are not this law's."""
+        """Reset the integrated states: errors while another law was active do not belong in this law's integral."""
 
     def settle(self, applied: float) -> bool:
         """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
@@ -123,7 +123,7 @@ class Controller(Block):
         return command
 
     def retune(self, parameters) -> None:
-        """Change the gains while running; arm the hand-over too, so that the command does not jump.
+        """Change the gains while running; the caller arms the hand-over, so that the command does not jump.
 
         Raises
         ------
@@ -132,11 +132,17 @@ class Controller(Block):
         """
         parameters = parameters.validated()
         if parameters.type != self.parameters.type:
-            raise ParameterError([Problem("type", parameters.type, "changes the controller; build a new block")])
+            raise ParameterError([Problem("type", parameters.type, "cannot change in a block; build a new block")])
         packed = np.ascontiguousarray(self.pack(parameters), dtype=np.float64)
         if packed.shape != self.p.shape:
             raise ParameterError(
-                [Problem("model.dynamics.B", parameters.model.dynamics.B, "the order of the model cannot change live")]
+                [
+                    Problem(
+                        "model.dynamics.B",
+                        parameters.model.dynamics.B,
+                        "the order of the model cannot change while running",
+                    )
+                ]
             )
         self.parameters = parameters
         self.p[:] = packed
@@ -148,13 +154,13 @@ UNFED: Mapping[str, Any] = {"feedforward.type": "none", "feedforward.preview": 0
 
 @dataclass(frozen=True, eq=False)
 class DesignTask:
-    """The task of a design: gains of a controller for the model in its parameters.
+    """The task of a design: find gains of a controller for the model in its parameters.
 
     Parameters
     ----------
     parameters : ControllerParameters
-        Parameters with the type of controller. Their model is minimal and stable; the design keeps values that it does
-        not decide.
+        Parameters with the type of controller. Their model is minimal and stable; the design keeps the values that it
+        does not determine.
     sample_time : float
         [s]
     bandwidth : float or None
@@ -162,12 +168,12 @@ class DesignTask:
     q : float or None
         Kalman filter: ratio of the input noise variance to the measurement noise variance.
     loop : callable
-        ``loop(parameters)`` returns controller and model, two :class:`StateSpace`, close to rest; for
+        ``loop(parameters)`` returns controller and model, linear close to rest, as two :class:`StateSpace` for
         :func:`hysteresis_ros.control.margins.judge`.
     aimed : Requirements, optional
         Requirements of a design without a given bandwidth.
     plants : tuple of PossiblePlant, optional
-        Plants on which the design must meet them, the model first; by default the model alone.
+        Plants on which the design must meet the requirements, the model first; by default the model alone.
     """
 
     parameters: Any
@@ -179,19 +185,19 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model and the worst other figures on the plants up to one that misses."""
+        """Return the bandwidth on the model and the worst other figures on the plants, up to the first that misses."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Gains that can be tuned on a criterion of the simulated loop.
+    """Gains that can be tuned by a criterion of the simulated loop.
 
     Parameters
     ----------
     gains : tuple of str
-        Names of the gains in the controller's own group; those that are 0 at the start stay 0.
+        Names of the gains in the controller's own group; gains that are 0 at the start stay 0.
     start : callable
         ``start(parameters, sample_time)`` returns the initial parameters.
     loop : callable
@@ -228,7 +234,7 @@ def _no_warnings(parameters, prefix: str):
 
 @dataclass(frozen=True, eq=False)
 class ControllerLaw:
-    """A controller: its type, law, parameters, and its functions for the rest of the package.
+    """A controller: its type, law and parameters, and functions for the rest of the package.
 
     Parameters
     ----------
@@ -239,18 +245,18 @@ class ControllerLaw:
     description : str
         Short description for the table of parameters.
     groups : mapping of str to type, optional
-        Groups of the motion controller's parameters that it uses, by name. A group with the name of the law that no
-        other law uses is checked only while the law is chosen.
+        Groups of the motion controller's parameters that the law uses, by name. A group that has the name of the law
+        and that no other law uses is checked only while the law is chosen.
     feedback : bool, optional
-        Whether it uses the measurement; otherwise the bandwidth of a reference is not limited.
+        Whether the law uses the measurement; for a law without feedback the frequency of a reference is not checked.
     check : callable, optional
         ``check(parameters, sample_time)`` raises ParameterError, with names relative to the motion controller's
-        parameters, when no stable controller follows; the sample time is None if it is unknown.
+        parameters, when they give no stable controller; the sample time is None if it is unknown.
     warnings : callable, optional
         ``warnings(parameters, prefix)`` returns warnings as sentences; ``prefix`` precedes names of parameters.
     near_rest : callable, optional
-        ``near_rest(parameters)`` returns parameters with which the kernel is linear close to rest, from parameters
-        without preload offset and feedforward.
+        ``near_rest(parameters)`` takes parameters without preload offset and feedforward and returns those with which
+        the kernel is linear close to rest.
     designs : mapping of str to callable, optional
         Name for ``hysteresis design --controller`` → ``design(task)``, which returns parameters with gains for a
         :class:`DesignTask`.
@@ -261,7 +267,7 @@ class ControllerLaw:
     tuning : Tuning, optional
         The gains that ``--criterion`` tunes.
     compared : optional
-        Obsolete; for laws of other packages. It is ignored with a warning that names its replacement.
+        Obsolete, for laws of other packages: it is ignored with a warning that names its replacement.
     """
 
     name: str
@@ -281,8 +287,9 @@ class ControllerLaw:
     def __post_init__(self, compared: Any) -> None:
         if compared is not None:
             warnings.warn(
-                f"controller {self.name}: compared = {compared!r} has no effect: a law no longer contains its rows of "
-                "hysteresis compare; leave it out and declare them by an entry point of the group "
+                f"controller {self.name}: compared = {compared!r} has no effect, because a law no longer "
+                "contains its rows of hysteresis compare; leave it out and declare the rows by an entry "
+                "point of the group "
                 '"hysteresis_ros.compared" (docs/extending.md)',
                 RuntimeWarning,
                 stacklevel=3,

@@ -9,18 +9,20 @@
 
 """Learning over periods: the correction of a periodic reference, its parameters, kernel, block and file.
 
-m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the error e = r − y of a period of N samples, the robustness filter Q,
-of zero phase, and the error filter G = Q L (iterative learning control [1]_, and as a plug-in repetitive control [2]_).
-γ_j = 1 is the plain law. A smaller γ_j averages noise over periods and does not change the limit of m.
+m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the correction m_j of period j, the error e_j = r − y of that period,
+the zero-phase robustness filter Q, and the error filter G = Q L (iterative learning control [1]_; as a plug-in it is
+repetitive control [2]_). γ_j = 1 gives the usual law. A smaller γ_j averages noise over periods and does not change the
+limit of m.
 
 Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
-from the samples around the one a period before; the end of a period needs no additional computation.
+from the samples around the same instant of the period before. So no extra computation is due at the end of a period.
 
-Samples that cannot be used for learning are not finite numbers in the ring of errors. Where more than a tenth of the
-filter's weight meets such samples, the correction repeats; where the reason is a saturated command, the correction
-decreases, because it would keep the axis at its limits. A late voltage causes an error that the correction does not
-influence: learning pauses while the axis responds to it. This pause is shorter than after saturation, because one
-sample is a small disturbance. A reference that differs from that of the previous period fades the correction out.
+The ring of errors holds a number that is not finite for each sample that cannot be used for learning. Where more than a
+tenth of the filter's weight meets such samples, the correction repeats. If a saturated command is the reason, the
+correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes an error
+that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter than after
+saturation, because one late sample is a small disturbance. When the reference differs from that of the previous period,
+the correction fades out.
 
 References
 ----------
@@ -56,8 +58,8 @@ class LearningParameters(Parameters):
         "none",
         choices=("none", "inversion", "norm_optimal", "repetitive"),
         read_only=True,
-        description="none, or the design of the filters (hysteresis design --learning): inverse of the closed loop, "
-        "weights on error and correction, or repetitive controller with phase lead",
+        description="none, or how hysteresis design --learning has designed the filters: inverse of the "
+        "closed loop, weights on error and correction, or repetitive controller with phase lead",
     )
     period: float = parameter(
         0.0, unit="s", low=0.0, read_only=True, description="period of the reference, a whole number of samples"
@@ -65,10 +67,10 @@ class LearningParameters(Parameters):
     error_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of Q L, from that of the error furthest ahead to that of the oldest",
+        description="taps of Q L, from the tap of the error furthest ahead to that of the oldest error",
     )
     lead: int = parameter(
-        0, low=0, high=LONGEST, read_only=True, description="lead of the first tap of error_filter, in samples"
+        0, low=0, high=LONGEST, read_only=True, description="lead of the first tap of error_filter [samples]"
     )
     robustness_filter: tuple[float, ...] = parameter(
         (),
@@ -97,17 +99,20 @@ class LearningParameters(Parameters):
         unit="s",
         low=0.0,
         high=1e3,
-        description="time for which learning pauses after that, until the response of the axis has decayed",
+        description="time for which learning pauses after a saturated command, until the response of the "
+        "axis has decayed",
     )
     late_recovery: float = parameter(
         -1.0,
         unit="s",
         low=-1.0,
         high=1e3,
-        description="time for which learning pauses after a late voltage, a small disturbance; below 0: as recovery",
+        description="time for which learning pauses after a late voltage, which is a small disturbance; "
+        "below 0: the same as recovery",
     )
     active: bool = parameter(
-        True, description="true: learn from the beginning; the services `learn` and `freeze` change it"
+        True,
+        description="true: learn from the beginning; false: begin frozen; the services `learn` and `freeze` change it",
     )
     file: str = parameter("", read_only=True, description="file of an initial correction; '': none", place="files")
     save_file: str = parameter(
@@ -187,7 +192,7 @@ class Learned:
     period, sample_time : float
         [s]
     correction, reference : ndarray, shape (N,)
-        Correction added to the reference, and the reference, from the beginning of the period on [m].
+        Correction added to the reference, and the reference itself, from the beginning of the period on [m].
     """
 
     period: float
@@ -213,7 +218,7 @@ class Learned:
         wanted = period_samples(period, 1.0 / sample_time)
         if len(self.correction) != wanted or abs(self.sample_time - sample_time) > 1e-6 * sample_time:
             have = f"{len(self.correction)} samples of {self.sample_time:g} s"
-            remedy = f"contains {have}; the axis needs {wanted} samples of {sample_time:g} s: learn again"
+            remedy = f"contains {have}, but the axis needs {wanted} samples of {sample_time:g} s: learn again"
             raise ParameterError([Problem("learning.file", f"period {self.period:g} s", remedy)])
         largest = float(np.max(np.abs(self.correction)))
         if largest > maximum:
@@ -245,7 +250,10 @@ def write_learned(path, learned: Learned, configuration: str = "") -> None:
             "reference": learned.reference.tolist(),
         }
     }
-    text = "# What an axis has learned over periods of its reference; learning.file of motion_controller loads it.\n"
+    text = (
+        "# Correction that an axis has learned over periods of its reference; load it with "
+        "learning.file of motion_controller.\n"
+    )
     text += (
         "# period and sample_time [s]; correction and reference [m], sample by sample from the period's beginning.\n"
     )
@@ -292,29 +300,30 @@ AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: constant
 MAXIMUM = 7  # [m]
 SHORTFALL = 8  # difference of command and achieved command above which learning pauses [m]
 RECOVERY = 11  # samples after a saturated command in which learning pauses
-LATE_ANSWER = 12  # the same after a late voltage
+LATE_ANSWER = 12  # samples after a late voltage in which learning pauses
 FADE = 9  # fraction of the correction that fades in or out per sample
 MISSING = 10  # weight of the error filter that may meet unusable samples
 FILTERS = 13
 
-# State; then three rings of as many samples as the filters reach back: correction, error, reference [m].
+# State; then three rings, as long as the filters reach back: correction, error, reference [m].
 MODE = 0
 SAMPLES = 1  # samples since the beginning
 LEARNED = 2  # samples since learning began
 WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # samples until the response to a saturated command has decayed
-LOST = 6  # entry of those samples in the ring: LIMITED or NaN
+LOST = 6  # entry of the samples until then in the ring: LIMITED or NaN
 RINGS = 7
 
-#: Modes: the correction repeats; it is updated; it fades to zero.
+#: Modes: the correction repeats, is updated, or fades to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
-#: Entry for a sample with a saturated command, and fraction by which the correction around it decreases per period.
+#: Entry for a sample with a saturated command, and the fraction by which the correction near such samples decreases per
+#: period.
 LIMITED, RELIEF = math.inf, 0.25
 
-#: References that differ by less from one period to the next count as equal [m].
+#: References whose difference from one period to the next is smaller count as equal [m].
 SAME = 1e-9
 
 
@@ -406,7 +415,7 @@ def learned_correction(p, x, reference, error):
             value = repeated - RELIEF * gain * repeated
         x[LEARNED] += 1.0
     known = x[references + before]
-    # in the first period there is no reference to compare with
+    # in the first period there is no earlier reference to compare with
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
         x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
         if x[WEIGHT] == 0.0:
@@ -422,7 +431,7 @@ def learned_correction(p, x, reference, error):
     return value
 
 
-#: Fraction of the error filter's weight that may meet unusable samples: the margin of convergence.
+#: Fraction of the error filter's weight that may meet unusable samples without endangering convergence.
 UNLEARNED = 0.1
 
 
@@ -440,7 +449,8 @@ class Learning(Block):
     Raises
     ------
     ParameterError
-        The period is not a whole number of samples, a filter has the lead of a period, or the file does not fit.
+        The period is not a whole number of samples, a filter has a lead of a period or more, or the file is for another
+        period or sample time.
     """
 
     kernel = staticmethod(learned_correction)
@@ -481,7 +491,8 @@ class Learning(Block):
             return np.zeros(0)
         period, back = int(self.p[PERIOD]), int(self.p[TAPS] - 1 - self.p[LEAD])
         length = period + max(back, int(self.p[HALF])) + 1
-        # before the beginning the axis was at rest, without error; the file's correction waits for its first sample
+        # before the beginning the axis was at rest without error; the correction of the file starts with the first
+        # sample
         rings = np.zeros((3, length))
         rings[2] = math.nan
         if self._loaded is not None:

@@ -9,9 +9,9 @@
 
 """Controllers close to rest, as linear systems, and their margins on their own models.
 
-Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state space follows
-from the kernel itself: at rest all its values are zero, so the response to one tiny entry at a time *is* the column of
-a matrix, without cancellation.
+Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state-space matrices
+follow from the kernel itself. At rest all values are zero, so the response to one tiny entry *is* a column of a matrix,
+and no digits cancel.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hysteresis_ros.models.linear import StateSpace
 
 #: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
 TINY = 1e-24
-#: Samples at rest before the linearisation, for flags and counters of the start.
+#: Samples at rest before the linearisation, after which flags and counters of the start no longer change.
 WARM_UP = 3
 
 
@@ -52,7 +52,7 @@ def linearise(controller) -> StateSpace:
     rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
     for _ in range(WARM_UP):
         kernel(p, rest, 0.0, 0.0)
-    # the last command is one state, although it has two entries; the feedforward is not a state
+    # the last command has two entries, but is one state; the feedforward is not a state
     groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
     count = len(groups)
     A, C = np.zeros((count, count)), np.zeros((1, count))
@@ -83,7 +83,7 @@ def _connected(system: StateSpace) -> StateSpace:
 
 
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and model of a controller's parameters, both close to rest; a damping belongs to the model.
+    """Return the controller and its model as linear systems close to rest; a damping is part of the model.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
 
 
 def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and damping as one system, and the undamped model, whose changes are of interest.
+    """Return controller and damping as one system, and the undamped model, for studies of a changed plant.
 
     Raises
     ------

@@ -9,21 +9,22 @@
 
 """Robustness of linear loops: loop transfer function, margins, sensitivity and bandwidth, modelled or measured.
 
-Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). Timing is that of the running loop:
-y_k = C x_k + D u_(k-1) is measured, u_k responds in the same sample and is held until the next one; the command counts
-as achieved. The inverse of the hysteresis is assumed exact.
+Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The timing is that of the running
+loop: y_k = C x_k + D u_(k-1) is measured, and u_k responds in the same sample and is held until the next one. Commands
+are assumed to be achieved. The inverse of the hysteresis is assumed exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
-A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs); the loop tolerates it until that passes −1.
+A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs). The loop tolerates the delay until this curve passes
+through −1.
 
 Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
-one sample beyond the model, about the delay of converters, transport and a loaded computer. M_s ≤ 2 alone implies a
-gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin: at half
-the sample rate one sample of delay costs 180 degrees.
+one sample besides the delay of the model: about the delay of converters, transport and a loaded computer. M_s ≤ 2 alone
+implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin:
+at half the sample rate one sample of delay is 180 degrees of phase.
 
-A measured loop is cut at the same place. To first order an error δ of L is an error -S² δ of S and S² δ of T. The range
-of a margin follows from the circles around L at the measured frequencies: nearest to −1 for the sensitivity, along the
-real axis for the gain, across it for the phase.
+A measured loop is cut at the same place. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
+range of a margin follows from the circles of uncertainty around L at the measured frequencies: for the sensitivity from
+their points nearest to −1, for the gain along the real axis, for the phase along the unit circle.
 
 References
 ----------
@@ -43,7 +44,7 @@ from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 def with_acting(dynamics, plant: StateSpace) -> StateSpace:
     """Return a plant with its quasi-static displacement as second output.
 
-    That output contains gain and delay only, no poles and zeros; a force in the stack is a sum of both outputs.
+    The second output has gain and delay only, without poles and zeros. The force in the stack is a sum of both outputs.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def with_acting(dynamics, plant: StateSpace) -> StateSpace:
 
 
 def plant_state_space(dynamics, scaled: bool = True, acting: bool = False) -> StateSpace:
-    """Return the model from command to measured displacement, the input held last as its last state.
+    """Return the model from command to measured displacement; its last state is the previous input.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
 
 
 def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return the parts of L by the fed-back signal: displacement, and with force damping quasi-static displacement.
+    """Return the part of L through each measured signal: displacement and, damping by force, quasi-static displacement.
 
     Returns
     -------
@@ -140,11 +141,11 @@ class Requirements:
     gain_margin : float
         Least gain margin [dB].
     delay_margin : float
-        Least tolerated delay beyond the modelled one [samples].
+        Least tolerated delay besides the modelled delay [samples].
     command_noise_gain : float
         Largest RMS of the command per RMS of the sensor's noise; infinite if the noise is unknown.
     late_sensitivity_peak : float
-        Largest M_s with a sample of delay beyond the modelled one, for designs without a given bandwidth.
+        Largest M_s with one sample of delay besides the modelled delay, for designs without a given bandwidth.
     """
 
     sensitivity_peak: float = 2.0
@@ -154,14 +155,14 @@ class Requirements:
     late_sensitivity_peak: float = np.inf
 
 
-#: Relative tolerance of a requirement, because designs end where they just meet it.
+#: Relative tolerance of a requirement, because a design ends where it just meets the requirement.
 ROUNDING = 1e-3
 #: Requirements of every design.
 REQUIRED = Requirements()
 #: Aim of a design without a given bandwidth: a delay margin of one sample even with one more sample of delay. Usual
 #: values of M_s are 1.2 to 2 [1]_.
 AIMED = Requirements(sensitivity_peak=1.6, delay_margin=2.0, late_sensitivity_peak=3.0)
-#: Aim of gains that are tuned for speed, by a criterion or a comparison: stable with one more sample of delay.
+#: Aim of gains tuned for speed (by a criterion or a comparison): stable with one more sample of delay.
 FASTEST = Requirements(delay_margin=1.3)
 
 
@@ -180,7 +181,7 @@ class Margins:
     delay_margin : float
         Tolerated additional delay [s].
     gain_crossovers, phase_crossovers : ndarray
-        Frequencies at which the loop has gain one, and phase −180 degrees [Hz].
+        Frequencies at which the loop transfer function has gain one, and those at which it has phase −180 degrees [Hz].
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float
@@ -219,7 +220,7 @@ class Margins:
         return self.delay_margin / self.sample_time
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return the unmet requirements, a few words each; empty when all are met."""
+        """Return each unmet requirement in a few words; empty when all are met."""
         if not self.stable:
             return ("unstable on its own model",)
         found = []
@@ -255,9 +256,10 @@ class Judged(NamedTuple):
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor.
     rejection : float
-        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 if a constant one is not.
+        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 if a constant disturbance is not
+        rejected.
     feedback : float
-        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 if it does not act at rest.
+        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 if it does not act at frequency zero.
     late_sensitivity_peak : float
         M_s with an additional sample of delay.
     """
@@ -317,7 +319,7 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
 
 
 def _up_to(angles, begun) -> float:
-    """Return the first angle at which a condition holds: 0 if from the start, π if never."""
+    """Return the first angle at which a condition holds: 0 if it holds at the first one, π if nowhere."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi
@@ -325,7 +327,7 @@ def _up_to(angles, begun) -> float:
 
 
 def _coarse_delay_margin(angles, values) -> float:
-    """Return the delay margin [samples] with crossovers by interpolation between the points of a grid."""
+    """Return the delay margin [samples]; crossovers are interpolated between the points of a grid."""
     size = np.log(np.abs(values) + 1e-300)
     at = np.flatnonzero((size[:-1] < 0.0) != (size[1:] < 0.0))
     part = size[at] / (size[at] - size[at + 1])
@@ -369,7 +371,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
     if values[-1].real < 0.0:
         phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
     if _flat_and_negative(loop(LOWEST * np.array([1.0, 2.0]))):
-        phase_at = np.append(LOWEST, phase_at)  # and at rest, without an integrator
+        phase_at = np.append(LOWEST, phase_at)  # and at frequency zero, if the loop has no integrator
     phases = np.array([np.angle(loop(angle)[0]) for angle in gain_at]) + np.pi
     phases = np.mod(phases, 2.0 * np.pi)
     factors = 20.0 * np.log10([1.0 / max(abs(loop(angle)[0]), 1e-300) for angle in phase_at])
@@ -402,7 +404,7 @@ def _least(values) -> float:
 
 
 def _grid(poles, count: int) -> np.ndarray:
-    """Return angles in 0 … π, uniform in linear and logarithmic scale, and dense around the resonances."""
+    """Return angles in 0 … π: uniform on a linear and on a logarithmic scale, and dense around the resonances."""
     parts = [np.geomspace(LOWEST, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
     for pole in poles:
         angle, width = abs(np.angle(pole)), max(1.0 - min(abs(pole), 1.0), 1e-9)
@@ -413,7 +415,7 @@ def _grid(poles, count: int) -> np.ndarray:
 
 
 def _flat_and_negative(values) -> bool:
-    """Tell whether the loop transfer at the two lowest angles is that of a finite, negative gain at rest."""
+    """Return whether L at the two lowest angles belongs to a finite, negative gain at frequency zero."""
     return bool(values[0].real < 0.0 and abs(values[1] - values[0]) < 1e-3 * abs(values[0]))
 
 
@@ -577,7 +579,7 @@ class MeasuredLoop:
         return [(name, f"{text}; model {other}") for (name, text), other in zip(rows, expected, strict=True)]
 
     def _least_phase(self, figure, folded: bool) -> Interval:
-        """Return the least figure of phase above −180 degrees and angle per sample at |L| = 1, with its range.
+        """Return the smallest figure, with its range, of phase above −180 degrees and angle per sample at |L| = 1.
 
         A circle around L that reaches the unit circle does so at its angle ± α, cos α = (1 + |L|² − r²)/(2 |L|).
         """
@@ -589,7 +591,7 @@ class MeasuredLoop:
             turned = np.angle(self.loop[place + 1] / self.loop[place])
             phase = np.mod(np.angle(self.loop[place]) + part * turned + np.pi, 2.0 * np.pi)
             near = _around(place, touching)
-            # the phases at the adjacent frequencies, in the same turn
+            # the phases at the adjacent frequencies, without a jump of 360 degrees
             phases = phase + np.angle(self.loop[near] / np.exp(1j * (phase - np.pi)))
             cosine = (1.0 + size[near] ** 2 - self.radius[near] ** 2) / (2.0 * size[near])
             half = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -604,7 +606,7 @@ class MeasuredLoop:
         return min(found, key=lambda one: one.value, default=NOWHERE)
 
     def _crossings(self, values):
-        """Return frequencies [Hz] at which values cross zero, the indices before, and the fractions to the next."""
+        """Return the frequencies [Hz] where values cross zero, the index before each, and the fraction beyond it."""
         places = np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0))
         parts = values[places] / (values[places] - values[places + 1])
         frequencies = self.frequency[places] + parts * np.diff(self.frequency)[places]
@@ -629,13 +631,13 @@ def loop_of(
     sample_time : float
         [s]
     model : StateSpace, optional
-        From command to the controller's inputs without the reference; needed if there is more than one.
+        From command to the controller's inputs other than the reference; needed if there is more than one such input.
     """
     z = np.exp(2j * np.pi * frequency * sample_time)
     feedback = -controller.response(z)[:, 0, 1]
     loop = feedback * plant
     if model is not None:
-        # the quasi-static displacement is gain and delay only, which the model knows
+        # the quasi-static displacement has gain and delay only, which the model contains
         loop = loop + np.sum(loop_parts(controller, model, z)[:, 1:], axis=1)
     return MeasuredLoop(frequency, loop, np.abs(feedback) * radius, sample_time)
 
@@ -645,7 +647,7 @@ def _between(values, place: int, part: float) -> float:
 
 
 def _around(place: int, touching) -> np.ndarray:
-    """Return the indices whose circles touch, contiguous around a crossing between ``place`` and the next one."""
+    """Return the contiguous indices, around a crossing between ``place`` and the next index, whose circles touch."""
     first, last = place + 1, place
     while first > 0 and touching[first - 1]:
         first -= 1

@@ -10,11 +10,12 @@
 """Gains of the sliding mode controllers from a model: reaching law and Kalman filter for a bandwidth.
 
 Two numbers determine the speed of such a loop: the pole that sets the bandwidth from the reference, and the bandwidth
-of the filter, which sets the rejection of disturbances and reduces the margins. A search varies both on grids that
-become finer around the best point. Among the points that meet the requirements, the best one has the largest product of
-bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because there tracking depends on the
-accuracy of the model. If no point meets the requirements, the closest one is returned; its margins show that. The
-equations of hyperplane and feedback gain are in :mod:`.state_feedback`, those of the laws in ``laws/``.
+of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search varies both numbers
+on grids that become finer around the best point. Among the points that meet the requirements, the best one has the
+largest product of bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because tracking then
+depends on the accuracy of the model. If no point meets the requirements, the closest point is returned, and its margins
+show which it misses. The equations of hyperplane and feedback gain are in :mod:`.state_feedback`, those of the laws in
+``laws/``.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.linear_algebra import eigenvalues, product
 
-#: Bandwidth of the pole: the highest [cycles per sample], and the largest number of halvings.
+#: Highest bandwidth of the pole [cycles per sample], and the largest number of halvings of it.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Filter: change of the disturbance per sample over the noise, as powers of 2.
+#: Range of the filter's ratio of the disturbance's change per sample to the noise, as powers of 2.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
 #: Penalty on bandwidth beyond that of the feedback.
 IN_VAIN = 0.05
-#: Steps of the grids as powers of two, from coarse to fine.
+#: Steps of the grids (of exponents of two), from coarse to fine.
 STEPS = (2.0, 1.0, 0.5)
 
 
@@ -61,7 +62,7 @@ def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanP
     """
     variance = size * size
     parts: dict[str, dict[str, Any]] = {
-        # a filter without a disturbance must follow the measurement, or a mismatch is not observed
+        # without an estimated disturbance the filter must follow the measurement, or it does not notice a mismatch
         "none": {"q": 100.0 * variance},
         "constant": {"q": 0.01 * variance, "q_disturbance": variance},
         "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
@@ -78,7 +79,7 @@ def scaled(given: KalmanParameters, size: float) -> KalmanParameters:
 
 
 def solved(parameters, sample_time: float):
-    """Return the same design with numeric hyperplane and filter gain, so that a search solves no Riccati equation."""
+    """Return the design with hyperplane and filter gain as numbers, so that a search solves no Riccati equation."""
     model = parameters.model.dynamics.state_space
     S = design_sliding_mode(parameters.sliding_mode, model).S
     L = filter_gain(parameters.kalman, model, sample_time)
@@ -101,8 +102,8 @@ class GainSearch:
     judged : callable
         ``judged(parameters)`` returns a :class:`Judged`.
     place : callable or None
-        ``place(parameters, pole)`` returns the parameters with the pole that sets the bandwidth; None without such a
-        pole.
+        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None: the
+        controller has no such pole.
     aimed : Requirements
     """
 
@@ -127,7 +128,7 @@ class GainSearch:
         if point not in self._scores:
             try:
                 self._scores[point] = self._score(*point)
-            except ParameterError:  # no filter, or an unstable loop
+            except ParameterError:  # there is no such filter, or the loop is unstable
                 self._scores[point] = (False, -math.inf)
         return self._scores[point]
 
@@ -141,7 +142,7 @@ class GainSearch:
         followed = max(found.feedback, self.own)
         rejected = max(found.rejection, 1e-9 * self.own)
         gained = math.log(rejected) + math.log(min(bandwidth, followed))
-        # rounded, so that differences of LAPACK and C libraries in the last digits have no effect
+        # rounded, so that last digits, which differ between LAPACK and C libraries, have no effect
         return True, round(gained - IN_VAIN * max(math.log(bandwidth / followed), 0.0), 6)
 
     def best(self, powers: tuple[float, float]) -> tuple[float, float]:
@@ -170,12 +171,12 @@ class GainSearch:
 
 
 def power_of_two(exponent: float) -> float:
-    """Return 2 to the power of a multiple of one half, correctly rounded."""
+    """Return 2 to a power that is a multiple of one half, correctly rounded."""
     return math.sqrt(math.ldexp(1.0, round(2.0 * exponent)))
 
 
 def pole_of(halvings: float) -> float:
-    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST_POLE` after this number of halvings."""
+    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST_POLE` halved this many times."""
     angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
     return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
 
@@ -192,7 +193,7 @@ def excess(found: Judged, aimed: Requirements) -> float:
 
 #: Input weight of the LQ problem as a fraction of the squared DC gain.
 INPUT_WEIGHT = 0.025
-#: Largest pole that sets a bandwidth, and how closely the bandwidth is met.
+#: Largest pole that a requested bandwidth may need, and the relative accuracy with which the bandwidth is met.
 SLOWEST = 0.99999
 PRECISION = 1e-5
 #: Fraction of the requested bandwidth by which the slowest pole may be too fast.
@@ -208,8 +209,8 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     name : str
         Name of the design, for messages.
     place : callable or None
-        ``place(parameters, pole)`` returns the parameters with the pole that sets the bandwidth; None without such a
-        pole.
+        ``place(parameters, pole)`` returns the parameters with this pole, which sets the bandwidth. None: the
+        controller has no such pole.
     disturbed : bool
         Whether the Kalman filter estimates a disturbance.
 
@@ -240,7 +241,7 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
 
 
 def lq_surface(given, dynamics):
-    """Return the parameters with the hyperplane of an LQ problem on output and input."""
+    """Return the parameters with the hyperplane of an LQ problem that weighs output and input."""
     gain = dynamics.matrices.dc_gain
     empty: dict[str, Any] = {name: () for name in ("S", "poles", "poles_imaginary", "lq_state_weight")}
     return replace(given, tracking="target", hyperplane="lq", lq_input_weight=INPUT_WEIGHT * gain * gain, **empty)
@@ -261,13 +262,13 @@ def reaching_law(parameters, pole: float):
 
 
 def sliding_pole(parameters, pole: float):
-    """Return the parameters with the sliding motion's slowest pole; the others are the fastest of the LQ problem."""
+    """Return the parameters with this slowest pole of the sliding motion; the others are the fastest LQ poles."""
     model = parameters.model.dynamics.state_space
     n, A, B = model.order, model.A, model.B
     S = design_sliding_mode(parameters.sliding_mode, model).S
     sliding = eigenvalues(A - product(B, product(S, A)[np.newaxis]) / product(S, B).item())
     sizes = sorted(math.sqrt(pole.real * pole.real + pole.imag * pole.imag) for pole in sliding)
-    fastest = sizes[1 : n - 1]  # without the pole at 0, which does not belong to the sliding motion
+    fastest = sizes[1 : n - 1]  # except the pole at 0, which does not belong to the sliding motion
     poles = (pole, *fastest)
     chosen = replace(parameters.sliding_mode, hyperplane="poles", S=(), poles=poles, poles_imaginary=())
     return replace(parameters, sliding_mode=chosen)
@@ -288,8 +289,9 @@ def _pole_for(task: DesignTask, with_pole) -> float:
     least = reached(slow)
     if bandwidth < least * (1.0 - TOLERANCE):
         remedy = (
-            f"this controller reaches no less than {least:.4g} Hz on its model: inside the boundary layer eta and "
-            "beta/delta add to the reaching law; lower them, or request more"
+            f"the smallest bandwidth of this controller on its model is {least:.4g} Hz, because eta "
+            "and beta/delta add to the reaching law inside the boundary layer; lower them, or "
+            "request more"
         )
         state_feedback.refuse("bandwidth", bandwidth, remedy)
     while slow - fast > PRECISION * (1.0 - slow):
@@ -321,10 +323,10 @@ def reaching_rows(parameters, sample_time: float):
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:
-    """Return the warning about a law that integrates the innovations of the Kalman filter."""
+    """Return the warning about a law that sees disturbances only through the innovations of the Kalman filter."""
     if parameters.kalman.disturbance != "none":
         return ()
     return (
-        f"{prefix}kalman.disturbance = none: {parameters.type} sees a disturbance only through the innovation, and a "
-        "part of it remains; choose constant",
+        f"{prefix}kalman.disturbance = none: {parameters.type} then sees a disturbance only "
+        "through the innovation and rejects only a part of it; choose constant",
     )

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sliding surface: hyperplane and linear gain, the switching function of the estimated state, and the output.
+"""Sliding surface: hyperplane and linear gain, the switching function of the estimated state, and the command.
 
 With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and Λ = S B:
 
 rest point     x* = N_x r, u* = N_u r: the model's rest point at the reference
 trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
 
-The trajectory starts at rest on the reference. With a static feedforward, whose command is that of the rest point, the
-rest point stays the target, because the trajectory would contain the ringing of the model.
+The trajectory starts at rest on the reference. With a static feedforward the rest point stays the target: the
+feedforward's command is that of the rest point, and the trajectory under it would contain the ringing of the model.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class SlidingModeParameters(Parameters):
         "target",
         choices=("target", "integral"),
         read_only=True,
-        description="Follow the reference by its rest point alone (target), or with an integral of the error as well",
+        description="target: follow the reference through the rest point at it; integral: add an integral of the error",
     )
     hyperplane: str = parameter(
         "lq",
@@ -75,7 +75,7 @@ class SlidingModeParameters(Parameters):
         description="Whether S is given, follows from an LQ problem, or from the poles of the sliding motion",
     )
     S: tuple[float, ...] = parameter(
-        (), description="Hyperplane when given: one entry per state, and one for the integral with integral tracking"
+        (), description="Hyperplane when given: one entry per state; with integral tracking one more, for the integral"
     )
     lq_state_weight: tuple[float, ...] = parameter(
         (),
@@ -102,17 +102,18 @@ class SlidingModeParameters(Parameters):
         0.5,
         low=-1.0,
         high=1.0,
-        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), rate of rejection of disturbances that the "
-        "filter does not explain; 0: at once, nearer to 1: smoother",
+        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), determines how fast disturbances "
+        "are rejected that the filter does not estimate; 0: at once, nearer to 1: more smoothly",
     )
-    eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part over |s| / |S B|")
+    eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part against |s| / |S B|")
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
     delta: float = parameter(0.0, low=0.0, description="Width of the boundary layer (unit of s)")
     anti_windup_threshold: float = parameter(
         0.02,
         low=0.0,
-        description="The integral holds while command and applied differ by more than this fraction of the largest "
-        "applied command so far and integrating would widen the difference",
+        description="The integral is held while command and achieved command differ by more than this "
+        "fraction of the largest achieved command so far, if integrating would increase the "
+        "difference",
     )
 
 
@@ -152,7 +153,7 @@ def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) ->
     """
     whole = model
     if parameters.tracking == "integral":
-        state_feedback.steady_state(model)  # without DC gain the integral never settles
+        state_feedback.steady_state(model)  # raises ParameterError without DC gain: the integral would never settle
         whole = state_feedback.integral_system(model)
     n, order, A, B = model.order, whole.order, whole.A, whole.B
     if parameters.hyperplane == "given":
@@ -175,7 +176,7 @@ def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) ->
         S = state_feedback.hyperplane_lq(A, B, weight, parameters.lq_input_weight)
     if not abs(parameters.phi) < 1.0:
         state_feedback.refuse(
-            "sliding_mode.phi", parameters.phi, "must be inside -1 … 1, or the switching function never decays"
+            "sliding_mode.phi", parameters.phi, "must be above -1 and below 1, or the switching function never decays"
         )
     if not parameters.phi - parameters.eta > -1.0:
         state_feedback.refuse("sliding_mode.eta", parameters.eta, f"must be below 1 + phi = {1.0 + parameters.phi:g}")
@@ -220,13 +221,13 @@ PHI = 15
 OWN = 16  # first of three entries of each law
 GAINS = 19
 
-# State array after the common part, then the Kalman filter's, then the trajectory and n places for the next one.
+# State array after the common part; then the Kalman filter's state, the trajectory, and n entries of scratch.
 INTEGRAL = HEADER  # integral of the error
-LARGEST = HEADER + 1  # largest applied command so far [m]
+LARGEST = HEADER + 1  # largest achieved command so far [m]
 LINEAR = HEADER + 2  # K x_e
 TARGET = HEADER + 3  # u*
 MEMORY = HEADER + 4  # first of two entries of each law
-LAST = HEADER + 6  # last command of the law itself, in the model's units
+LAST = HEADER + 6  # last command of the law, before limits, in the model's units
 BEGUN = HEADER + 7  # 0.0: the law has not run yet, or must restart
 OBSERVER = HEADER + 8
 
@@ -277,7 +278,7 @@ def switching_function(p, x, reference, measured):
             linear += p[GAINS + i] * distance
     if p[INTEGRATING] != 0.0:
         error = r - y
-        # Integrating moves the command by -INTEGRAL_GAIN * error.
+        # Integrating changes the command by -INTEGRAL_GAIN * error.
         if not widens(p, x, applied, -p[INTEGRAL_GAIN] * error):
             x[INTEGRAL] = bounded(x[INTEGRAL] + error)
         s += p[INTEGRAL_HYPERPLANE] * x[INTEGRAL]
@@ -289,7 +290,7 @@ def switching_function(p, x, reference, measured):
 
 @kernel
 def widens(p, x, applied, change):
-    """Tell whether the command is saturated and ``change`` of it would lead further beyond the limits."""
+    """Return whether the command is saturated and ``change`` would move it further beyond the limits."""
     excess = x[COMMAND] - applied
     return abs(excess) > p[THRESHOLD] * x[LARGEST] and change * (excess / p[INPUT_SCALE]) > 0.0
 
@@ -320,7 +321,7 @@ def leave(p, x, s, command):
 
 @lru_cache(maxsize=16)
 def pack_surface(parameters, sample_time: float | None):
-    """Return design and parameter array of head, K, S and Kalman filter: checked and designed only once.
+    """Return the design and the parameter array (head, K, S, Kalman filter); results are stored for later calls.
 
     Parameters
     ----------
@@ -351,8 +352,8 @@ def pack_surface(parameters, sample_time: float | None):
                 Problem(
                     "kalman.disturbance",
                     kalman.disturbance,
-                    "and sliding_mode.tracking = 'integral' are two integrators for one offset; "
-                    "set kalman.disturbance to none or sliding_mode.tracking to target",
+                    "and sliding_mode.tracking = 'integral' would be two integrators for one offset; set "
+                    "kalman.disturbance to none, or sliding_mode.tracking to target",
                 )
             ]
         )
@@ -385,7 +386,7 @@ def pack_surface(parameters, sample_time: float | None):
 
 
 def require_target(parameters) -> None:
-    """Refuse integral tracking beside a law that integrates by itself.
+    """Refuse integral tracking for a law that already integrates.
 
     Raises
     ------
@@ -396,12 +397,12 @@ def require_target(parameters) -> None:
         state_feedback.refuse(
             "sliding_mode.tracking",
             "integral",
-            f"{parameters.type} integrates by itself: two integrators for one offset; set it to target",
+            f"{parameters.type} already integrates: two integrators would act on one offset; set it to target",
         )
 
 
 def check_with(packed):
-    """Return the check of a sliding mode controller: it is designed once, with ``packed(parameters, sample_time)``.
+    """Return the check of a sliding mode controller, which designs it by ``packed(parameters, sample_time)``.
 
     Parameters
     ----------
@@ -441,7 +442,7 @@ class SlidingController(Controller):
         return self.x[first : first + self.parameters.model.dynamics.order].copy()
 
     def shares_observer(self, other: Controller) -> bool:
-        """Tell whether both have the same Kalman filter of the same model, and the same kind of target."""
+        """Return whether both have the same Kalman filter, the same model and the same kind of target."""
         if not isinstance(other, SlidingController):
             return False
         mine, theirs = self.parameters, other.parameters
@@ -449,20 +450,20 @@ class SlidingController(Controller):
         return same and mine.feedforward == theirs.feedforward
 
     def continue_from(self, predecessor: Controller) -> None:
-        """Take over the observer and the trajectory of a controller with the same ones."""
+        """Take over the states of the observer and of the trajectory from a controller that has the same."""
         self.x[OBSERVER:] = predecessor.x[OBSERVER:]
         self.x[LARGEST] = predecessor.x[LARGEST]
         self.x[STARTED] = predecessor.x[STARTED]
 
     def forget(self) -> None:
-        """Reset the integrated states, because the errors while another law is active are not this law's."""
+        """Reset the integrated states: errors while another law was active do not belong in this law's integral."""
         self.x[INTEGRAL] = 0.0
 
     def settle(self, applied: float) -> bool:
         """Set the integrated states so that the command continues from ``applied`` [m]; False if impossible."""
         if self.p[INTEGRATING] == 0.0 or self.p[INTEGRAL_GAIN] == 0.0 or self.x[BEGUN] == 0.0:
             return False
-        # after a reset, the integral is not part of the last command
+        # after a reset the last command does not contain the integral
         self.x[INTEGRAL] = (self.x[LAST] - applied / self.p[INPUT_SCALE]) / self.p[INTEGRAL_GAIN]
         return True
 

@@ -14,13 +14,13 @@ published matrices give published gains. Shapes: A (n, n), B (n, 1), C (1, n), D
 order (:mod:`hysteresis_ros.models.linear_algebra`), so that they are the same bits on every processor; only the checks
 that refuse a design (rank, stability) use LAPACK.
 
-A measurement is taken just before the input changes: ``y_k = C x_k + D u_(k-1)``.
+A measurement is taken just before the input of its sample changes: ``y_k = C x_k + D u_(k-1)``.
 
 References
 ----------
-.. [1] Kim, Kim & Park 2009, eqs 6-15 (eq. 9 printed with S B where S A is meant).
-.. [2] Utkin, Sliding Modes in Control and Optimization, 1992 (hyperplanes from Ackermann's formula and from LQ).
-.. [3] Anderson & Moore, Optimal Filtering, 1979, chapter 4 (predictor and filter gain).
+.. [1] Kim, Kim & Park 2009, eqs 6-15 (eq. 9 prints S B instead of S A). .. [2] Utkin, Sliding Modes in Control and
+Optimization, 1992 (hyperplanes from Ackermann's formula and from LQ). .. [3] Anderson & Moore, Optimal Filtering, 1979,
+chapter 4 (predictor and filter gain).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
 
 
 def _equilibrated(matrix):
-    """Scale rows, then columns, to length one, so that the numerical rank does not depend on units."""
+    """Scale rows, then columns, to length one: the numerical rank must not depend on units."""
     for axis in (1, 0):
         length = np.linalg.norm(matrix, axis=axis, keepdims=True)
         matrix = matrix / np.where(length > 0.0, length, 1.0)
@@ -83,7 +83,7 @@ def spectral_radius(A) -> float:
 
 
 def require_stable(A, name: str, value, what: str) -> None:
-    """Refuse a closed loop or an error dynamics that does not decay.
+    """Refuse a closed loop, or dynamics of an estimation error, that does not decay.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def require_stable(A, name: str, value, what: str) -> None:
 
 
 def steady_state(model: StateSpace):
-    """Return the rest point of output one: ``x_r = N_x r``, ``u_r = N_u r``.
+    """Return N_x and N_u of the rest point at output r: ``x_r = N_x r``, ``u_r = N_u r``.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def integral_system(model: StateSpace) -> StateSpace:
 def disturbance_system(model: StateSpace, A_d=None, c_d=None) -> StateSpace:
     """Append a disturbance d of the input (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the model.
 
-    With y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough takes the previous disturbance, c_d A_d⁻¹ w_k.
+    In y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough acts on the previous disturbance, c_d A_d⁻¹ w_k.
 
     Parameters
     ----------
@@ -273,22 +273,34 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
     """
     given = tuple(np.diag(state_weight).tolist())
     if not stabilisable(A, B):
-        refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "an unstable mode is not controllable by the input")
+        refuse(
+            "model.dynamics.B",
+            tuple(B[:, 0].tolist()),
+            "the input cannot control an unstable mode; give a model in which it can",
+        )
     if not detectable(A, state_weight):
-        refuse("sliding_mode.lq_state_weight", given, "leaves a mode that does not decay without weight; weigh it")
+        refuse(
+            "sliding_mode.lq_state_weight",
+            given,
+            "must weigh every mode that does not decay; one of them has no weight",
+        )
     P = _riccati(A, B, state_weight, input_weight, "sliding_mode.lq_state_weight", given)
     S = product(B.T, P)[0]
     scale = product(S, B).item()
     if not scale > 0.0:
-        refuse("sliding_mode.lq_state_weight", given, "gives the input no effect on the cost; weigh the output")
+        refuse(
+            "sliding_mode.lq_state_weight",
+            given,
+            "must weigh states that the input affects, e.g. the output; now the input has no effect on the cost",
+        )
     return S / scale
 
 
 def kalman_gain(A, C, process_noise, measurement_noise: float):
     """Return the steady filter gain P Cᵀ (r + C P Cᵀ)⁻¹ and P of the Kalman filter [1]_ (eqs 13-15).
 
-    This is the gain of the current (filter) form; A times it is the gain of the predictor form, the one printed in
-    [1]_. P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q (the paper prints L Q Lᵀ for Q) [3]_.
+    This is the gain of the current (filter) form. The gain of the predictor form, printed in [1]_, is A times this
+    gain. P = A P Aᵀ − A P Cᵀ (r + C P Cᵀ)⁻¹ C P Aᵀ + Q (the paper prints L Q Lᵀ for Q) [3]_.
 
     Parameters
     ----------
@@ -312,7 +324,11 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
         ``model.dynamics.C`` or ``kalman.q``: no stable filter exists.
     """
     if not detectable(A, C):
-        refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay is not observable in the output")
+        refuse(
+            "model.dynamics.C",
+            tuple(C[0].tolist()),
+            "a mode that does not decay is not observable in the output; give a model in which it is",
+        )
     given = tuple(np.diag(process_noise).tolist())
     P = _riccati(A.T, C.T, process_noise, measurement_noise, "kalman.q", given)
     gain = product(P, C[0]) / (measurement_noise + product(C, P, C.T).item())
@@ -322,7 +338,7 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
 
 def _riccati(A, B, Q, R, name, value):
     try:
-        # dividing by R makes the result independent of the units of Q and R
+        # divided by R, so that the result does not depend on the units of Q and R
         P = riccati(A, B, Q / R, np.eye(1)) * R
     except np.linalg.LinAlgError as error:
         refuse(name, value, f"the Riccati equation has no stabilising solution ({error}); change the weights")

@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Uncertainty of the plant in a design: other parameters, or another frequency response than the model.
+"""Uncertainty of the plant in a design: parameters, or a frequency response, that differ from the model's.
 
 A design uses linear dynamics, because the compensator inverts hysteresis and creep. Residual hysteresis, whose slope
-depends on amplitude and history, acts on a loop as a different gain, and is drawn as one.
+depends on amplitude and history, acts on a loop like a different gain, and is represented by one.
 
-A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and the distance of its loop
-transfer function from −1 is at least |1 + L| − l |L|, whose inverse is the worst sensitivity [1]_.
+With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of its loop
+transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
 
-Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance of damping
-:data:`DAMPING` is assumed at the worst frequency: it adds a/(2 DAMPING) of the response at rest, which the loop
-multiplies by the feedback gain |C|. The fraction a of the displacement that passes through it is one, or less just
-above the known range: at f' below its frequency f it changes the response by a/((f/f')² − 1), which the measurement
-would have shown.
+Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance with the
+damping ratio :data:`DAMPING` is assumed at the worst frequency. It adds a/(2 DAMPING) times the response at rest, which
+the loop multiplies by the feedback gain |C|. The fraction a of the displacement that passes through the resonance is
+one, but less just above the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), which the
+measurement would have shown.
 
 References
 ----------
@@ -40,9 +40,9 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product, rounded, solve
 
-#: Largest relative deviation of gain, slope or times: the sign stays, with a margin.
+#: Largest relative deviation of gain, slope or times; below one, so that no sign changes.
 LARGEST = 0.5
-#: Number of plants in which gain and slope, times and delay are all at an end of their ranges.
+#: Number of corners: plants with gain and slope, times, and delay each at an end of its range.
 CORNERS = 8
 #: Maximum number of plants, and longest additional delay [samples].
 MOST = 10_000
@@ -60,11 +60,11 @@ class Uncertainty:
     hysteresis : float
         Largest relative deviation of the slope by residual hysteresis.
     resonance : float
-        Largest relative deviation of all times: periods of resonances, time constants, the model's delay.
+        Largest relative deviation of all times: periods of resonances, time constants, and the model's delay.
     delay : float
         Largest delay beyond that of the model [samples].
     draws : int
-        Number of plants drawn, besides the corners.
+        Number of plants drawn at random, besides the corners.
     seed : int
         Seed of the draws; equal seeds give equal plants.
 
@@ -102,9 +102,9 @@ class PossiblePlant:
     plant : StateSpace
         From command to measured displacement in SI.
     late : float
-        Its delay beyond that of the model [samples].
+        Additional delay, besides that of the model [samples].
     description : str
-        Its differences from the model.
+        How the plant differs from the model.
     """
 
     plant: StateSpace
@@ -117,7 +117,7 @@ class PossiblePlant:
         Parameters
         ----------
         closing : callable
-            Function from a plant to the damped plant.
+            Function that takes a plant and returns the damped plant.
         """
         return replace(self, plant=closing(self.plant))
 
@@ -125,7 +125,7 @@ class PossiblePlant:
 def judge_worst(controller: StateSpace, plants, sample_time: float, required: Requirements | None = None) -> Judged:
     """Return the bandwidth on the first plant, and the worst of all other figures on all plants.
 
-    The delay margin counts from the delay of the model, so that an additional delay of a plant is part of it.
+    The delay margin counts from the delay of the model, so an additional delay of a plant is included in it.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
 
 
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
-    """Return the changed parameters of dynamics with times longer by a factor: poles z^(1/slowness), and the delay.
+    """Return the changed parameters of dynamics with times longer by a factor: poles z^(1/slowness), and delay.
 
     The DC gain stays. Poles on the negative real axis or at zero have no continuous counterpart and stay.
 
@@ -184,7 +184,7 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     continuous = (poles.imag != 0.0) | (poles.real > 0.0)
     moved = np.where(continuous, np.exp(np.log(np.where(continuous, poles, 1.0)) / slowness), poles)
     exact = np.real(vectors @ np.diag(moved) @ np.linalg.inv(vectors))
-    # logarithms and eigenvectors differ in the last digits from processor to processor
+    # rounded: the last digits of logarithms and eigenvectors differ between processors
     changed = rounded(exact)
     identity = np.eye(len(A))
     rest = solve(identity - A, B)  # the state at rest per unit of input, which must not change
@@ -242,7 +242,7 @@ def drawn_plants(
     Returns
     -------
     tuple of PossiblePlant
-        1 + 8 + ``draws`` of them, the model first.
+        1 + 8 + ``draws`` plants, the model first.
     """
     found = [PossiblePlant(plant_state_space(dynamics, acting=acting))]
     largest = (1.0 + uncertainty.gain) * (1.0 + uncertainty.hysteresis)
@@ -266,12 +266,12 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Damping ratio of the resonance assumed above the known range, and its height over the response at rest. Bare stacks
-#: and flexures of metal without glue have dampings down to this.
+#: Damping ratio of the resonance that is assumed above the known range, and its height relative to the response at
+#: rest. Bare stacks, and metal flexures without glue, have damping ratios down to this one.
 DAMPING = 0.003
 UNKNOWN = 1.0 / (2.0 * DAMPING)
-#: Factor between a resonance of the whole displacement and the known range below which it would change the known
-#: response by half.
+#: A resonance of the whole displacement at a frequency below this factor times the known range would change the known
+#: response by more than half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
 #: Relative distance below which a resonance cannot be separated from the known range.
 NEAREST = 0.12
@@ -350,7 +350,7 @@ class ResponseUncertainty:
         return np.where(above > UNSEEN, 1.0, np.where(above > 1.0, np.minimum(shown, 1.0), 0.0))
 
     def height(self, frequencies) -> np.ndarray:
-        """Return the largest height of an unknown resonance over the response at rest, shape (n,); 0 if known.
+        """Return the largest height of an unknown resonance relative to the response at rest, shape (n,); 0 if known.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class ResponseUncertainty:
         return (
             f"above {self.known_to:.3g} Hz the plant is unknown; a resonance of damping {DAMPING:g} is "
             f"assumed anywhere there, from {onwards:.3g} Hz on {most:.3g} times as high as the response at rest "
-            f"(nearer ones would have shown), which keeps the gain of feedback there below {(1.0 - KEPT) / most:.2g}"
+            f"(nearer ones would have shown), so the gain of the feedback there must be below {(1.0 - KEPT) / most:.2g}"
         )
 
     def borne_by(self, controller: StateSpace, plant: StateSpace, sample_time: float) -> Borne:
@@ -397,7 +397,7 @@ class ResponseUncertainty:
         values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
         share = self.share(frequencies)
-        # displacement that passes an unknown resonance does not pass the modelled dynamics
+        # displacement that passes through an unknown resonance does not pass through the modelled dynamics
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
         distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain

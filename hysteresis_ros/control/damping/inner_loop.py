@@ -9,19 +9,20 @@
 
 """Damping in the loop: the kinds by name, the damped plant of a controller, and the running filter.
 
-With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the DC gain of the model P,
-so that gains, inverses and rest points of a law are valid as without damping. With a filter behind the law u = F w.
+Let w be the output of the law, y the measured displacement without preload offset, and f the measured force in the
+stack. With a filter F(z) of the measurement the command is u = γ w + F y. The factor γ = 1 − F(1) P(1) keeps the DC
+gain of the model P, so gains, inverses and rest points of a law stay valid with damping. With a filter of the law's
+output the command is u = F w. With a filter of the force it is u = γ w + F f. The force f = (k_a + k_f) d − k_a y,
+where d is the quasi-static displacement, passes the sensor's high-pass before the filter; the plant then has the
+outputs (y, d).
 
-A filter of the force f in the stack sees f = (k_a + k_f) d − k_a y, d the quasi-static displacement, through the
-sensor's high-pass; the plant then has the outputs (y, d).
-
-The filter computes u = γ w + F y, u = γ w + F f or u = F w; w is the law's output, y the measured displacement without
-preload offset, f the measured force in the stack. An achieved command u_applied corresponds to the law's output
+An achieved command u_applied corresponds to the law's output
 
 w_applied = w + (u_applied − u) / b
 
-with b the direct gain from w to u. Without saturation this is exactly w. A filter of a measurement does not wind up,
-because its input is measured; a filter of the law's output has unit DC gain and decays within its time constants.
+where b is the direct gain from w to u. Without saturation this is exactly w. A filter of a measurement does not wind
+up, because saturation does not change its input. A filter of the law's output has unit DC gain and decays within its
+time constants.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from hysteresis_ros.registry import discover
 #: Group of entry points by which a package adds a kind: ``lead = my_package.lead:DAMPING``.
 GROUP = "hysteresis_ros.damping"
 
-#: Declaration of each kind, by type; the additional type ``none`` is no damping.
+#: Declaration of each kind, by type; the additional type ``none`` means no damping.
 KINDS: dict[str, DampingKind] = discover("hysteresis_ros.control.damping.kinds", "DAMPING", DampingKind, GROUP)
 
 #: Type without damping.
@@ -127,7 +128,7 @@ def modes(poles, sample_time: float) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class InnerLoop:
-    """A filter and its connection to the law's output.
+    """A filter, its input, and the gain from the law's output to the command.
 
     Parameters
     ----------
@@ -165,9 +166,10 @@ class InnerLoop:
         Parameters
         ----------
         plant : StateSpace
-            From command to measured displacement, y_k = C x_k; for a filter of the force with the second output.
+            From command to measured displacement, y_k = C x_k; for a filter of the force with the quasi-static
+            displacement as second output.
         scale : float
-            SI units per unit of the plant's output, over those of its input.
+            SI units per unit of the plant's output, divided by SI units per unit of its input.
         """
         F = self.feedback
         n, m = plant.order, F.order
@@ -197,7 +199,7 @@ class InnerLoop:
             return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
         A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
         only_seen = np.hstack([[[0.0]], self.seen])
-        # the law's input is the displacement alone
+        # the law measures the displacement only
         unseen = (0, 0), (0, self.seen.shape[1] - 1)
         B = np.vstack([np.pad(controller.B, unseen), F.B @ only_seen])
         D = self.forward * np.pad(controller.D, unseen) + F.D @ only_seen
@@ -243,7 +245,7 @@ def inner_loop(
 
 
 def require_force(kind: str, force: ForceParameters | None) -> None:
-    """Refuse a force damping without a model of the force.
+    """Refuse damping by the force without a model of the force.
 
     Raises
     ------
@@ -314,7 +316,7 @@ def damped(
         values = tuple(getattr(damping, damping.type).to_mapping().items())
         given = ", ".join(f"{name} {value}" for name, value in values)
         if radius < 1.0:
-            remedy = f"reverses the sign of the plant (DC gain {loop.forward:.4g}); lower its gain"
+            remedy = f"reverses the sign of the plant (γ = {loop.forward:.4g}); lower the gain of the damping"
         else:
             remedy = (
                 f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
@@ -333,7 +335,7 @@ def damped(
     )
 
 
-# Parameter array: a head, then A (n·n, row by row), B, C and the state at rest under an input of one (n each).
+# Parameter array: a head, then A (n·n, row by row), B, C and the rest state at an input of one (n each).
 SOURCE = 0
 ORDER = 1
 PRELOAD = 2  # offset of the measurement [m]
@@ -427,10 +429,10 @@ class Damping(Block):
         return float(self.p[DIRECT])
 
     def retune(self, parameters) -> None:
-        """Change the filter, also to another kind, while running; arm the hand-over behind it.
+        """Change the filter, also to another kind, while running; the caller arms the hand-over behind it.
 
         States of a filter of the same kind and order continue, shifted by the change of the rest state at the present
-        input; those of another start at rest.
+        input. A filter of another kind or order starts at rest.
 
         Raises
         ------

@@ -9,8 +9,8 @@
 
 """Declaration of a kind of damping, and discrete filters for kinds.
 
-s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2) a filter has exactly its continuous-time response at ω; with h = 2/T, at
-low frequencies. Poles in the left half plane stay stable whatever the sample time.
+Filters are discretised by s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2) a filter has exactly its continuous-time
+response at ω; with h = 2/T it approaches it at low frequencies. Stable filters stay stable at any sample time.
 
 References
 ----------
@@ -34,12 +34,12 @@ from hysteresis_ros.models.linear_algebra import product
 
 #: Inputs of a filter: none, the measured displacement, the output of the law, the measured force in the stack.
 NOTHING, MEASUREMENT, COMMAND, FORCE = range(4)
-#: Most states of a filter.
+#: Maximum number of states of a filter.
 MOST_STATES = 8
 
 
 def shortened(value: float) -> float:
-    """Return a number with four significant digits, because more may differ between processors."""
+    """Return a number rounded to four significant digits, because further digits may differ between processors."""
     return float(f"{value:.4g}")
 
 
@@ -54,7 +54,7 @@ class Mode:
     damping : float
         Damping ratio.
     gain : float
-        DC gain of the whole model, displacement per command.
+        DC gain of the whole model: displacement per command.
     force : float
         Force per command far above the resonance [N/m]; 0: no force sensor.
     """
@@ -99,7 +99,7 @@ class DampingKind:
 
 
 def warped(frequency: float, sample_time: float) -> float:
-    """Return h [1/s] that keeps the response at a frequency.
+    """Return h [1/s] with which a discrete filter has its continuous-time response at a frequency.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _discrete(coefficients, h: float) -> tuple[float, float, float]:
 
 
 def in_series(systems) -> StateSpace:
-    """Return the series connection of systems, the first one first.
+    """Return the series connection of systems; the first one receives the input.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def in_parallel(systems) -> StateSpace:
 
 
 def require_filters(parameters, most: int, beside: tuple[str, ...]):
-    """Yield a Problem for missing, too many, or incomplete filters.
+    """Yield a Problem for no filter, too many filters, or filters with missing numbers.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: flo
     Raises
     ------
     ParameterError
-        ``frequencies``: one is not below half the sample rate.
+        ``frequencies``: one of them is not below half the sample rate.
     """
     highest = 0.5 / sample_time
     if not max(frequencies) < highest:

@@ -21,13 +21,13 @@ s_0 = 0):
    u_1 &= -\hat d - \Lambda^{-1} (1 - \rho) s
    - \left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \frac{s}{|s| + \delta}
 
-with the nominal state feedback u0 and the rejection u1, so that s⁺ = ρ s (``rejection_pole``) minus the nonlinear part,
-driven only by the innovation of the Kalman filter: s_(k+1) = ρ s_k − Λ u_n + S L ε [1]_ [2]_. A step of the reference
-does not change s; with ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
-hand-over or by limits; it is known and belongs to the nominal dynamics, so nothing winds up.
+with the nominal state feedback u0 and the rejection u1. Only the innovation ε of the Kalman filter drives s: s_(k+1) =
+ρ s_k − Λ u_n + S L ε [1]_ [2]_, with ρ = ``rejection_pole`` and the nonlinear part u_n. A step of the reference does
+not change s. With ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
+hand-over or by limits. It is known and is part of the nominal dynamics, so nothing winds up.
 
-d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate a matched disturbance acts only through the
-innovation, and a part of it remains.
+d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate the law sees a matched disturbance only
+through the innovation, and rejects only a part of it.
 
 References
 ----------
@@ -118,7 +118,7 @@ def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -
     pole, eta = parameters.sliding_mode.rejection_pole, parameters.sliding_mode.eta
     if not abs(pole) < 1.0:
         state_feedback.refuse(
-            "sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or disturbances are not rejected"
+            "sliding_mode.rejection_pole", pole, "must be above -1 and below 1, or disturbances are not rejected"
         )
     if not pole - eta > -1.0:
         state_feedback.refuse("sliding_mode.eta", eta, f"must be below 1 + rejection_pole = {1.0 + pole:g}")
@@ -149,7 +149,7 @@ class IntegralSlidingMode(SlidingController):
 CONTROLLER = ControllerLaw(
     name="integral_sliding_mode",
     block=IntegralSlidingMode,
-    description="integral sliding mode beside a nominal controller, with Kalman filter",
+    description="integral sliding mode around a nominal controller, with Kalman filter",
     groups={"sliding_mode": SlidingModeParameters, "kalman": KalmanParameters},
     check=check_with(packed_integral_sliding_mode),
     warnings=integration_warning,

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The simplest controller: pass the reference, or the command of the feedforward, through."""
+"""The simplest controller: it passes on the reference, or the command of the feedforward."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def open_loop(p, x, reference, measured):
 
 
 class OpenLoop(Controller):
-    """Passes the reference, or the command of the feedforward, through."""
+    """Passes on the reference, or the command of the feedforward."""
 
     kernel = staticmethod(open_loop)
     runs_beside = True
@@ -56,6 +56,6 @@ class OpenLoop(Controller):
 CONTROLLER = ControllerLaw(
     name="open_loop",
     block=OpenLoop,
-    description="passes the reference, or the feedforward, through",
+    description="passes on the reference, or the command of the feedforward",
     feedback=False,
 )

@@ -13,7 +13,8 @@ r"""PID controller in parallel form with derivative filter, setpoint weights and
 
    u = u_{ff} + K_p (b r - y) + K_i \int e \, dt + K_d \frac{N}{s + N} \frac{d}{dt} (c r - y), \qquad e = r - y
 
-in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), N the derivative filter [rad/s].
+in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), with the cut-off N of the
+derivative filter [rad/s].
 
 Discretisation: exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
 
@@ -22,18 +23,19 @@ Discretisation: exact for signals that are straight lines between the samples (f
    I_k = I_{k-1} + K_i T \, \frac{e_k + e_{k-1}}{2}, \qquad
    D_k = a D_{k-1} + K_d (1 - a) \frac{v_k - v_{k-1}}{T}, \qquad a = e^{-N T}
 
-(trapezoidal rule; N = 0: no filter, a = 0). The first sample does not act as a step: there I starts from a value, D
-from zero.
+(trapezoidal rule; N = 0: no filter, a = 0). The first sample does not act as a step: I starts at the value that
+continues the command, D at zero.
 
-Anti-windup uses the achieved command: the excess is the part of the last command that was cut by the controller's own
-limits, or by those that the compensator reports by ``x[APPLIED]``. *clamping* stops the integral while it would
-increase the excess, *back_calculation* adds −T/T_t · excess to it. With an approximate inverse (Picard steps) command
-and achieved command differ even without saturation; differences below a threshold therefore do not count.
+Anti-windup uses the achieved command. The excess is the part of the last command that was cut by the controller's own
+limits or by the compensator, which reports the achieved command in ``x[APPLIED]``. *clamping* stops the integral while
+it would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an approximate inverse
+(Picard steps) command and achieved command differ even without saturation, so differences below a threshold do not
+count.
 
 With the zeros of the discrete PID on the slowest poles of the model, the loop transfer function is g/(z − 1) times the
 rest of the model, and the response to the reference is close to a first-order lag whose bandwidth increases with g:
 
-* no dynamics: the pole is that of the sample of delay, z = 0 (PI),
+* no dynamics: the pole z = 0 of the one-sample delay (PI),
 * one state: the lag's pole (PI),
 * more: the slowest pair, or the two slowest real poles (PID).
 
@@ -121,7 +123,7 @@ def pid(p, x, reference, measured):
     if p[FED] != 0.0:
         fed = bounded(x[FEEDFORWARD]) / p[INPUT_SCALE]
     if x[STARTED] == 0.0:
-        # as if the axis had rested at its measured position, without error, at the achieved command
+        # assume that the axis was at rest at its measured position, without error, at the achieved command
         x[STARTED] = 1.0
         holding = p[REST_COMMAND] * y
         last = applied / p[INPUT_SCALE]
@@ -176,13 +178,14 @@ class PidParameters(Parameters):
     anti_windup: str = parameter(
         "back_calculation",
         choices=("none", "clamping", "back_calculation"),
-        description="Integral while the command is saturated: continue, stop, or follow the achieved command",
+        description="What the integral does while the command is saturated: continue, stop, or follow the "
+        "achieved command",
     )
     tracking_time: float = parameter(
         0.0,
         unit="s",
         low=0.0,
-        description="T_t of back-calculation; 0: sqrt(Kd/Ki), without derivative Kp/Ki, without both one sample time",
+        description="T_t of back-calculation; 0: sqrt(Kd/Ki); Kp/Ki if Kd = 0; one sample time if Kp = 0 too",
     )
     anti_windup_threshold: float = parameter(
         0.02,
@@ -190,15 +193,15 @@ class PidParameters(Parameters):
         description="Difference between command and achieved command, as a fraction of the largest achieved command "
         "so far, above which the command counts as saturated; raise it for a less exact inverse",
     )
-    output_minimum: float = parameter(0.0, description="Least command (input unit); both limits 0: none")
-    output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: none")
+    output_minimum: float = parameter(0.0, description="Smallest command (input unit); both limits 0: no limits")
+    output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: no limits")
 
     def check(self):
         """Yield a Problem when all gains are 0 or the limits are reversed."""
         if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
             yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
         if self.limited and not self.output_minimum < self.output_maximum:
-            remedy = f"must be above output_minimum = {self.output_minimum:g}, or both 0 for no limits"
+            remedy = f"must be above output_minimum = {self.output_minimum:g}; for no limits give 0 for both"
             yield Problem("output_maximum", self.output_maximum, remedy)
 
     @property
@@ -239,7 +242,8 @@ def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace
 def require_stable_pid(parameters, sample_time: float | None) -> None:
     """Refuse gains that make the controller's own model unstable.
 
-    Without a model (no A, and an input scale, so that the gain is unknown) nothing is checked.
+    Nothing is checked without a model, that is without A and with an input scale other than 0: the gain is unknown
+    then.
 
     Parameters
     ----------
@@ -331,13 +335,14 @@ class Pid(Controller):
         x[PROPORTION] = proportion
 
 
-#: Requirements of an integrator alone.
+#: Requirements of a purely integral controller.
 CALM = replace(REQUIRED, sensitivity_peak=1.4)
-#: Modulus below which poles are those of a delay; several poles at 0 are computed with this error.
+#: Modulus below which poles count as those of a delay; several poles at 0 are computed with about this error.
 AT_ZERO = 1e-3
 #: Default cut-off of the derivative filter as a fraction of the sampling angular frequency.
 FILTER = 0.2
-#: Fraction of the step response below which a slow pole is not cancelled: a high-pass in a damping has a zero near it.
+#: Fraction of the step response below which a slow pole is not cancelled. (The high-pass of a damping has such a pole,
+#: with a zero near it.)
 LITTLE = 0.02
 #: Distance from a pole at which its residue is evaluated, as a fraction of its distance from 1.
 NEAR = 1e-4
@@ -376,7 +381,7 @@ def slowest_poles(model: StateSpace) -> list[complex]:
     if not model.order:
         return [0.0]
     poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
-    # poles at zero are delay, which no zero compensates
+    # poles at zero are a delay, which no zero can cancel
     poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
     while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
         poles = poles[1:]
@@ -426,7 +431,7 @@ def design_pid(
     plants : tuple of PossiblePlant, optional
         Plants on which the requirements must hold, the model first; by default the model alone.
     aimed : Requirements, optional
-        Requirements without a given bandwidth; with one, those of every design hold.
+        Requirements of a design without a given bandwidth. With a given bandwidth :data:`REQUIRED` applies.
 
     Raises
     ------
@@ -502,7 +507,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
 
 
 def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
-    """Return the largest g for which it and all smaller ones meet the requirements."""
+    """Return the largest gain g such that g and all smaller gains meet the requirements."""
 
     def good(g):
         return judged(sign * g).meets(required)
@@ -512,7 +517,9 @@ def _largest_gain(judged, required: Requirements, sign: float, start: float) -> 
         low *= 0.5
         if low < 1e-9 * start:
             state_feedback.refuse(
-                "model.dynamics.A", None, "no PID with these zeros has the margins; choose another controller"
+                "model.dynamics.A",
+                None,
+                "no PID that cancels the slowest poles has the required margins; choose another controller",
             )
     high = 2.0 * low
     while good(high) and high < 1e9 * start:
@@ -526,7 +533,7 @@ def _largest_gain(judged, required: Requirements, sign: float, start: float) -> 
     return sign * low
 
 
-#: Damping ratio below which a cancelled pole pair rings noticeably when a disturbance excites it.
+#: Damping ratio below which a cancelled pair of poles rings noticeably when a disturbance excites it.
 LITTLE_DAMPING = 0.1
 
 
@@ -559,8 +566,8 @@ def doubts(parameters, sample_time: float, tuned: bool):
     if damping < LITTLE_DAMPING and not tuned:
         hertz = abs(logarithm) / (2.0 * np.pi * sample_time)
         yield (
-            f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does not excite "
-            "them, but pid does not damp them; offset_free does"
+            f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does "
+            "not excite them, but disturbances do, and pid does not damp them; offset_free damps them"
         )
 
 

@@ -9,8 +9,8 @@
 
 r"""Sliding mode controller with boundary layer on the state estimated by a Kalman filter (K5, K6).
 
-With x_e = x̂ − x* the distance from the target (rest point or trajectory, see
-:mod:`hysteresis_ros.control.sliding_surface`), hyperplane s = S x_e and Λ = S B:
+Let x_e = x̂ − x* be the distance from the target (rest point or trajectory, see
+:mod:`hysteresis_ros.control.sliding_surface`), s = S x_e the switching function and Λ = S B:
 
 .. math::
 
@@ -18,10 +18,10 @@ With x_e = x̂ − x* the distance from the target (rest point or trajectory, se
    u_l &= -\Lambda^{-1} (S A - \Phi S) \, x_e \\
    u_n &= -\left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \, \frac{s}{|s| + \delta}
 
-with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12; eq. 9 prints S B instead of S A, and
-sign(Λ) is one for their Λ > 0. The printed law regulates to zero; the rest point makes it follow a reference. With
-``tracking: integral`` the state is x_e extended by z_k = z_(k-1) + r_k − y_k (in the model's output unit), and S, K
-have one entry more.
+with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12. (Eq. 9 prints S B instead of S A. The
+factor sign(Λ) is not printed: their Λ is positive.) The printed law regulates to zero; with the rest point as target it
+follows a reference. With ``tracking: integral`` the state x_e is extended by z_k = z_(k-1) + r_k − y_k (in the model's
+output unit), and S and K have one more entry.
 
 References
 ----------
@@ -88,9 +88,9 @@ class SlidingMode(SlidingController):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield a warning that an offset remains without an estimated disturbance."""
+    """Yield a warning that without an estimated disturbance an offset remains."""
     if parameters.kalman.disturbance == "none":
-        yield "without an estimated disturbance, model errors cause an offset; offset_free causes none"
+        yield "model errors cause an offset, because the disturbance is not estimated; offset_free estimates it"
 
 
 CONTROLLER = ControllerLaw(
@@ -100,7 +100,7 @@ CONTROLLER = ControllerLaw(
     groups={"sliding_mode": SlidingModeParameters, "kalman": KalmanParameters},
     check=check_with(packed_sliding_mode),
     designs={
-        # the published law estimates no disturbance; the integral one needs the estimate to reject disturbances
+        # the published law estimates no disturbance; integral sliding mode needs the estimate to reject disturbances
         "smc": lambda task: sliding_gains(task, "smc", reaching_law, disturbed=False),
         "offset_free": lambda task: sliding_gains(task, "offset_free", reaching_law),
     },

@@ -9,14 +9,14 @@
 
 r"""Super-twisting controller: its continuous command keeps the switching function at zero under drifting disturbances.
 
-With σ = Λ⁻¹ S x_e, the switching function in the unit of the command (see
-:mod:`hysteresis_ros.control.sliding_surface` for the target u*, x_e):
+Let σ = Λ⁻¹ S x_e be the switching function in the unit of the command (:mod:`hysteresis_ros.control.sliding_surface`
+defines u* and x_e):
 
 .. math::
 
    u = u^* - \hat d - \Lambda^{-1} (S A - S) \, x_e + u_{st}
 
-(equivalent control: σ⁺ = σ + u_st + innovation), explicit
+This is the equivalent control, so σ⁺ = σ + u_st + innovation. The explicit law is
 
 .. math::
 
@@ -30,14 +30,14 @@ or implicit [2]_ [3]_
    w^+ = w - \min(\max(\sigma, -k_2 T), k_2 T), \qquad
    \tilde\sigma + k_1 |\tilde\sigma|^{1/2} \mathrm{sign}\,\tilde\sigma = \sigma
 
-The explicit law is the continuous one sampled: σ circles around zero, and its sign makes the command chatter by about
-k2 T. The implicit one evaluates the square root part at the end of the sample (backward Euler) and the set-valued sign
-by projection: while |σ| ≤ k2 T the sign is σ/(k2 T), and σ stays at zero under a constant disturbance without
-chattering, w being its opposite.
+The explicit law is the sampled continuous law: σ circles around zero, and its sign makes the command chatter by about
+k2 T. The implicit law evaluates the square root part at the end of the sample (backward Euler) and the set-valued sign
+by projection: while |σ| ≤ k2 T the sign is σ/(k2 T). Under a constant disturbance σ then stays at zero without
+chattering, and w is the negative disturbance.
 
-In continuous time σ̇ = v + a with |ȧ| ≤ L_a ends in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. A sample of the
-command is u = T v, so for a disturbance of the command whose rate is bounded by L per second (L_a = L/T) this becomes
-k1 = 1.5 √(L T), k2 = 1.1 L (``gains: from_bound``).
+In continuous time, σ̇ = v + a with |ȧ| ≤ L_a reaches zero in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. A sample
+of the command is u = T v. If the rate of a disturbance of the command is bounded by L per second, L_a = L/T and the
+gains become k1 = 1.5 √(L T), k2 = 1.1 L (``gains: from_bound``).
 
 References
 ----------
@@ -45,7 +45,8 @@ References
 .. [2] Acary & Brogliato, Implicit Euler numerical scheme and chattering-free implementation of sliding mode systems,
    Systems & Control Letters 59(5), 2010 (the projection).
 .. [3] Brogliato, Polyakov & Efimov, The implicit discretization of the super-twisting sliding-mode control algorithm,
-   IEEE TAC 65(8), 2020. Their law joins both parts in one inclusion, which leaves σ at the disturbance of one sample.
+   IEEE TAC 65(8), 2020. Their law joins both parts in one inclusion, so σ settles at the disturbance of one sample
+   instead of zero.
 """
 
 from __future__ import annotations
@@ -185,7 +186,7 @@ def packed_super_twisting(parameters, sample_time: float | None = None) -> np.nd
     k1, k2 = twisting_gains(parameters.super_twisting, seconds)
     packed = packed.copy()
     n = parameters.model.dynamics.order
-    # K of the reaching law is Λ⁻¹ (S A − Φ S); that of the equivalent control has Φ = 1
+    # K of the reaching law is Λ⁻¹ (S A − Φ S); the equivalent control is the same with Φ = 1
     packed[GAINS : GAINS + n] = gains.K - (1.0 - parameters.sliding_mode.phi) * gains.S / gains.switching_gain
     packed[ROOT_GAIN] = k1
     packed[STEP] = k2 * seconds
@@ -212,17 +213,17 @@ class SuperTwisting(SlidingController):
         return packed_super_twisting(parameters, self.sample_time).copy()
 
     def forget(self) -> None:
-        """Drop what the law has integrated while another one is in charge, whose errors these are."""
+        """Reset the integrated state: errors while another law was active do not belong in this law's integral."""
         self.x[TWIST] = 0.0
 
 
 def near_rest(parameters):
-    """Return the parameters of the implicit law: the explicit one jumps at zero and has no linear form."""
+    """Return the parameters of the implicit law, because the explicit one jumps at zero and cannot be linearised."""
     return replace(parameters, super_twisting=replace(parameters.super_twisting, discretisation="implicit"))
 
 
 def designed(task: DesignTask):
-    """Return the parameters with the slowest pole of the sliding motion for the bandwidth.
+    """Return the parameters with the slowest pole of the sliding motion chosen for the bandwidth.
 
     Raises
     ------
@@ -230,7 +231,10 @@ def designed(task: DesignTask):
         A bandwidth is given for a model with one state, or the bandwidth cannot be reached.
     """
     if task.bandwidth is not None and task.parameters.model.dynamics.order == 1:
-        remedy = "super_twisting has no pole to place in a model of one state; leave it out or take another controller"
+        remedy = (
+            "super_twisting has no pole to place for a model with one state; give no bandwidth, or "
+            "take another controller"
+        )
         state_feedback.refuse("bandwidth", task.bandwidth, remedy)
     place = sliding_pole if task.parameters.model.dynamics.order > 1 else None
     return sliding_gains(task, "super_twisting", place)

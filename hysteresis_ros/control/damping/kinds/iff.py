@@ -11,17 +11,18 @@
 
 u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
-The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. Between them its integral
-is in phase with the velocity and damps the poles, by a damping ratio of at most (ω_p − ω_z)/(2 ω_z) for a pure
-integrator [1]_. A pure integrator would bring the force at rest, k_f y, and with it the displacement to zero. Therefore
-it leaks at ω_c = α β, which is equivalent to a feedthrough β of the command into the force [3]_, and a high-pass at ω_h
-removes constant signals: an offset or a drift of the sensor does not move the axis, and at rest the law's output is the
-command, γ = 1. Without the high-pass, ω_h = 0, the force at rest stays in the loop and γ = 1 + k_f α/ω_c.
+The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. Between zeros and poles
+the integral of the force is in phase with the velocity. It damps the poles, with a pure integrator by a damping ratio
+of at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would bring the force at rest, k_f y, and with it the
+displacement to zero. Therefore the integrator leaks at ω_c = α β, which is equivalent to a feedthrough β of the command
+into the force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the
+axis, and at rest the law's output is the command, γ = 1. Without the high-pass (ω_h = 0) the force at rest stays in the
+loop, and γ = 1 + k_f α/ω_c.
 
-It is discretised by the bilinear transformation, h = 2/T. It does not wind up: its poles are stable and its input is
-measured, also with a saturated command.
+The filter is discretised by the bilinear transformation, h = 2/T. It does not wind up: its poles are stable, and its
+input is measured even while the command is saturated.
 
-A delay of more than about a quarter of the resonance's period reverses the sign that damps: α < 0.
+If the delay is more than about a quarter of the resonance's period, a gain of the opposite sign damps: α < 0.
 
 References
 ----------
@@ -48,17 +49,24 @@ class IffParameters(Parameters):
     """Gain, leak and high-pass of integral force feedback."""
 
     gain: float = parameter(
-        0.0, unit="m/(N s)", description="gain α of the integral; below 0 if a delay reverses the damping sign"
+        0.0,
+        unit="m/(N s)",
+        description="gain α of the integral; below 0 for a delay above about a quarter period",
     )
-    leak: float = parameter(100.0, unit="rad/s", low=1e-6, description="corner ω_c below which it does not integrate")
+    leak: float = parameter(
+        100.0, unit="rad/s", low=1e-6, description="corner ω_c below which the filter does not integrate"
+    )
     high_pass: float = parameter(
-        100.0, unit="rad/s", low=0.0, description="corner ω_h of the high-pass; 0: the force at rest acts too"
+        100.0,
+        unit="rad/s",
+        low=0.0,
+        description="corner ω_h of the high-pass; 0: no high-pass, the force at rest acts too",
     )
 
     def check(self):
         """Yield a Problem when the gain is 0."""
         if self.gain == 0.0:
-            yield Problem("gain", self.gain, "must not be 0: let `hysteresis design --damping iff` find it")
+            yield Problem("gain", self.gain, "must not be 0; `hysteresis design --damping iff` finds a gain")
 
 
 def iff(parameters: IffParameters, sample_time: float) -> StateSpace:

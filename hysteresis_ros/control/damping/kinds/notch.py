@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One to four notch filters behind the law: its output does not excite the resonances, which keep their own damping.
+"""One to four notch filters behind the law: the law does not excite the resonances, but does not damp them either.
 
 N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
 
-with unit gain at rest and at high frequencies, and ζ_i/η_i at ω_i. Disturbances and noise still excite a resonance,
-with the plant's own damping.
+with unit gain at rest and at high frequencies, and gain ζ_i/η_i at ω_i. Disturbances and noise still excite a
+resonance, with the plant's own damping.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class NotchParameters(Parameters):
     width: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each denominator")
 
     def check(self):
-        """Yield a Problem for too many or incomplete filters."""
+        """Yield a Problem for no filter, too many filters, or filters with missing numbers."""
         yield from require_filters(self, MOST, ("damping", "width"))
 
 
@@ -88,7 +88,7 @@ def chosen(point, mode: Mode) -> NotchParameters:
 
 DAMPING = DampingKind(
     name="notch",
-    description="one to four notch filters behind the law: the resonances are not excited, and not damped",
+    description="one to four notch filters behind the law, which neither excites nor damps the resonances",
     source=COMMAND,
     parameters=NotchParameters,
     filter=notch,

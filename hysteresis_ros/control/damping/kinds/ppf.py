@@ -11,8 +11,8 @@
 
 u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
 
-γ keeps the DC gain. Below its frequency a filter changes the stiffness; at its frequency it damps. A delay of more than
-about a quarter of the resonance's period reverses the sign that damps: g < 0.
+The factor γ keeps the DC gain. Below its frequency a filter changes the stiffness; at its frequency it damps. If the
+delay is more than about a quarter of the resonance's period, a gain of the opposite sign damps: g < 0.
 
 References
 ----------
@@ -53,11 +53,11 @@ class PpfParameters(Parameters):
     )
     damping: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each filter")
     gains: tuple[float, ...] = parameter(
-        (), description="DC gain of each filter; below 0 if a delay reverses the damping sign"
+        (), description="DC gain of each filter; below 0 for a delay above about a quarter period"
     )
 
     def check(self):
-        """Yield a Problem for too many or incomplete filters."""
+        """Yield a Problem for no filter, too many filters, or filters with missing numbers."""
         yield from require_filters(self, MOST, ("damping", "gains"))
 
 
