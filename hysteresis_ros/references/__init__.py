@@ -9,9 +9,9 @@
 
 """References: the desired position of an axis at each sample.
 
-Start with :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
-(:mod:`.declaration`). :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes`
-contains the excitations for identification, :mod:`.scan` and ``scans/`` the paths of several axes over a plane.
+Start with :mod:`.generator`, which adds a waveform of ``waveforms/`` (:mod:`.declaration`) to an :mod:`.approach` or a
+:mod:`.trajectory`. :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes` contains
+the excitations for identification; :mod:`.scan` and ``scans/`` contain paths of several axes over a plane.
 
 The package has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.

@@ -10,8 +10,8 @@
 """Jerk-limited approach to a setpoint that may change at any time, and input shaping behind it.
 
 Structure (FIR trajectory filter; Biagiotti & Melchiorri, *FIR filters for online trajectory planning with time- and
-frequency-domain specifications*, Control Engineering Practice 20 (2012) 1385-1399): the slew limiter moves q towards
-the setpoint by at most d = V Ts a sample, and two moving averages of N1 and N2 samples follow.
+frequency-domain specifications*, Control Engineering Practice 20 (2012) 1385-1399): a slew limiter moves q towards the
+setpoint by at most d = V Ts per sample; two moving averages of N1 and N2 samples follow.
 
 **Bounds for every sequence of setpoints.** With Δq the increments of q, |Δq| ≤ d, and y the output:
 
@@ -21,26 +21,26 @@ the setpoint by at most d = V Ts a sample, and two moving averages of N1 and N2 
 * jerk: Δ³y = (Δq_k − Δq_{k−N1} − Δq_{k−N2} + Δq_{k−N1−N2})/(N1 N2), so |Δ³y|/Ts³ ≤ 4 V/(N1 N2 Ts²) ≤ J for
   N2 ≥ 4 V/(N1 J Ts²).
 
-A reversal at full speed needs the factors 2 and 4; motions from rest to rest would need 1 and 2 only.
+A reversal at full speed needs the factors 2 and 4; motions from rest to rest would only need 1 and 2.
 
-**Overshoot.** y is a weighted mean, with weights ≥ 0, of past values of q, and q never passes the setpoint: from rest y
-goes monotonically to the setpoint, and it never leaves the interval spanned by the setpoints received since it last
-rested. When a new setpoint is nearer, or on the other side, the motion in progress may pass it (in general no bounded
-deceleration can avoid that), but it stays within that interval.
+**Overshoot.** y is a weighted mean of past values of q with weights ≥ 0, and q never passes the setpoint. So from rest
+y moves monotonically to the setpoint and never leaves the interval spanned by the setpoints received since it was last
+at rest. If a new setpoint is nearer, or on the other side, the motion in progress may pass it (in general no bounded
+deceleration can avoid that), but y stays within that interval.
 
 **Exact arrival.** A distance D takes ceil(D/d) + N1 + N2 − 2 samples, and then y *is* the setpoint, bit for bit. The
 filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position) held in float64, and
-running sums are kept in two words of less than 2⁵³: every addition is exact, so the sums never drift, and the last step
-from the grid to the setpoint is of the order of the float64 rounding of the position itself.
+running sums are stored in two words below 2⁵³. Every addition is exact, so the sums never drift, and the last step from
+the grid to the setpoint is no larger than about the float64 rounding of the position.
 
-**A limit of zero is free.** When a limit is 0 and that of a higher derivative is not, it takes the value that makes the
-full stroke R fastest: the time R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all three zero the
-output is the setpoint.
+**A limit of zero is free.** If a limit is 0 and the limit of a higher derivative is not, the first one takes the value
+with which the full stroke R takes the least time: R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all
+three limits 0 the output is the setpoint.
 
 ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode, z =
-exp((−ζ ω + i ω √(1 − ζ²)) T), and a sum of one: three equations. In continuous time these are the two impulses of [1]_;
-rounded to samples they would leave a residual vibration. ZVD is ZV applied twice: a double zero, so that the residual
-vibration is of second order in the error of the frequency.
+exp((−ζ ω + i ω √(1 − ζ²)) T), and the sum one: three equations for three taps. In continuous time ZV has the two
+impulses of [1]_; rounded to samples, these would leave a residual vibration. ZVD is ZV applied twice. It has a double
+zero, so the residual vibration is of second order in the error of the frequency.
 
 References
 ----------
@@ -93,7 +93,7 @@ class ApproachParameters(Parameters):
     )
     start_time: float = parameter(
         0.1,
-        description="time in which an unlimited approach returns to the setpoint after a start",
+        description="time in which the reference returns to the setpoint after a start, if the approach is unlimited",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -194,9 +194,9 @@ class Approach(Block):
     sample_time : float
         Sample time [s].
     minimum, maximum : float
-        Range of the reference [m]; fixes the quantum of the arithmetic and, where limits are 0, the stroke.
+        Range of the reference [m]. It determines the quantum of the arithmetic and, for limits of 0, the stroke.
     initial_setpoint : float
-        Initial position, at rest [m].
+        Initial position [m], at rest.
 
     Raises
     ------
@@ -217,7 +217,7 @@ class Approach(Block):
         """Return the kernel's parameters; their layout is at the top of the module."""
         low, high = self._range
         velocity, acceleration, jerk = effective_limits(parameters, high - low)
-        # Four times the range: at a start, setpoint and waveform may each lie outside of the range.
+        # four times the range, because at a start setpoint and waveform may each be outside of it
         exponent = math.frexp(max(abs(low), abs(high)))[1] + 2
         quantum = math.ldexp(1.0, exponent - 52)
         step = 2.0**52
@@ -256,12 +256,12 @@ class Approach(Block):
         return (moving + self.p[WINDOW1] + self.p[WINDOW2] - 2.0) * self.sample_time
 
     def retune(self, parameters) -> None:
-        """Refuse: window sizes are part of the state, so the approach is fixed at construction.
+        """Refuse a change: the window sizes determine the state, so an approach cannot change after construction.
 
         Raises
         ------
         ParameterError
-            Unless the parameters are the present ones.
+            The parameters differ from the present ones.
         """
         if parameters != self.parameters:
             text = "fixed while the node is configured; clean up and configure again"
@@ -275,12 +275,12 @@ RING = 4096
 #: Maximum number of taps besides the first one.
 MOST = 5
 
-# Parameters: number of taps besides the first one, then delay [samples] and weight of each.
+# Parameters: number of taps besides the first one, then the delay [samples] and the weight of each tap.
 TAPS = 0
 FIRST = 1
 PARAMETERS = FIRST + 2 * MOST
 
-# State: 1.0 while it runs (0.0: the next call starts at rest at REST_AT), index of the newest position, then the ring.
+# State: 1.0 while running (0.0: the next call starts at rest at REST_AT), index of the newest position, then the ring.
 STARTED, NEWEST, REST_AT = range(3)
 POSITIONS = 3
 
@@ -307,12 +307,14 @@ class ShapingParameters(Parameters):
         """Yield a Problem when the frequency is missing."""
         if self.type != "none" and not self.frequency > 0.0:
             yield Problem(
-                "frequency", self.frequency, "must be above 0, the frequency of the mode; `hysteresis design` finds it"
+                "frequency",
+                self.frequency,
+                "must be > 0 Hz: the natural frequency of the mode; `hysteresis design` finds it",
             )
 
 
 def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.ndarray:
-    """Return the filter of ZV, shape (m + 2,), of which the first and the last two weights are not 0.
+    """Return the filter of ZV, shape (m + 2,); only the first and the last two weights are not 0.
 
     Parameters
     ----------
@@ -335,7 +337,7 @@ def zero_vibration(frequency: float, damping: float, sample_time: float) -> np.n
         remedy = f"must be within {lowest:.4g} … {0.5 / sample_time:g} Hz, half the sample rate"
         raise ParameterError([Problem("shaping.frequency", frequency, remedy)])
     places = (0, math.floor(half), math.floor(half) + 1)
-    # a zero on z = exp(pole T): Σ h exp(−pole T place) = 0
+    # a zero at z = exp(pole T): Σ h exp(−pole T place) = 0
     rows = [[1.0, 1.0, 1.0], [], []]
     for place in places:
         grown = elementary.exp(2.0 * math.pi * frequency * damping * sample_time * place)
@@ -368,7 +370,7 @@ def shaped(p, x, position):
         place = newest - int(p[FIRST + 2 * i])
         if place < 0:
             place += RING
-        # at rest the output is the position itself, whatever the rounded weights add up to
+        # at rest the output is exactly the position, although the rounded weights may not add up to one
         found += p[FIRST + 2 * i + 1] * (x[POSITIONS + place] - position)
     return found
 

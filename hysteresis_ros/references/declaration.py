@@ -9,15 +9,15 @@
 
 """Declaration of a waveform, and its position within the cycle.
 
-The state ``x`` is the sample counter k (exact up to 2⁵³). The position within the cycle is never accumulated:
-``frequency · sample_time`` is written once as a fraction a/b with b ≤ 2²⁶ plus a residual d, and the position is
+The state ``x`` is the sample counter k (exact up to 2⁵³). The position within the cycle is not accumulated. ``frequency
+· sample_time`` is written once as a fraction a/b, b ≤ 2²⁶, plus a residual d, and the position is
 
     frac( ((k mod b) · a mod b) / b + k · d + phase / 2π ).
 
-The products of the first term stay below 2⁵², so it is exact for every k. The residual is zero whenever frequency
-and sample time, as the floating-point numbers they are, agree with a fraction within their own rounding (2⁻⁵¹
-relative): the waveform then repeats bit for bit every b samples, for a period of N whole samples every N = b. With
-a residual, |d| ≤ 2⁻²⁶/b makes the rounding of ``k · d`` harmless: below 1e-15 of a cycle after 10⁹ samples.
+The products of the first term stay below 2⁵², so it is exact for every k. The residual is zero if the product of
+frequency and sample time equals a fraction within the rounding of these numbers (2⁻⁵¹ relative). The waveform then
+repeats bit for bit every b samples; a period of N whole samples gives b = N. With a residual, |d| ≤ 2⁻²⁶/b keeps the
+rounding error of ``k · d`` below 1e-15 of a cycle after 10⁹ samples.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ OWN = 8
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi
-#: Tolerance by which an edge of square and staircase that falls on a sample belongs to it despite rounding [cycles].
+#: Tolerance [cycles] within which an edge of square or staircase belongs to a sample, in spite of rounding.
 EDGE = 1e-9
 LARGEST_DENOMINATOR = 2**26
 
@@ -141,18 +141,20 @@ class WaveformShape:
     parameters : type of Parameters, optional
         Own parameters, in a group with the waveform's name.
     takes_frequency, takes_phase, takes_polarity : bool, optional
-        Whether it uses these shared parameters.
+        Whether the waveform uses these shared parameters.
     check : callable, optional
-        ``check(parameters)`` yields a Problem for each inconsistency, names relative to WaveformParameters.
+        ``check(parameters)`` yields a Problem for each inconsistency; names are relative to WaveformParameters.
     extent : str, optional
-        Name of the parameter that determines its amplitude.
+        Name of the parameter that determines the amplitude.
     periodic : bool, optional
-        Whether it has one frequency, for which an axis may be too slow; False for experiments (chirp, multisine).
+        Whether the waveform has a single frequency, which is compared with the bandwidth of the axis; False for
+        experiments (chirp, multisine).
     fundamental : callable, optional
-        ``fundamental(parameters)`` returns the amplitude of its fundamental relative to half its height; None for
-        waveforms with jumps, which are steps.
+        ``fundamental(parameters)`` returns the amplitude of the fundamental relative to half the height; None for
+        waveforms with jumps, which are treated as steps.
     jumps : bool, optional
-        Whether it jumps from one level to another; with ``approach.steps`` a jump keeps the limits of the approach.
+        Whether the waveform jumps from one level to another; with ``approach.steps`` jumps keep the limits of the
+        approach.
     duration : callable, optional
         ``duration(p)`` returns its length in samples, 0 when it has no end.
     example : Parameters, optional
@@ -193,7 +195,7 @@ def head(parameters) -> np.ndarray:
 
 
 def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
-    """Write the rule from counter to position, and the end, into ``p``; return the samples of a repetition.
+    """Write the conversion from counter to position, and the end, into ``p``; return the samples of one repetition.
 
     Parameters
     ----------
@@ -242,9 +244,10 @@ def cyclic(kernel, own=None, final=None, polarity: bool = False, repeats: bool =
     ----------
     kernel : callable
     own : callable, optional
-        ``own(parameters, sample_time)`` returns the waveform's own numbers in ``p``, after the polarity if it has one.
+        ``own(parameters, sample_time)`` returns the waveform's own numbers for ``p``; they follow the polarity, if it
+        has one.
     final : callable, optional
-        ``final(parameters, p)`` returns the value held after the last cycle; by default the first value of a next
+        ``final(parameters, p)`` returns the value held after the last cycle; by default the first value of the next
         cycle.
     polarity : bool
         Whether it has the parameter ``polarity``.

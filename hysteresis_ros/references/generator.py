@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference generator: jerk-limited approach to the setpoint, or a trajectory, plus a waveform, within a range.
+"""Reference generator: the sum of an approach to the setpoint, or a trajectory, and a waveform, within a range.
 
-With ``approach.steps`` the jumps of a waveform pass an approach of their own, with the same limits. Setpoint and
+With ``approach.steps`` the jumps of a waveform pass through a second approach with the same limits. Setpoint and
 waveform may move at the same time; their sum then moves up to twice as fast.
 """
 
@@ -51,11 +51,12 @@ from hysteresis_ros.references.trajectory import (
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 #: Parameters and state of the range: FADE is the difference between the held reference and the setpoint at a start with
-#: an unlimited approach; it fades over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes an approach.
+#: an unlimited approach. It fades out over FADE_SAMPLES. SMOOTHED: 1 when a waveform with jumps passes through an
+#: approach.
 MINIMUM, MAXIMUM, FADE_SAMPLES, SMOOTHED = range(4)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
-#: Values of RUNNING: the reference is held; waveform and moves; moves, while the waveform waits for its start.
+#: Values of RUNNING: the reference is held; waveform and moves run; moves run while the waveform waits for its start.
 HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
 
 
@@ -95,7 +96,7 @@ class GeneratorArrays(NamedTuple):
 
 @nested
 def base(ps, xs, setpoint):
-    """Return the position [m] of this sample, of the approach or of a trajectory, without the waveform.
+    """Return the position [m] of the approach or of a trajectory at this sample, without the waveform.
 
     After a trajectory the axis stays until a different setpoint is received.
     """
@@ -129,7 +130,7 @@ def base(ps, xs, setpoint):
 
 @nested
 def setpoint_in_force(xs, setpoint):
-    """Return the valid setpoint [m]: the end of a trajectory replaces the previous one."""
+    """Return the valid setpoint [m]; the end of a trajectory replaces the previous setpoint."""
     x = xs.trajectory
     target, after = x[following.TARGET], x[following.AFTER]
     if x[following.ACTIVE] != following.IDLE and after < following.NOWHERE:
@@ -245,7 +246,7 @@ class ReferenceGenerator(Chain):
     def _adopt(self) -> None:
         """Connect the present waveform."""
         low, high = self.parameters.minimum, self.parameters.maximum
-        # with the waveform added, the sum stays inside
+        # so that the sum with the waveform stays inside
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
@@ -345,8 +346,8 @@ class ReferenceGenerator(Chain):
         Raises
         ------
         ParameterError
-            The generator is stopped, the points are not a trajectory, or the path exceeds the range, or the velocity or
-            acceleration of a limited approach; nothing is changed then.
+            The generator is stopped, the points are not a trajectory, or the path exceeds the range or the limits of
+            the approach (velocity, acceleration); nothing is changed then.
         """
         if not self.running:
             text = "refused, because the generator is stopped; call start"
@@ -374,7 +375,7 @@ class ReferenceGenerator(Chain):
         return own.trajectory.start_tolerance or 0.01 * (own.maximum - own.minimum)
 
     def hold(self) -> None:
-        """Bring the present motion to rest, beginning with the next sample, and stay there; the waveform continues."""
+        """Bring the present motion to rest from the next sample on, and stay at rest; the waveform continues."""
         interpreted(brake)(self.ps.trajectory, self.xs.trajectory, following.NOWHERE, following.HELD)
 
     @property
@@ -386,10 +387,10 @@ class ReferenceGenerator(Chain):
     def start(self) -> None:
         """Run the waveform from its beginning, without a jump of the reference.
 
-        The approach begins at rest where its sum with the waveform's first sample is the held reference, and moves to
-        the setpoint within its limits; steps that pass an approach begin there too. An unlimited approach jumps to the
-        setpoint instead, and the difference fades out over ``approach.start_time``. When no setpoint was received since
-        :meth:`begin_at`, the setpoint is the initial one.
+        The approach begins at rest at the position whose sum with the waveform's first sample is the held reference,
+        and moves to the setpoint within its limits. Steps that pass through an approach begin the same way. An
+        unlimited approach jumps to the setpoint instead, and the difference fades out over ``approach.start_time``. If
+        no setpoint was received since :meth:`begin_at`, the setpoint is the initial one.
         """
         if self.unasked:
             self.approach.x[SETPOINT] = self.parameters.initial_setpoint
@@ -422,7 +423,7 @@ class ReferenceGenerator(Chain):
         number = self.xs.trajectory[following.NUMBER]
         self.xs.trajectory[:] = following.initial_state(self.parameters.initial_setpoint)
         self.xs.trajectory[following.NUMBER], self.xs.trajectory[following.OUTCOME] = number, following.STOPPED
-        # steps that pass an approach begin where the axis rests
+        # steps that pass through an approach begin where the axis rests
         self._steps.rest_at(0.0)
         waveform = 0.0 if self._range[0][SMOOTHED] else self._first_value()
         first = self.parameters.initial_setpoint + waveform
@@ -435,8 +436,8 @@ class ReferenceGenerator(Chain):
         Raises
         ------
         ParameterError
-            The generator runs, or is moving while the shaping would change, the new parameters are wrong, or another
-            parameter differs; nothing is changed then.
+            Nothing is changed if the generator runs (for the shaping: moves), the new parameters are wrong, or another
+            parameter differs.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()

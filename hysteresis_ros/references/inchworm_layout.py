@@ -46,9 +46,9 @@ from __future__ import annotations
     CYCLE_SAMPLES,
     WINDOW,
     DRIFT,  # [m/s]
-    CONTINUOUS,  # not 0: continuous walking is a motion over the phase of the cycle, below
+    CONTINUOUS,  # not 0: walk continuously, by the phase of the cycle (parameters below)
     WALKING_STEP,  # [m] a cycle
-    BLEND,  # part of the carrying motion in which its speed rises, and in which it falls
+    BLEND,  # fraction of the carrying motion in which the speed rises; the same fraction in which it falls
     LEAD,  # lead of the outputs over the path [samples]
     BOUND,  # largest correction [m]
     LEARNING_GAIN,
@@ -57,7 +57,7 @@ from __future__ import annotations
     SPLINES,  # number of splines of the correction
     BINS,  # number of bins of the error
 ) = range(43)
-#: Phases at which the processes of a forward cycle end, and of a backward one (named below).
+#: Phases at which the processes of a forward cycle end, then those of a backward cycle (named below).
 FORWARD_BOUNDS = 43
 BACKWARD_BOUNDS = 51
 #: Learning matrices (SPLINES, BINS) forward and then backward, row by row.
@@ -75,13 +75,13 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     REAR_VOLTAGE,  # [V]
     ORIGIN,  # [m]; the motion controller's measurement is slider - origin
     PHASE,
-    STEPS,  # whole and partial steps so far, those forward minus those backward
+    STEPS,  # whole and partial steps so far, whole and partial, forward minus backward
     DIRECTION,  # +1, -1 or 0
     SLIP,  # extension of the last step minus the motion of the slider [m]
     ERROR,
     MODE,
     ARRIVED,  # 1 while the slider is at the setpoint within the tolerance
-    MISSED,  # steps that moved the slider by less than the missed part of the extension
+    MISSED,  # missed steps so far: the slider moved by less than a fraction of the extension
     TOTAL_STEPS,  # forward and backward steps so far
     REFUSED,  # setpoints outside of the travel so far
     LIMITED_SPEED,  # 1 when the requested speed exceeds the gait's
@@ -93,7 +93,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     RECEIVED,  # last received setpoint [m]
     SLIDER,  # last good measurements [m]
     EXTENDER,
-    BAD,  # samples since the last good measurement
+    BAD,  # number of samples since the last good measurement
     STARTED,  # 1 once both clamps have closed for the first time
     TIMER,  # samples since the present phase began
     SOURCE,  # source of the controller's measurement
@@ -114,7 +114,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     FINAL,  # 1 when fine positioning follows the step
     STEP_LENGTH,  # commanded length of the step [m], without sign
     STEP_FROM,  # slider position when the step began to carry [m]
-    JUDGE,  # 1 when a finished step has not been evaluated
+    JUDGE,  # 1 while a finished step has not been evaluated yet
     WALKED,  # 1 after continuous walking, until the motor holds its position
     STILL,  # steps in a row in which the slider did not move
     RETURNS,  # returns in a row without a step
@@ -130,7 +130,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     PRETENSION,  # part of the load's deflection subtracted from the reference [m], and the ends of its ramp
     PRETENSION_FROM,
     PRETENSION_TO,
-    GIVEN_WAY,  # sum of the extender's deflection over the samples of a step [m]
+    GIVEN_WAY,  # sum of the extender's deflection under the load over the samples of a step [m]
     FELT,  # number of these samples
     WEIGHED,  # number of steps from which the load was learned
     FINE_DRIFT,  # part of the slip that counts as drift [m]
@@ -197,9 +197,9 @@ RUN, STOP, LET_GO, FAILED = range(4)
 NO_REQUEST, START_REQUEST, STOP_REQUEST, HOME_REQUEST, RELEASE_REQUEST = range(5)
 LEARN_REQUEST, FREEZE_REQUEST, FORGET_REQUEST = range(5, 8)
 
-#: Errors. That of a sensor ends when good measurements return; the others stay until start.
+#: Errors. The error of a sensor ends when good measurements return; the others stay until start.
 NO_ERROR, SENSOR_ERROR, NO_MOTION_ERROR, RUNAWAY_ERROR, SLIP_ERROR = range(5)
 ERROR_NAMES = ("", "sensor", "no_motion", "runaway", "slip")
 
-#: Sources of the controller's measurement: none (it reads its reference), the extender, the slider.
+#: Sources of the controller's measurement: none (the controller gets its reference), the extender, the slider.
 BLOCKED, OWN, FOLLOWING = range(3)

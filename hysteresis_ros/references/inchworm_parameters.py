@@ -11,21 +11,21 @@
 
 The rear clamp sits on the body, the front clamp on the tip of the extender, and a slider runs through both. With the
 front clamp closed and the rear one open the slider is *carried*: it follows the extender. With the rear clamp closed
-and the front one open it stands still, and the extender *returns*. One cycle is
+and the front one open the slider stands still, and the extender *returns*. One cycle is
 
     release rear, carry, grip rear, release front, return, grip front
 
-where carry extends and return contracts in forward motion, and the reverse in backward motion. Extension profiles are
-cycloidal, e(s) = s − sin(2 π s)/(2 π): velocity and acceleration are zero at both ends.
+In forward motion the extender extends while it carries and contracts while it returns; in backward motion it does the
+reverse. Extension profiles are cycloidal, e(s) = s − sin(2 π s)/(2 π): velocity and acceleration are zero at both ends.
 
 Deviations from the path that repeat in every cycle (residual hysteresis, motion of the slider as a clamp closes, a
 wrong step length) depend on the phase of the cycle and hardly on its speed. A correction as a function of the phase,
 learned at one speed, is therefore valid at other speeds [1]_.
 
-With θ the coefficients of a periodic cubic spline and e the mean error of the slider in each bin of the phase, a cycle
-changes θ by γ L e with L = (MᵀM + S)⁻¹ Mᵀ, the norm-optimal update of iterative learning [2]_. M is the effect of the
-extender: the slider follows it while the front clamp is closed and the rear one is open, and keeps its position when
-the rear clamp closes. S weighs the change and its curvature.
+Let θ be the coefficients of a periodic cubic spline, and e the mean error of the slider in each bin of the phase. A
+cycle changes θ by γ L e with L = (MᵀM + S)⁻¹ Mᵀ, the norm-optimal update of iterative learning [2]_. M is the motion of
+the slider per coefficient: the slider follows the extender while the front clamp is closed and the rear one open, and
+keeps its position when the rear clamp closes. S weighs the change of θ and its curvature.
 
 References
 ----------
@@ -64,7 +64,7 @@ def cycloid(s):
 
 @kernel
 def ramp(linear, s):
-    """Return the profile of a clamp's voltage: straight when ``linear`` is not 0, else cycloidal."""
+    """Return the profile of a clamp's voltage: a straight line when ``linear`` is not 0, otherwise cycloidal."""
     if linear != 0.0:
         return min(max(s, 0.0), 1.0)
     return cycloid(s)
@@ -100,7 +100,7 @@ class GaitParameters(Parameters):
         low=0.0,
         high=100.0,
         read_only=True,
-        description="time for which one clamp already opens while the other still closes",
+        description="time in which one clamp already opens while the other one still closes",
     )
     clamp_ramp: str = parameter(
         "cycloidal", choices=("cycloidal", "linear"), read_only=True, description="shape of the clamps' voltage ramps"
@@ -146,7 +146,8 @@ class GaitParameters(Parameters):
         unit="m",
         low=0.0,
         read_only=True,
-        description="largest extension of fine positioning beyond either end; beyond it the extender is re-centred",
+        description="how far fine positioning may extend beyond the ends of a step; beyond that the extender "
+        "is re-centred",
     )
     fine_window: float = parameter(
         1.0e-6,
@@ -186,7 +187,7 @@ class GaitParameters(Parameters):
 
     @property
     def closed_margin(self) -> float:
-        """Time for which both clamps are above the threshold voltage at an exchange [s]."""
+        """Time for which both clamps are above the threshold voltage when one takes over from the other [s]."""
         span = self.grip_voltage - self.release_voltage
         level = (self.threshold_voltage - self.release_voltage) / span
         linear = self.clamp_ramp == "linear"
@@ -195,7 +196,7 @@ class GaitParameters(Parameters):
         return opens - closed
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Return why the gait cannot walk at ``speed`` [m/s], with the number; None when it can."""
+        """Return why the gait cannot walk at ``speed`` [m/s], with the highest speed; None when it can."""
         if math.isfinite(speed) and abs(speed) <= self.speed * (1.0 + 1e-9):
             return None
         return (
@@ -223,8 +224,9 @@ class GaitParameters(Parameters):
             yield Problem("overlap", self.overlap, f"must be below {min(self.release, self.grip):g} s (either ramp)")
         elif self.closed_margin < self.clamp_settling:
             remedy = (
-                f"leaves both clamps closed for {self.closed_margin:g} s only: must be at least clamp_settling = "
-                f"{self.clamp_settling:g} s, or both would be open for a moment; reduce the overlap"
+                f"both clamps are closed for only {self.closed_margin:g} s: must be at least "
+                f"clamp_settling = {self.clamp_settling:g} s, or both would be open for a moment; reduce "
+                "the overlap"
             )
             yield Problem("overlap", self.overlap, remedy)
         if not self.lowest_extension < self.highest_extension:
@@ -239,15 +241,15 @@ BINS_PER_SPLINE = 4
 #: Weights of the change of the coefficients and of its curvature, relative to the mean of the diagonal of MᵀM.
 CHANGE_WEIGHT = 1.0e-3
 CURVATURE_WEIGHT = 1.0e-2
-#: Largest deviations of the motor from the learning's model: of the fraction of the extender's motion that reaches the
-#: slider, of the instant at which a clamp grips or releases, as a fraction of its ramp, and of the slider's natural
+#: Largest deviations of the motor from the model of the learning: of the fraction of the extender's motion that reaches
+#: the slider; of the instant at which a clamp grips or releases, as a fraction of its ramp; and of the slider's natural
 #: frequency.
 GAIN_RANGE = 0.1
 GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
 #: Integration steps of the slider's oscillation per bin.
 STEPS_PER_BIN = 8
-#: A mode of the learning that is not observable has the eigenvalue one; tolerance for its rounding.
+#: Tolerance for the rounding of the eigenvalue one, which a mode has that the learning cannot observe.
 ROUNDING = 1.0e-9
 
 
@@ -279,7 +281,8 @@ class WalkParameters(Parameters):
         low=0.05,
         high=0.5,
         read_only=True,
-        description="fraction of the carrying motion in which the speed rises, and in which it falls; it is constant "
+        description="fraction of the carrying motion in which the speed rises, and again in which it falls; "
+        "it is constant "
         "between",
     )
     lead: float = parameter(
@@ -290,7 +293,9 @@ class WalkParameters(Parameters):
         read_only=True,
         description="delay of drive and sensor, by which the outputs lead the path, in addition to half a sample",
     )
-    learning: bool = parameter(False, read_only=True, description="learn from the start; ~/learn, ~/freeze")
+    learning: bool = parameter(
+        False, read_only=True, description="true: learn from the start; the services ~/learn and ~/freeze change it"
+    )
     gain: float = parameter(
         0.5, low=0.0, high=2.0, read_only=True, description="fraction of the error that one cycle removes"
     )
@@ -347,7 +352,7 @@ class WalkParameters(Parameters):
         return self.step / gait.period
 
     def gait_problems(self, gait: GaitParameters):
-        """Yield a Problem for each inconsistency with the gait, and for a learning that would not converge."""
+        """Yield a Problem for each inconsistency with the gait, and when the learning would not converge."""
         if not self.continuous:
             return
         if gait.overlap > 0.0:
@@ -355,22 +360,29 @@ class WalkParameters(Parameters):
         spare = 0.5 * (gait.stroke - self.step)
         if not self.bound <= spare * (1.0 + 1e-9):
             remedy = (
-                f"with the correction beyond the gait's extensions: bound = {self.bound:g} m must be at most half of "
-                f"stroke {gait.stroke:g} m − step, {spare:.3g} m"
+                f"the correction would leave the gait's extensions: bound = {self.bound:g} m must be at "
+                f"most {spare:.3g} m, half of stroke − step with stroke = {gait.stroke:g} m"
             )
             yield Problem("walk.step", self.step, remedy)
         if self.learning_speed > self.fastest(gait) * (1.0 + 1e-9):
-            remedy = f"beyond what continuous walking reaches, {self.fastest(gait):g} m/s: nothing would be learned"
+            remedy = (
+                f"must be at most {self.fastest(gait):g} m/s, the highest speed of continuous walking, or "
+                "nothing would be learned"
+            )
             yield Problem("walk.learning_speed", self.learning_speed, remedy)
         if abs(gait.walking_speed) > self.fastest(gait) * (1.0 + 1e-9):
-            remedy = f"continuous walking reaches {self.fastest(gait):g} m/s (walk.step in the gait's period)"
+            remedy = (
+                f"must be at most {self.fastest(gait):g} m/s, the highest speed of continuous walking: "
+                "one walk.step per period of the gait"
+            )
             yield Problem("gait.walking_speed", gait.walking_speed, remedy)
         if gait.overlap == 0.0 and self.gain > 0.0:
             worst = max(contraction(self, gait, direction) for direction in (1, -1))
             if worst > 1.0 + ROUNDING:
                 remedy = (
-                    f"would not converge at walk.learning_speed = {self.learning_speed:g} m/s: on a motor off by "
-                    f"{100 * GAIN_RANGE:g} % a cycle multiplies an error by {worst:.3g}; lower one of them"
+                    f"would not converge at walk.learning_speed = {self.learning_speed:g} m/s: on a motor "
+                    f"that deviates from the model by {100 * GAIN_RANGE:g} % a cycle multiplies an error by "
+                    f"{worst:.3g}; lower the gain or the speed"
                 )
                 yield Problem("walk.gain", self.gain, remedy)
 
@@ -407,7 +419,7 @@ def basis(phases, splines: int) -> np.ndarray:
 
 
 def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, float]:
-    """Return A of the slider's oscillation over ``dt`` [s] by rows, for displacement from the tip and velocity/ω."""
+    """Return A (by rows) of the slider's oscillation over ``dt`` [s]; states: displacement from the tip, velocity/ω."""
     omega = 2.0 * math.pi * walk.swing
     damping = walk.swing_damping
     root = math.sqrt(1.0 - damping * damping)
@@ -419,8 +431,8 @@ def _swing_steps(walk: WalkParameters, dt: float) -> tuple[float, float, float, 
 def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Offset = NOMINAL) -> np.ndarray:
     """Return M, shape (bins, splines): the slider's motion per coefficient, by phase, at the learning speed.
 
-    The extension at which the front clamp grips is the zero. While the rear clamp is open the slider follows with its
-    oscillation; when the rear clamp grips it stays.
+    The motion is measured from the extension at which the front clamp grips. While the rear clamp is open the slider
+    follows the extender and oscillates; when the rear clamp grips, the slider stays.
 
     Parameters
     ----------
@@ -491,7 +503,7 @@ def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> f
 
 @dataclass(frozen=True)
 class FineParameters(Parameters):
-    """Fine positioning: the front clamp holds the slider, whose position is the controller's measurement."""
+    """Fine positioning: the front clamp holds the slider, and the controller's measurement is the slider's position."""
 
     enabled: bool = parameter(
         True, read_only=True, description="true: finish a move with the extender in closed loop; false: with steps only"
@@ -521,7 +533,7 @@ class FineParameters(Parameters):
         low=1.0e-3,
         high=1.0e4,
         read_only=True,
-        description="time outside of the tolerance after which the motor grips again and repeats",
+        description="time outside of the tolerance after which the motor grips again and repeats fine positioning",
     )
     smoothing_time: float = parameter(
         5.0e-3,
@@ -552,7 +564,7 @@ class LearningParameters(Parameters):
     forward_gain: float = _model(1.0, "initial gain, forward")
     forward_offset: float = _model(0.0, "initial offset, forward; negative: a load pulls back", "m")
     backward_gain: float = _model(1.0, "initial gain, backward")
-    backward_offset: float = _model(0.0, "initial offset, backward, along the motion", "m")
+    backward_offset: float = _model(0.0, "initial offset, backward; positive along the motion", "m")
     load_deflection: float = _model(0.0, "initial deflection of the extender by the load", "m")
 
 
@@ -580,7 +592,7 @@ class GuardParameters(Parameters):
         low=1.0e-12,
         high=1.0,
         read_only=True,
-        description="motion of a held slider, or beyond that of a step, that is an error",
+        description="motion of a held slider, or excess motion of a step, that counts as an error",
     )
     slip: float = parameter(
         1.0e-6,
@@ -660,7 +672,7 @@ class InchwormSequencerParameters(Parameters):
         yield from self.walk.gait_problems(self.gait)
 
     def refuse_speed(self, speed: float) -> str | None:
-        """Return why the motor cannot walk at ``speed`` [m/s], with the number; None when it can."""
+        """Return why the motor cannot walk at ``speed`` [m/s], with the highest speed; None when it can."""
         fastest = self.walk.fastest(self.gait)
         if not self.walk.continuous or abs(speed) <= fastest * (1.0 + 1e-9):
             return self.gait.refuse_speed(speed)

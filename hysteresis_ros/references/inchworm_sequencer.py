@@ -7,15 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Inchworm sequencer: from setpoints to clamp voltages and the extender's reference; its state machine and file.
+"""Inchworm sequencer: a state machine from setpoints to clamp voltages and the extender's reference, and its file.
 
 Both clamps close first. From then on a clamp changes only while the other one is closed: *holding* (both closed) is the
-only state from which a clamp opens; it chooses the next phase from the setpoint, the measurements and the requests. A
-phase runs to its end, except when the motor must stop: then the open clamp closes at once while the extender brakes.
+only state from which a clamp opens. In it the sequencer chooses the next phase from the setpoint, the measurements and
+the requests. A phase runs to its end, except when the motor must stop: then the open clamp closes at once while the
+extender brakes.
 
-It replaces the reference generator. The motion controller's measurement is the slider position minus :attr:`origin`:
-while the motor walks, this is the extender's displacement; in fine positioning, the slider's; while both clamps hold,
-the reference itself, because nothing can move then and an integral would wind up.
+The sequencer replaces the reference generator. The motion controller's measurement is the slider position minus
+:attr:`origin`. The origin is chosen so that this is the displacement of the extender while the motor walks, that of the
+slider in fine positioning, and the reference itself while both clamps hold: nothing can move then, and an integral
+would wind up.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ from hysteresis_ros.references.inchworm_walk import begin_walk, coast, stride
 #: First key of a file of a learned walk.
 KIND = "inchworm_walk"
 _HEADER = """\
-# The correction of an inchworm's walk over the phase of its cycle; walk.file of inchworm_sequencer loads it.
+# Learned correction of an inchworm's walk over the phase of its cycle; load it with walk.file of inchworm_sequencer.
 # step [m]; coefficients [m] of a periodic cubic spline, forward and backward.
 """
 
@@ -105,7 +107,7 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
     splines : int
         Required number of coefficients.
     step, bound : float
-        Length of a cycle, and the largest coefficient [m].
+        Length of a cycle and largest coefficient that the parameters state [m].
 
     Raises
     ------
@@ -217,7 +219,7 @@ def decide(p, x):
 
 @kernel
 def begin_positioning(x):
-    """Begin fine positioning: the slider is measured from now on, and the origin stays."""
+    """Begin fine positioning: from now on the slider is the controller's measurement, and the origin stays."""
     x[at.SOURCE] = at.FOLLOWING
     x[at.ORIGIN] = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION]
     x[at.ANCHOR] = x[at.SLIDER]
@@ -242,7 +244,7 @@ def end_positioning(p, x):
 
 @kernel
 def position(p, x):
-    """One sample of fine positioning; leaves it when the setpoint is out of reach, or when the front clamp slips."""
+    """Compute a sample of fine positioning; end it when the setpoint is out of range, or when the front clamp slips."""
     goal = x[at.TARGET] - x[at.ORIGIN]
     end = goal + x[at.PRETENSION]
     out_of_reach = end < lowest(p, x) - p[at.MARGIN] or end > highest(p, x) + p[at.MARGIN]
@@ -252,7 +254,7 @@ def position(p, x):
     x[at.FINE_ERROR] += p[at.SMOOTHING] * (x[at.TARGET] - x[at.SLIDER] - x[at.FINE_ERROR])
     slip = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION] - x[at.ORIGIN]
     x[at.FINE_SLIP] += p[at.SMOOTHING] * (slip - x[at.FINE_SLIP])
-    # drift and creep are slow and unlimited; a clamp slips faster
+    # drift and creep are slow and may continue without limit; a clamp slips faster
     ahead = x[at.FINE_SLIP] - x[at.FINE_DRIFT]
     most = p[at.DRIFT] * p[at.SAMPLE_TIME]
     x[at.FINE_DRIFT] += min(max(ahead, -most), most)
@@ -286,7 +288,7 @@ def position(p, x):
 
 @kernel
 def held(p, x):
-    """Evaluate the step, if one was made, and hold, because a clamp has closed."""
+    """A clamp has closed: evaluate the step, if there was one, and hold."""
     if x[at.JUDGE] != 0.0:
         x[at.JUDGE] = 0.0
         account(p, x)
@@ -423,7 +425,7 @@ def sequence(p, x, setpoint, slider, extender):
         Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. The caller may write ``x[REQUEST]``
         and ``x[SPEED]`` before the call.
     setpoint : float
-        Setpoint [m]; taken when it differs from the last one and lies within the travel.
+        Setpoint [m]; it is used when it differs from the last one and lies within the travel.
     slider, extender : float
         Measured displacements [m]; NaN without one.
     """
@@ -588,7 +590,7 @@ class InchwormSequencer(Block):
         Returns
         -------
         str or None
-            The reason when the speed is refused, with the number; nothing changes then.
+            Why the speed is refused, with the highest speed (nothing changes then); None when it is accepted.
         """
         reason = self.parameters.refuse_speed(speed)
         if reason is None:
@@ -681,7 +683,7 @@ class InchwormSequencer(Block):
             )
         if not (path or walk.save_file):
             raise ParameterError(
-                [Problem("walk.save_file", "", "names no file; give one, because only that file is written")]
+                [Problem("walk.save_file", "", "names no file; give one, because only this file can be written")]
             )
         write_walk(path or walk.save_file, self.learned_walk)
 

@@ -7,13 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Steps of the inchworm sequencer: their learned length, the motions of clamps and extender, their evaluation.
+"""Steps of the inchworm sequencer: learned length, motions of clamps and extender, and evaluation of a step.
 
-With u the commanded extension and z the motion of the slider along it, both as fractions of the full stroke, z = gain u
-+ offset. The offset contains the load (with a different sign in each direction) and the loss when a clamp closes; the
-gain contains the rest. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd edition 1995, section 2.2. Forgetting
-pauses while a variance is as large as at the start: full steps alone do not separate gain and offset, and the variance
-would grow without bound. The gain is bounded; the offset is not, because of the load.
+The model of a step is z = gain u + offset, with the commanded extension u and the motion z of the slider along it, both
+as fractions of the full stroke. The offset contains the load (with opposite signs in the two directions) and the loss
+when a clamp closes; the gain contains all other effects. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd
+edition 1995, section 2.2. Forgetting pauses while a variance is as large as at the start. Full steps alone cannot
+separate gain and offset, and with forgetting the variance would grow without bound. The gain is bounded; the offset is
+not, because of the load.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ STEP_DEVIATION = 2.0e-3
 LOWEST_GAIN = 0.5
 HIGHEST_GAIN = 1.5
 
-#: Least and largest modelled length of the longest step, as fractions of its extension.
+#: Smallest and largest modelled length of the longest step, as fractions of its extension.
 SHORTEST = 0.1
 LONGEST = 2.0
 
@@ -102,11 +103,11 @@ SHORT_STEP = 0.05
 SLOW_STEP = 0.1
 #: Largest deflection by the load, as a fraction of the stroke.
 LOAD_PART = 0.8
-#: Factors from mean deflection to the correction of the learned one, at every step and at the first one, where the
-#: controller's integral has already compensated about half of it.
+#: Factors from the measured mean deflection to the correction of the learned one: at every step, and at the first one,
+#: at which the controller's integral has already compensated about half of the deflection.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
-#: Mean deflection, as a fraction of the stroke, that may be the extender's own lag: it is not learned.
+#: Mean deflection, as a fraction of the stroke, up to which it may be the lag of the extender and is not learned.
 LAG_PART = 0.02
 #: Tolerance for equal extensions [m].
 EQUAL = 1.0e-12
@@ -174,7 +175,7 @@ def hold(x):
 
 @kernel
 def must_stop(p, x):
-    """Return whether the motor must hold with both clamps."""
+    """Return whether both clamps must hold."""
     return x[at.MODE] == at.STOP or x[at.MODE] == at.FAILED or x[at.BAD] > p[at.SENSOR_SAMPLES]
 
 
@@ -188,7 +189,7 @@ def stop_here(p, x):
 
 @kernel
 def moving(p, x):
-    """Advance the extender's motion by a sample; return whether the motion, or the rest after it, continues."""
+    """Advance the extender's motion by a sample; return whether the motion or the following time of rest continues."""
     if x[at.MOVE_DONE] < 1.0:
         x[at.MOVE_DONE] = min(x[at.MOVE_DONE] + x[at.MOVE_RATE] / x[at.MOVE_SAMPLES], 1.0)
         if x[at.MOVE_DONE] > 1.0 - 1.0e-9:
@@ -258,7 +259,7 @@ def feel(x):
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by the mean deflection of the extender after the transfer; the first time completely."""
+    """Correct the learned load by the mean deflection of the extender after the transfer; at first by all of it."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke
@@ -285,7 +286,8 @@ def account(p, x):
     wanted = max(extension, x[at.STEP_LENGTH])  # with a load or a wrong model the extension of a step may be zero
     if wanted < SHORT_STEP * stroke:
         return
-    # a step that the load, or a wrong offset of the model, was expected to make is not missed: it corrects the model
+    # a step whose length came from the load or from a wrong offset of the model does not count as missed: it corrects
+    # the model
     missed = x[at.EXTENSION] >= SHORT_STEP and moved <= p[at.MISSED_PART] * extension
     if missed:
         x[at.MISSED] += 1.0
@@ -299,7 +301,7 @@ def account(p, x):
 
 @called
 def carry_from(p, x, start):
-    """Open a clamp: the rear one when the extender is at the start of the step, else the front one to move there."""
+    """Open a clamp: the rear one if the extender is at the start of the step, else the front one to move it there."""
     if x[at.RETURNS] > p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
         return

@@ -9,7 +9,7 @@
 
 """Continuous walking of an inchworm motor as kernels: extender and clamps as functions of the phase of the cycle.
 
-A cycle is the gait's six processes; its phase goes from 0 to 1 from the middle of one return to the middle of the next.
+A cycle consists of the gait's six processes. Its phase is 0 in the middle of a return and 1 in the middle of the next.
 The path of the slider is a straight line over the phase while it is carried, and constant while the extender returns. A
 correction learned as a function of the phase (:mod:`hysteresis_ros.references.inchworm_parameters`) is added to the
 extender's motion: errors that depend on the phase repeat at any speed.
@@ -37,7 +37,7 @@ from hysteresis_ros.references.inchworm_steps import (
     turn,
 )
 
-#: Fraction of the extender's rest before the front clamp closes in which the new correction replaces the old one.
+#: Fraction of the extender's rest, before the front clamp closes, in which the new correction fades in.
 GLIDE_PART = 0.8
 #: Factor on the highest rate above which a requested rate is too fast.
 TOO_FAST = 1.05
@@ -145,7 +145,7 @@ def passed(p, phase, first, last):
 
 @kernel
 def set_clamps(p, x, phase):
-    """Set the voltages of both clamps by the phase."""
+    """Set the voltages of both clamps according to the phase."""
     b = bounds_of(x)
     closed = passed(p, phase, p[b + at.CLOSE_FRONT], p[b + at.OPEN_REAR])
     opened = passed(p, phase, p[b + at.OPEN_FRONT], p[b + at.RETURN])
@@ -252,7 +252,7 @@ def observe(p, x):
 
 @called
 def begin_walk(p, x):
-    """Begin continuous walking; the extender first moves to its position in a cycle when both clamps hold."""
+    """Begin continuous walking: the extender first moves to its position in a cycle at which both clamps hold."""
     turn(x, x[at.SPEED])
     aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
@@ -295,7 +295,7 @@ def advance(p, x):
 
 @called
 def go_on(p, x, phase):
-    """Enter the process of the gait at ``phase``; evaluate the step when both clamps hold, and end at its limit."""
+    """Enter the process of the gait at ``phase``; while both clamps hold, evaluate the step, and end at its limit."""
     now = process(p, x, phase)
     if now == x[at.PHASE]:
         return

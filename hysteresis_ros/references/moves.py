@@ -20,7 +20,7 @@ from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
 
 
 class Arrival:
-    """Detects that an error has stayed within a tolerance for a dwell time; it counts the time of the samples.
+    """Detects that an error has stayed within a tolerance for a dwell time, by the times of the samples.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ class Arrival:
         self._since = math.inf
 
     def take(self, time: float, error: float) -> bool:
-        """Take a sample and tell whether the move has arrived.
+        """Take a sample and return whether the move has arrived.
 
         Parameters
         ----------
         time : float
             Time of the sample on any monotonic clock [s].
         error : float
-            Measurement minus target [m]; NaN: no measurement, which is not an arrival.
+            Measurement minus target [m]; NaN: no measurement, so the move has not arrived.
         """
         if not abs(error) <= self.tolerance:
             self._since = math.inf
@@ -68,7 +68,7 @@ class SettlingParameters(Parameters):
     )
     time: float = parameter(
         0.05,
-        description="time for which the distance must stay below it without interruption",
+        description="time for which the distance must stay below the tolerance without interruption",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -77,11 +77,11 @@ class SettlingParameters(Parameters):
 
 
 class Settling:
-    """Tells sample by sample whether an axis has settled.
+    """Determines at each sample whether an axis has settled.
 
     A sample counts when the measurement is within the tolerance of the reference, and the reference moves by less than
-    the tolerance within the time. A sample that does not count, also for lack of a measurement, and a new setpoint
-    restart the time: a step has settled when its response has stayed in the band for that time.
+    the tolerance within the time. A sample that does not count (for instance without a measurement) and a new setpoint
+    restart the time. So a step has settled when its response has stayed in the band for this time.
 
     Parameters
     ----------

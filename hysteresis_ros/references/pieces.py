@@ -9,17 +9,17 @@
 
 """Motions made of polynomials: straight lines, turns from one velocity to its opposite, steps between two velocities.
 
-With s = τ/T, the time since a piece began as a part of its duration, a *turn* from the velocity V to −V is
+Let T be the duration of a piece, τ the time since it began, and s = τ/T. A *turn* from the velocity V to −V is
 
-- of minimum jerk: p = V T (s − 2 s³ + s⁴), with the acceleration 12 V/T · s (s − 1), largest 3 V/T, the jerk up to
-  12 V/T² and the way 5/16 V T beyond its ends;
-- parabolic: p = V T (s − s²), with the constant acceleration 2 V/T, jumps of it at both ends, and the way V T/4.
+- of minimum jerk: p = V T (s − 2 s³ + s⁴). Its acceleration is 12 V/T · s (s − 1), at most 3 V/T, its jerk at most
+  12 V/T², and it overshoots its ends by 5/16 V T;
+- parabolic: p = V T (s − s²). Its acceleration is constant, 2 V/T, and jumps at both ends; it overshoots by V T/4.
 
-A *step* by D between equal velocities (those of a straight line that is added) is
+A *step* by D is added to a motion at constant velocity. It is
 
-- of minimum jerk (Flash and Hogan 1985, doi 10.1523/JNEUROSCI.05-07-01688.1985): p = D (10 s³ − 15 s⁴ + 6 s⁵), with the
-  velocity up to 15/8 D/T, the acceleration up to 10/√3 D/T² and the jerk up to 60 D/T³;
-- parabolic: half of the way with the acceleration 4 D/T², half of it with its opposite.
+- of minimum jerk (Flash and Hogan 1985, doi 10.1523/JNEUROSCI.05-07-01688.1985): p = D (10 s³ − 15 s⁴ + 6 s⁵), with a
+  velocity up to 15/8 D/T, an acceleration up to 10/√3 D/T² and a jerk up to 60 D/T³;
+- parabolic: the first half with the acceleration 4 D/T², the second half with −4 D/T².
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ import numpy as np
 
 #: Laws of turns and steps.
 LAWS = ("minimum_jerk", "parabolic")
-#: Two instants that are closer than that are one, as a part of the whole duration.
+#: Instants that are closer than this fraction of the whole duration count as one.
 TOGETHER = 1e-12
-#: A term that is smaller than that part of the largest one is rounding, as of the cosine of a right angle.
+#: A term smaller than this fraction of the largest one is rounding, for instance of the cosine of a right angle.
 NOTHING = 1e-14
 #: Largest degree of a polynomial here.
 DEGREE = 5
 
 
 def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
-    """Return a polynomial in the time that begins later.
+    """Return a polynomial of the time after ``delay``, from one of the time.
 
     Parameters
     ----------
     coefficients : ndarray, shape (DEGREE + 1,)
-        Of the ascending powers of the time.
+        Coefficients of the ascending powers of the time.
     delay : float
-        How much later.
+        How much later the new time begins.
     """
     moved = np.zeros_like(coefficients)
     rest = coefficients.copy()
@@ -57,14 +57,14 @@ def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
 
 
 class Builder:
-    """Collects the pieces of one coordinate, each from where the one before it ends.
+    """Collects the pieces of one coordinate; each begins where the one before it ends.
 
     Parameters
     ----------
     position : float
-        Where the motion begins.
+        Position at which the motion begins.
     law : str
-        One of :data:`LAWS`, of turns and steps.
+        Law of turns and steps, one of :data:`LAWS`.
     """
 
     def __init__(self, position: float, law: str):
@@ -89,7 +89,7 @@ class Builder:
             self.position += velocity * duration
 
     def turn(self, duration: float, velocity: float) -> None:
-        """Turn from a velocity to its opposite; it ends where it began.
+        """Turn from a velocity to its opposite; the turn ends at the position where it began.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Builder:
             self._add(duration, velocity, 0.0, -2.0 * velocity / duration**2, velocity / duration**3)
 
     def step(self, duration: float, size: float, velocity: float = 0.0) -> None:
-        """Step by ``size`` beside a motion at a constant velocity, which it has at both ends.
+        """Step by ``size``, added to a motion at a constant velocity.
 
         Parameters
         ----------
@@ -126,14 +126,14 @@ class Builder:
 
 
 class Pieces:
-    """Polynomials one after the other, of one coordinate or several.
+    """Polynomials one after the other, for one or several coordinates.
 
     Parameters
     ----------
     knots : ndarray, shape (P + 1,)
-        Where each begins, and where the last one ends.
+        Instants at which the pieces begin, and the instant at which the last one ends.
     coefficients : ndarray, shape (P, D, M)
-        Of the ascending powers of the time since the piece began, for each of M coordinates.
+        Coefficients of the ascending powers of the time since the piece began, for each of M coordinates.
     """
 
     def __init__(self, knots: np.ndarray, coefficients: np.ndarray):
@@ -155,12 +155,12 @@ class Pieces:
 
     @staticmethod
     def together(motions: list[Pieces]) -> Pieces:
-        """Return several coordinates over the same duration as one motion.
+        """Return one motion from several coordinates of the same duration.
 
         Parameters
         ----------
         motions : list of Pieces
-            Each of one coordinate.
+            Motions of one coordinate each.
         """
         knots = np.sort(np.concatenate([motion.knots for motion in motions]))
         near = TOGETHER * (knots[-1] - knots[0])
@@ -182,7 +182,7 @@ class Pieces:
         matrix : ndarray, shape (A, M)
             Combinations.
         order : int, optional
-            Of the derivative.
+            Order of the derivative.
 
         Returns
         -------
@@ -202,7 +202,7 @@ class Pieces:
 
 
 def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
-    """Return where polynomials may have extremes, shape (P, K): both ends and where the derivative is zero."""
+    """Return where polynomials may have extremes, shape (P, K): both ends, and zeros of the derivative."""
     count = len(steep)
     ends = np.stack([np.zeros(count), durations], axis=1)
     scaled = steep * durations[:, None] ** np.arange(steep.shape[1])
@@ -216,7 +216,7 @@ def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
     found = np.zeros((count, max(2, steep.shape[1] - 1)))
     found[:, :2] = np.where(np.isfinite(roots), roots, 0.0)
     if high.size:
-        # lines of a raster are alike: each kind once
+        # the lines of a raster are alike, so each kind is computed once
         kinds, which = np.unique(scaled[high], axis=0, return_inverse=True)
         table = np.zeros((len(kinds), found.shape[1]))
         for row, kind in zip(table, kinds, strict=True):

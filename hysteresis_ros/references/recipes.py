@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations for identification: recipes, transitions between levels, waveforms from text, and their open-loop axis.
+"""Excitations for identification: recipes, transitions between levels, waveforms from text, and axes that play them.
 
-Amplitudes and offsets are voltages here. An axis in open loop without inverse outputs reference / gain, so
-:func:`in_metres` converts a recipe to a waveform of the reference generator.
+Amplitudes and offsets are voltages here. An axis in open loop without inverse outputs reference / gain [V], so
+:func:`in_metres` converts a recipe to a waveform in metres for the reference generator.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ WAY, REST = 0.5, 0.5
 
 
 def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a transition that begins and ends at rest, half a cosine; its first sample is the one after ``begin``.
+    """Return a transition by half a cosine, which begins and ends at rest; its first sample follows ``begin``.
 
     Parameters
     ----------
@@ -78,17 +78,17 @@ def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([*parts, hold(safe, REST, rate)])
 
 
-#: Peaks of the triangles, levels of the steps.
+#: Number of peaks of the triangles, and of levels of the steps.
 PEAKS = 20
-#: Cycles of the decaying recipe: over the whole range, decaying, and those in which the amplitude falls to 1/e.
+#: Numbers of cycles of the decaying recipe: over the whole range; decaying; until the amplitude has fallen to 1/e.
 WHOLE_CYCLES, DECAYING_CYCLES, DECAY_CYCLES = 2, 20, 5.0
 LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
-#: Fraction of the range (peak) of small excitations; large ones take the whole range.
+#: Peak of small excitations as a fraction of the range; large excitations use the whole range.
 SMALL = 0.1
 #: Highest frequency that can be requested, as a fraction of the sample rate.
 HIGHEST = 0.2
-#: Multisine and chirp excite up to this part of the sample rate: above what a recording holds, a design has to assume a
-#: resonance, which costs a feedback with gain there its bandwidth.
+#: Multisine and chirp excite up to this fraction of the sample rate. Above the excited frequencies a design has to
+#: assume a resonance, which limits the bandwidth of a feedback that has gain there.
 EXCITED = 0.48
 
 
@@ -103,7 +103,7 @@ class Excitation:
     duration : float
         [s]
     samples : ndarray or None
-        Voltages [V] sample by sample where no waveform of the generator fits (type ``file``).
+        Voltages [V], sample by sample, if no waveform of the generator can play the recipe (type ``file``).
     """
 
     waveform: dict
@@ -113,7 +113,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class _Asked:
-    """Inputs of a recipe: range [V] of the amplifier, used fraction of it, sample rate [Hz], and options."""
+    """Inputs of a recipe: range of the amplifier [V], the fraction of it to use, sample rate [Hz], and options."""
 
     low: float
     high: float
@@ -143,7 +143,7 @@ def _triangles(asked: _Asked) -> Excitation:
     highest = asked.high * asked.amplitude
     peaks = highest * np.arange(1, PEAKS + 1) / PEAKS
     one = np.concatenate([rise, 1.0 - rise])
-    # the largest loop twice: once on the virgin curve, once closed
+    # the largest loop twice: the first begins on the virgin curve, the second is closed
     volts = np.concatenate([[0.0], *(peak * one for peak in (*peaks, highest))])
     return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
 
@@ -211,7 +211,7 @@ class Recipe:
     make : callable
         Function that returns its :class:`Excitation`.
     small : bool
-        Whether it uses a small fraction of the range by default.
+        Whether the recipe uses a small fraction of the range by default.
     """
 
     words: str
@@ -254,15 +254,16 @@ def recipe(
     name : str
         One of :data:`RECIPES`.
     low, high : float
-        Range of the amplifier [V]; 0 V is in it.
+        Range of the amplifier [V], which must contain 0 V.
     sample_rate : float
         [Hz]
     frequency : float, optional
         Frequency of triangles and decaying, line spacing of the multisine, lowest frequency of the chirp [Hz].
     amplitude : float
-        Factor on the default amplitude of the recipe, 0 … 1 (small ones: up to 10).
+        Factor on the default amplitude of the recipe, 0 … 1 (for recipes with a small amplitude up to 10).
     duration : float, optional
-        Duration [s]; for triangles and decaying it follows from the frequency, and a longer run holds the last value.
+        Duration [s]. For ``triangles`` and ``decaying`` it follows from the frequency; a longer run holds the last
+        value.
 
     Raises
     ------
@@ -286,7 +287,7 @@ def recipe(
 
 
 def in_metres(excitation: Excitation, gain: float) -> dict:
-    """Return the waveform's parameters in SI for a reference that is divided by ``gain`` on its way to the amplifier.
+    """Return the waveform's parameters in SI for an axis whose voltage is reference / ``gain``.
 
     Parameters
     ----------
@@ -314,7 +315,8 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         Text of each parameter. The waveform's own parameters may be given by their short names, ``values`` for
         ``steps.values``. Numbers have units or are in SI; commas separate the elements of lists.
     gain : float, optional
-        Gain of an axis in open loop without inverse [m/V]: with it lengths may be given as voltages, and need a unit.
+        Gain of an axis in open loop without inverse [m/V]. With it lengths may be given as voltages, and must have a
+        unit.
 
     Raises
     ------
@@ -386,24 +388,24 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
 
 
 def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> Any:
-    """Return the text of a parameter in its type.
+    """Return the value of a parameter's text, in the type of the parameter.
 
     Parameters
     ----------
     row : ParameterRow
-        Of the parameter.
+        Row of the parameter.
     text : str
-        A number with its unit or in SI, several between commas for an array, a choice, or a path.
+        A number with its unit or in SI, several separated by commas for an array, a choice, or a path.
     gain : float, optional
-        Of an axis in open loop without inverse [m/V]: lengths may be given as voltages then.
+        Gain of an axis in open loop without inverse [m/V]; lengths may then be given as voltages.
 
     Raises
     ------
     ValueError
-        The text is not what the parameter must be; the message says what is.
+        The text is not a value of the parameter; the message says what is allowed.
     """
     if row.type is str:
-        # nodes may run in another folder
+        # absolute, because nodes may run in another folder
         value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text
     elif row.type is int:
         try:
@@ -429,7 +431,7 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     if bare and voltages:
         raise ValueError(f"{bare[0].strip()} of which unit? Write 60V or 5um")
     if bare and row.unit != "m" and any(unit for _, unit in found):
-        raise ValueError(f"{bare[0].strip()} of which unit? Write it behind")
+        raise ValueError(f"{bare[0].strip()} of which unit? Write it after the number")
     if not voltages:
         return [quantity_in(text, row.unit) for text in texts]
     allowed = {"": 1.0, row.unit: 1.0} | voltages
@@ -439,8 +441,8 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     return [number * allowed[unit] for number, unit in found]
 
 
-#: Parameters of a controller for recordings with a reference only; of one whose reference is the played waveform; and
-#: of one that passes the reference unchanged.
+#: Parameters of a controller that need a recording with a reference; those that need the played waveform as reference;
+#: and those of a controller that passes on the reference unchanged.
 UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
 OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
@@ -510,7 +512,7 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
 
 
 def following(configuration: Configuration, path: str, rest: float = 0.0) -> Configuration:
-    """Return the configuration whose axis follows samples once, from their beginning, and then ends.
+    """Return a configuration whose axis follows the samples once, from the first one, and then ends.
 
     Parameters
     ----------
@@ -518,7 +520,7 @@ def following(configuration: Configuration, path: str, rest: float = 0.0) -> Con
     path : str
         Path that :func:`write_samples` returned.
     rest : float
-        Setpoint from which the axis begins [m]; the samples are absolute nevertheless.
+        Setpoint at which the axis begins [m]; the samples are absolute positions, not relative to it.
     """
     values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": -rest, "file.path": path, "file.column": "reference"}
     configuration = configuration.override(

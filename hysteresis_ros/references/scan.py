@@ -7,18 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Scans of a plane: the path of several axes in closed form, its limits, its clock and its harmonics.
+"""Scans of a plane: the path of several axes in closed form, its limits, its line and pixel clock, its harmonics.
 
-A scan is a frozen dataclass of parameters (:class:`Scan`; those there are stand in ``scans/``, one file each). The path
-is a function of the number of frames s = frame rate · time, in coordinates (u, v) of the plane: u is the direction of
-the lines, v across them. Axes follow by a turn, a shift and a tilt::
+A scan is a frozen dataclass of parameters derived from :class:`Scan`; each file in ``scans/`` contains one. The path is
+a function of the number of frames s = frame rate · time, in coordinates (u, v) of the plane: u along the lines, v
+across them. A rotation, a shift and a tilt convert it to the axes::
 
     x = centre_x + u cos φ − v sin φ
     y = centre_y + u sin φ + v cos φ
     z = slope_x x + slope_y y + height            (with three axes)
 
-So velocity, acceleration and jerk go with the frame rate, its square and its cube, and the frame rate that an axis
-allows follows without a search.
+So velocity, acceleration and jerk are proportional to the frame rate, its square and its cube, and the frame rate that
+an axis allows follows without a search.
 """
 
 from __future__ import annotations
@@ -35,23 +35,24 @@ import numpy as np
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 
-#: Names of the axes, and what is limited, with the SI unit of each order of the derivative.
+#: Names of the axes; then name and SI unit of the position and of each derivative.
 AXES = ("x", "y", "z")
 ORDERS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"), ("jerk", "m/s³"))
-#: An instant that precedes the beginning of a pixel by less than this part of the pixel belongs to it.
+#: An instant that precedes a pixel by less than this fraction of the pixel's duration belongs to the pixel.
 EDGE = 1e-6
-#: Of a limit, for rounding.
+#: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
-#: Points of a pass from which harmonics are computed, and the fewest; fewest and most of a period.
+#: Harmonics are computed from this many points per pass, but at least from the second number; then the fewest and the
+#: most points per period.
 POINTS, FEW_POINTS = 1024, 64
 LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
-#: Part of the power of the motion within :attr:`Scan.bandwidth`: what is beyond has 1 % of its RMS.
+#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The rest has 1 % of the RMS of the motion.
 OCCUPIED = 0.9999
 
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """The passes over the plane within a period, in their order: the parts of the path on which data are taken.
+    """The passes of a period in their order. A pass is a part of the path, along one line, on which data are taken.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class Passes:
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Where in a scan instants are.
+    """Frame, line, pixel and direction at given instants of a scan.
 
     Parameters
     ----------
@@ -97,13 +98,13 @@ class Marks:
     Parameters
     ----------
     time : ndarray, shape (K,)
-        Exact instants, from the law of the path [s].
+        Exact instants, from the equation of the path [s].
     sample : ndarray, shape (K,)
-        The first sample at or after each.
+        The first sample at or after each instant.
     place : ndarray, shape (K,)
-        The same as a number with a fraction: 17.25 is a quarter of the way from sample 17 to sample 18.
+        The instant as a sample number with a fraction: 17.25 is a quarter of the way from sample 17 to sample 18.
     frame, line, pixel, direction : ndarray, shape (K,)
-        What begins, as in :class:`Clock`; -1 and 0 where it does not apply.
+        The frame, line or pixel that begins, as in :class:`Clock`; -1 (direction: 0) where it does not apply.
     """
 
     time: np.ndarray
@@ -125,7 +126,7 @@ class Harmonics(NamedTuple):
 
 @dataclass(frozen=True)
 class Scan(Parameters, abc.ABC):
-    """Parameters that scans share, and what follows from the path.
+    """Parameters that all scans share, and results that follow from the path.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ class Scan(Parameters, abc.ABC):
     axes : int
         2 or 3.
     slope_x, slope_y, height : float
-        Tilt and height [m] of the plane, of the third axis.
+        Tilt and height [m] of the plane, which the third axis follows.
     """
 
     frame_rate: float = parameter(1.0, description="frames per second", unit="Hz", low=0.0, high=1e6)
@@ -150,20 +151,20 @@ class Scan(Parameters, abc.ABC):
     rotation: float = parameter(
         0.0, description="angle from the x axis to the direction of the lines", unit="rad", low=-7.0, high=7.0
     )
-    axes: int = parameter(2, description="axes that move: x and y, or z too, which follows the plane", low=2, high=3)
+    axes: int = parameter(2, description="number of axes that move; with 3, z follows the plane", low=2, high=3)
     slope_x: float = parameter(0.0, description="z per x of a tilted plane", low=-10.0, high=10.0)
     slope_y: float = parameter(0.0, description="z per y of a tilted plane", low=-10.0, high=10.0)
     height: float = parameter(0.0, description="z of the plane at x = y = 0", unit="m", low=-1.0, high=1.0)
 
     def check(self) -> Iterable[Problem]:
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that excludes another one."""
         if not self.rate > 0.0:
             yield Problem("frame_rate", self.frame_rate, "must be > 0 Hz")
         for name in ("slope_x", "slope_y", "height"):
             if self.axes == 2 and getattr(self, name) != 0.0:
                 yield Problem(name, getattr(self, name), "belongs to a third axis; set axes = 3, or leave it out")
 
-    # what each scan says of itself, in frames and in coordinates of the plane
+    # what each scan defines, in numbers of frames and in coordinates of the plane
 
     @property
     @abc.abstractmethod
@@ -173,12 +174,12 @@ class Scan(Parameters, abc.ABC):
     @property
     @abc.abstractmethod
     def size(self) -> float:
-        """Diameter, or length of the longer side [m]: errors are given in % of it."""
+        """Diameter, or length of the longer side [m]; errors are given in % of it."""
 
     @property
     @abc.abstractmethod
     def gap(self) -> float:
-        """Largest distance of neighbouring lines [m], which is the resolution."""
+        """Largest distance between neighbouring lines [m]: the resolution."""
 
     @abc.abstractmethod
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
@@ -189,7 +190,7 @@ class Scan(Parameters, abc.ABC):
         frames : ndarray, shape (N,)
             Number of frames since the beginning of a period, in 0 … :attr:`frames_per_period`.
         order : int, optional
-            Of the derivative, 0 … 3.
+            Order of the derivative, 0 … 3.
 
         Returns
         -------
@@ -206,12 +207,12 @@ class Scan(Parameters, abc.ABC):
         matrix : ndarray, shape (A, 2)
             Combinations.
         order : int
-            Of the derivative, 0 … 3.
+            Order of the derivative, 0 … 3.
 
         Returns
         -------
         low, high : ndarray, shape (A,)
-            Never exceeded; infinite where the derivative does not exist everywhere.
+            Bounds that are never exceeded; infinite if the derivative does not exist everywhere.
         """
 
     @property
@@ -221,7 +222,7 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def constant_share(self) -> float:
-        """Part of the time of a frame in which data are taken at a constant velocity along the line."""
+        """Fraction of the time of a frame in which data are taken at a constant velocity along the line."""
         return 0.0
 
     @property
@@ -253,7 +254,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """Axes per (u, v), shape (axes, 2)."""
+        """Matrix from (u, v) to the axes, shape (axes, 2)."""
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         rows = [[cosine, -sine], [sine, cosine]]
         slopes = [self.slope_x * cosine + self.slope_y * sine, self.slope_y * cosine - self.slope_x * sine]
@@ -261,7 +262,7 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def centre(self) -> np.ndarray:
-        """Where the axes are at u = v = 0, shape (axes,) [m]."""
+        """Position of the axes at u = v = 0, shape (axes,) [m]."""
         height = self.slope_x * self.centre_x + self.slope_y * self.centre_y + self.height
         return np.array([self.centre_x, self.centre_y, height][: self.axes])
 
@@ -271,7 +272,7 @@ class Scan(Parameters, abc.ABC):
         Parameters
         ----------
         time : array_like, shape (N,)
-            Since the beginning [s]; the scan repeats before and after.
+            Time since the beginning [s]; the scan repeats before and after.
         order : int
             0 … 3.
 
@@ -291,7 +292,7 @@ class Scan(Parameters, abc.ABC):
         return path + self.centre[:, None] if order == 0 else path
 
     def position(self, time) -> np.ndarray:
-        """Return where the axes are [m], shape (axes, N), at instants [s], shape (N,)."""
+        """Return the positions of the axes [m], shape (axes, N), at instants [s], shape (N,)."""
         return self.derivative(time, 0)
 
     def velocity(self, time) -> np.ndarray:
@@ -320,7 +321,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def _peaks(self) -> np.ndarray:
-        """Largest derivatives by the number of frames, shape (4, axes)."""
+        """Largest magnitudes of the derivatives by the number of frames, shape (4, axes)."""
         self.validated()
         found = []
         for order in range(4):
@@ -339,8 +340,8 @@ class Scan(Parameters, abc.ABC):
         Returns
         -------
         ndarray, shape (axes,)
-            Exact for straight pieces and for single sinusoids, otherwise a bound that is never exceeded. Infinite jerk:
-            the acceleration jumps.
+            Exact for straight pieces and single sinusoids, otherwise a bound that is never exceeded. The jerk is
+            infinite if the acceleration jumps.
         """
         return self._peaks[order] * self.rate**order
 
@@ -396,7 +397,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def _series(self) -> tuple[np.ndarray, np.ndarray]:
-        """Complex amplitudes of the harmonics of the period, shape (axes, K) with the constant as 0, and the mean."""
+        """Complex amplitudes of the period's harmonics, shape (axes, K), harmonic 0 set to 0; and the mean."""
         passes = len(self.passes.begin)
         wanted = max(min(max(LEAST_POINTS, POINTS * passes), MOST_POINTS), FEW_POINTS * passes)
         count = 1 << math.ceil(math.log2(wanted))
@@ -410,16 +411,16 @@ class Scan(Parameters, abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class ScanShape:
-    """What a scan declares.
+    """Declaration of a scan.
 
     Parameters
     ----------
     name : str
-        By which it is chosen.
+        Name by which the scan is chosen.
     parameters : type of Scan
-        Its class.
+        Class of the scan.
     summary : str
-        What it is, in a line.
+        Description in one line.
     """
 
     name: str
@@ -434,13 +435,13 @@ def harmonics(scan: Scan, count: int) -> Harmonics:
     ----------
     scan : Scan
     count : int
-        How many; all others are smaller, in the norm over the axes.
+        Number of harmonics; all others have a smaller norm over the axes.
 
     Returns
     -------
     Harmonics
-        In the order of their frequencies, which are multiples of 1 / period. Fewer than asked where the scan has fewer:
-        a Lissajous scan has two.
+        In the order of their frequencies, which are multiples of 1 / period. Fewer than ``count`` if the scan has
+        fewer: a Lissajous scan has two.
 
     Raises
     ------
@@ -459,7 +460,7 @@ def harmonics(scan: Scan, count: int) -> Harmonics:
 
 @dataclass(frozen=True)
 class ScanLimits(Parameters):
-    """What axes allow. One value holds for every axis; several are in the order x, y, z; none: unlimited.
+    """Limits of the axes. One value is for every axis; several are in the order x, y, z; none: unlimited.
 
     Parameters
     ----------
@@ -468,7 +469,7 @@ class ScanLimits(Parameters):
     velocity, acceleration, jerk : tuple of float
         Largest magnitudes [m/s], [m/s²], [m/s³].
     bandwidth : float
-        Of the slowest axis [Hz]; 0: unlimited.
+        Bandwidth of the slowest axis [Hz]; 0: unlimited.
     """
 
     low: tuple[float, ...] = parameter((), description="lowest position of each axis", unit="m")
@@ -479,11 +480,14 @@ class ScanLimits(Parameters):
     )
     jerk: tuple[float, ...] = parameter((), description="largest jerk of each axis", unit="m/s³", low=0.0)
     bandwidth: float = parameter(
-        0.0, description="frequency that holds 99.99 % of the power of the motion; 0: any", unit="Hz", low=0.0
+        0.0,
+        description="limit of the frequency below which 99.99 % of the power of the motion is; 0: none",
+        unit="Hz",
+        low=0.0,
     )
 
     def of_axes(self, name: str, axes: int) -> np.ndarray:
-        """Return a limit of each axis, infinite where there is none.
+        """Return a limit for each axis; infinite: unlimited.
 
         Parameters
         ----------
@@ -499,7 +503,7 @@ class ScanLimits(Parameters):
         Raises
         ------
         ParameterError
-            The number of values is neither one nor that of the axes, or a limit of motion is not positive.
+            The number of values is neither one nor the number of axes, or a limit of motion is not positive.
         """
         values = getattr(self, name)
         if not values:
@@ -508,28 +512,28 @@ class ScanLimits(Parameters):
             text = f"has {len(values)} values for {axes} axes; give one for all of them, or one for each"
             raise ParameterError([Problem(name, values, text)])
         if name not in ("low", "high") and min(values) <= 0.0:
-            raise ParameterError([Problem(name, values, "must be > 0; leave it out where an axis is unlimited")])
+            raise ParameterError([Problem(name, values, "must be > 0; leave it out if the axes are unlimited")])
         return np.broadcast_to(np.array(values), (axes,))
 
 
 def largest_frame_rate(scan: Scan, limits: ScanLimits) -> float:
-    """Return the largest frame rate at which a scan keeps limits of velocity, acceleration, jerk and bandwidth.
+    """Return the largest frame rate at which a scan keeps the limits of velocity, acceleration, jerk and bandwidth.
 
     Parameters
     ----------
     scan : Scan
-        Its own frame rate does not matter.
+        The scan; its own frame rate is not used.
     limits : ScanLimits
 
     Returns
     -------
     float
-        [Hz]; infinite where nothing limits it, 0 where the jerk is limited and the acceleration of the scan jumps.
+        [Hz]; infinite if nothing limits it, 0 if the jerk is limited and the acceleration of the scan jumps.
 
     Raises
     ------
     ParameterError
-        Limits do not fit the axes.
+        The number of limits does not match the number of axes.
     """
     rates = [math.inf]
     for order, (name, _) in enumerate(ORDERS[1:], start=1):
@@ -553,12 +557,13 @@ def check_limits(scan: Scan, limits: ScanLimits) -> None:
     Raises
     ------
     ParameterError
-        Names each axis that leaves its range or exceeds a limit, by how much, and the frame rate that is allowed.
+        An axis leaves its range or exceeds a limit. The message names each such axis, by how much, and the allowed
+        frame rate.
     """
     found = [*_beyond_range(scan, limits)]
     best = largest_frame_rate(scan, limits)
     if best == 0.0:
-        text = "the acceleration jumps, which no limit of the jerk allows; take turns of minimum jerk"
+        text = "the acceleration jumps, so the jerk exceeds any limit; take minimum_jerk"
         found.append(Problem("turn_law", getattr(scan, "turn_law", None), text))
     elif scan.rate > best * (1.0 + ROUNDING):
         rate = rounded_down(best)
@@ -569,7 +574,7 @@ def check_limits(scan: Scan, limits: ScanLimits) -> None:
 
 
 def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
-    """Yield a Problem for each end of an axis that a scan leaves."""
+    """Yield a Problem for each end of a range that a scan exceeds."""
     lowest, highest = scan.extent()
     low, high = limits.of_axes("low", scan.axes), limits.of_axes("high", scan.axes)
     for axis in range(scan.axes):
@@ -598,13 +603,13 @@ def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
 
 
 def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number rounded down, so that what is printed is allowed.
+    """Return a positive number rounded down, so that the printed number is allowed.
 
     Parameters
     ----------
     value : float
     digits : int, optional
-        Significant digits that stay.
+        Number of significant digits.
     """
     if not 0.0 < value < math.inf:
         return value
@@ -613,7 +618,7 @@ def rounded_down(value: float, digits: int = 4) -> float:
 
 
 def frame_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return where frames begin within a recording.
+    """Return the beginnings of frames within a recording.
 
     Parameters
     ----------
@@ -632,7 +637,7 @@ def frame_marks(scan: Scan, time: np.ndarray) -> Marks:
 
 
 def line_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return where lines begin within a recording, traces and retraces alike.
+    """Return the beginnings of lines within a recording, of traces and of retraces.
 
     Parameters
     ----------
@@ -649,7 +654,7 @@ def line_marks(scan: Scan, time: np.ndarray) -> Marks:
 
 
 def pixel_marks(scan: Scan, time: np.ndarray) -> Marks:
-    """Return where pixels begin within a recording.
+    """Return the beginnings of pixels within a recording.
 
     Parameters
     ----------
@@ -674,12 +679,12 @@ def _frame(frames: np.ndarray) -> np.ndarray:
 
 
 def _whole(first: float, last: float, step: int) -> tuple[int, int]:
-    """Return the range of periods that touch an interval, in numbers of them."""
+    """Return the numbers of the first and last period that touch an interval."""
     return math.floor(first / step), math.floor(last / step) + 1
 
 
 def _passes_within(scan: Scan, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return begin and duration [frames], line and direction of the passes of all periods that a recording touches."""
+    """Return begin and duration [frames], line and direction of all passes of the periods that a recording touches."""
     scan.validated()
     passes, period = scan.passes, scan.frames_per_period
     first, last = _whole(time[0] * scan.rate, time[-1] * scan.rate, period)

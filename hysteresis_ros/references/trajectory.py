@@ -7,15 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Trajectories of points: they replace the approach, sample by sample, from rest or during a motion.
+"""Trajectories through points: they replace the approach, from rest or during a motion.
 
 Between two points the path is a polynomial of the time. Its degree is chosen as in ``joint_trajectory_controller`` of
 ros2_controllers: a line for positions alone, a cubic with velocities, a quintic with accelerations. The first segment
-begins at the position of the sample before, with its velocity and acceleration, so that a trajectory continues a motion
-that it replaces.
+begins with position, velocity and acceleration of the previous sample, so that a trajectory continues the motion that
+it replaces.
 
-The whole state is one array of fixed size: nodes, fused loop and offline twin replace it completely between two
-samples.
+The whole state is one array of fixed size, which nodes, fused loop and offline twin replace between two samples.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 ACTIVE, PENDING, ELAPSED, LENGTH, SEGMENT, COUNT, POSITION, VELOCITY, ACCELERATION = range(9)
 GIVEN, TARGET, AFTER, NUMBER, OUTCOME = range(9, 14)
 SEGMENTS = 14
-#: Values of TARGET and AFTER for none.
+#: Value of TARGET and AFTER that means none.
 NOWHERE = math.inf
 #: Numbers of a segment: its beginning [s], and the coefficients of the powers of the time since then.
 BEGIN, COEFFICIENTS, WIDTH = 0, 1, 7
@@ -120,7 +119,7 @@ def advance(p, x):
 
 @kernel
 def note_motion(p, x, position, smooth):
-    """Keep position, velocity and acceleration of a sample; those of a motion that jumps are zero."""
+    """Store position, velocity and acceleration of a sample; the latter two are zero for a motion that jumps."""
     velocity, acceleration = 0.0, 0.0
     if smooth != 0.0:
         velocity = (position - x[POSITION]) / p[SAMPLE_TIME]
@@ -167,7 +166,7 @@ def initial_state(position: float) -> np.ndarray:
 
 
 def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample_time: float) -> None:
-    """Write a path into the state, beginning with the next sample.
+    """Write a path into the state; it begins with the next sample.
 
     Parameters
     ----------
@@ -249,7 +248,7 @@ class Points:
     def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
         """Return the segments of the path that continues the present motion, shape (segments, WIDTH).
 
-        A first point at time 0 is the sender's assumption: the path begins at the actual position.
+        A first point at time 0 states where the sender assumes the axis; the path begins at the actual position.
         """
         first = 1 if self.times[0] == 0.0 else 0
         knots = [np.concatenate([[0.0], self.times[first:]]), np.concatenate([[position], self.positions[first:]])]

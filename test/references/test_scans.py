@@ -442,7 +442,7 @@ def test_a_path_that_a_scan_wrote_is_that_scan(tmp_path):
         ("x [um],y [um]\n1,2\n", "sample_rate = 0.0: must be > 0 Hz|has 1 points"),
         ("time [s],x [um]\n0,1\n", "no column y"),
         ("time [s],x,y [um]\n0,1,1\n", "must name the unit"),
-        ("time [s],x [um],y [um]\n0,1,1\n1,2,2\n1,3,3\n2,4,4\n", "time of point 2 does not come after"),
+        ("time [s],x [um],y [um]\n0,1,1\n1,2,2\n1,3,3\n2,4,4\n", "time of point 2 must be later"),
         ("time [s],x [um],y [um]\n0,1,1\n1,nan,2\n2,3,3\n3,4,4\n", "x of point 1 is nan"),
         ("time [s],x [um],y [um]\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n", "all points are the same"),
     ],

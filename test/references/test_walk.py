@@ -287,7 +287,7 @@ def test_saving_without_a_file_or_into_nowhere_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "name", "said"),
     [
-        ({"walk.step": 7e-6}, "walk.step", "half of stroke 8e-06 m"),
+        ({"walk.step": 7e-6}, "walk.step", "half of stroke − step with stroke = 8e-06 m"),
         ({"walk.bound": 1.1e-6}, "walk.step", "1e-06"),
         ({"gait.overlap": 1e-3}, "gait.overlap", "must be 0"),
         ({"gait.walking_speed": 2.5e-4}, "gait.walking_speed", "0.000230769 m/s"),

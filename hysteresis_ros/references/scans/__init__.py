@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Scans of a plane: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+"""Scans of a plane: each is one file or folder here, found automatically; and the choice of one by name.
 
-The folder holds nothing else. What a scan declares is described in :mod:`hysteresis_ros.references.scan`.
+:mod:`hysteresis_ros.references.scan` describes the declaration of a scan.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
     kind : str
         One of :data:`SCANS`.
     values : mapping of str to object
-        Its parameters in SI; what is left out has its default.
+        Parameters of the scan in SI; those left out have their defaults.
 
     Returns
     -------
@@ -43,13 +43,13 @@ def scan_of(kind: str, values: Mapping[str, Any]) -> Scan:
     Raises
     ------
     ParameterError
-        There is no such scan, or a parameter is unknown, missing or out of range.
+        The scan does not exist, or a parameter is unknown, missing or out of range.
     """
     return shape_of(kind).parameters.from_mapping(values)
 
 
 def shape_of(kind: str) -> ScanShape:
-    """Return what is declared of a scan.
+    """Return the declaration of a scan.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def shape_of(kind: str) -> ScanShape:
 
 
 def rows_of(kind: str) -> dict[str, ParameterRow]:
-    """Return the parameters of a scan by name, its own first.
+    """Return the parameters of a scan by name: its own, then the shared ones.
 
     Parameters
     ----------

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Cycloid: circles whose middle drifts along u, in one frame there and in the next one back.
+"""Cycloid: circles whose middle drifts along u, forward in one frame and back in the next one.
 
-The middle goes at a constant velocity and turns smoothly around the beginnings of frames
-(:mod:`hysteresis_ros.references.pieces`); it swings beyond the ends by as much as the turn needs. One tone and the slow
-drift make up the path. Trajectories of this kind: Yong, Moheimani and Petersen 2010
-(doi 10.1088/0957-4484/21/36/365503).
+The middle moves at a constant velocity. It reverses smoothly around the beginnings of frames
+(:mod:`hysteresis_ros.references.pieces`) and overshoots the ends by what the reversal needs. The path is the sum of one
+tone and this slow drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi
+10.1088/0957-4484/21/36/365503).
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ class Cycloid(Scan):
     Parameters
     ----------
     width : float
-        Along u, circles included, without the swing of the turns [m].
+        Width along u [m], with the circles, without the overshoot of the reversals.
     diameter : float
-        Of the circles, which is the other side [m].
+        Diameter of the circles, which is also the width along v [m].
     lines : int
         Circles of a frame.
     turn : float
-        Part of a frame in which the drift turns.
+        Fraction of a frame in which the drift reverses.
     turn_law : str
-        Of the turn.
+        Law of the reversal.
     """
 
-    width: float = parameter(description="along u, circles included", unit="m", low=1e-12, high=1.0)
-    diameter: float = parameter(description="of the circles", unit="m", low=1e-12, high=1.0)
+    width: float = parameter(description="width along u, with the circles", unit="m", low=1e-12, high=1.0)
+    diameter: float = parameter(description="diameter of the circles", unit="m", low=1e-12, high=1.0)
     lines: int = parameter(128, description="circles of a frame", low=2, high=100_000)
-    turn: float = parameter(0.05, description="part of a frame in which the drift turns", low=0.001, high=0.95)
-    turn_law: str = parameter("minimum_jerk", description="law of the turn", choices=LAWS)
+    turn: float = parameter(0.05, description="fraction of a frame in which the drift reverses", low=0.001, high=0.95)
+    turn_law: str = parameter("minimum_jerk", description="law of the reversal", choices=LAWS)
 
     def check(self) -> Iterable[Problem]:
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that excludes another one."""
         yield from super().check()
         if self.width <= self.diameter:
             text = f"must be more than the diameter of the circles, {self.diameter:g} m"
@@ -83,7 +83,7 @@ class Cycloid(Scan):
 
     @cached_property
     def _drift(self) -> Pieces:
-        """The middle over two frames, from the end of a turn on."""
+        """The middle of the circles over two frames, from the end of a reversal on."""
         span = self.width - self.diameter
         velocity = span / (1.0 - self.turn)
         made = Builder(-0.5 * span, self.turn_law)

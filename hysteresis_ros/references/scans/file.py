@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A path from a file: a smooth curve through its points, which closes by a way back to the first one.
+"""A path from a file: a smooth curve through its points, closed by a way back from the last to the first one.
 
-Between the points each coordinate is a cubic spline over the time, with a continuous velocity and acceleration also
-where a frame follows another. A path whose last point is the first one, or a step before it, closes by itself. Any
-other needs a way back, for which a part of the frame is given: the polynomial of fifth degree that continues position
-and velocity of both ends, with no acceleration there.
+Between the points each coordinate is a cubic spline over the time. Its velocity and acceleration are continuous, also
+from one frame to the next. A path whose last point is the first one, or one step before it, closes by itself. Any other
+path needs a way back, in a given fraction of the frame: the polynomial of fifth degree that continues position and
+velocity of both ends, with no acceleration at the ends.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from hysteresis_ros.references.waveforms.file import read_columns
 
 #: Fewest and most points of a file.
 LEAST, MOST = 4, 1_000_000
-#: Most steps from the last point to the first in a path that closes by itself: steps differ along the path.
+#: Largest distance from the last point to the first in a path that closes by itself, in steps of the path, which vary.
 NEAR = 2.0
-#: Points that are closer than that part of the size are one.
+#: Points that are closer than this fraction of the size count as one.
 TOGETHER = 1e-9
 
 
@@ -43,30 +43,33 @@ TOGETHER = 1e-9
 class File(Scan):
     """A path through points.
 
-    A frame is one line: its pixels are equal times of the path, without the way back.
+    A frame is one line, divided into pixels of equal duration; the way back belongs to no pixel.
 
     Parameters
     ----------
     frame_rate : float
-        Frames per second [Hz]; 0: as fast as the file says.
+        Frames per second [Hz]; 0: as the times of the file say.
     path : str
         CSV whose header names units (``time [s], x [um], y [um]``), or NPZ with arrays ``time`` [s], ``x`` and ``y``
         [m].
     sample_rate : float
-        Points per second, where the file has no time [Hz].
+        Points per second [Hz], for a file without a column time.
     way_back : float
-        Part of the frame that the way back to the first point takes; 0: the path closes by itself.
+        Fraction of the frame for the way back to the first point; 0: the path closes by itself.
     """
 
     frame_rate: float = parameter(
-        0.0, description="frames per second; 0: as fast as the file says", unit="Hz", low=0.0, high=1e6
+        0.0, description="frames per second; 0: as the times of the file say", unit="Hz", low=0.0, high=1e6
     )
     path: str = parameter(description="CSV (time [s], x [um], y [um]) or NPZ with time, x and y", place="files")
     sample_rate: float = parameter(
-        0.0, description="points per second, where the file has no time", unit="Hz", low=0.0, high=1e9
+        0.0, description="points per second, for a file without a column time", unit="Hz", low=0.0, high=1e9
     )
     way_back: float = parameter(
-        0.0, description="part of the frame for the way back to the first point; 0: the path closes", low=0.0, high=0.9
+        0.0,
+        description="fraction of the frame for the way back to the first point; 0: the path closes by itself",
+        low=0.0,
+        high=0.9,
     )
 
     def check(self) -> Iterable[Problem]:
@@ -96,19 +99,19 @@ class File(Scan):
 
     @property
     def gap(self) -> float:
-        """Distance of neighbouring lines, which the points of a file do not say: NaN."""
+        """Distance between neighbouring lines: NaN, because the points of a file do not determine it."""
         return float("nan")
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Instants since the first point [s], with that of the return to it, points [m], and the end of the data [s].
+        """Instants since the first point [s], including the return to it; points [m]; end of the data [s].
 
         The shapes are (N,) and (2, N); the last point is the first one.
         """
         time, points = self._read()
         size = float(np.max(np.ptp(points, axis=1)))
         if not size > 0.0:
-            raise self._refused("path", "all points are the same; a path needs two that are not")
+            raise self._refused("path", "all points are the same; a path needs two different points")
         if np.max(np.abs(points[:, -1] - points[:, 0])) <= TOGETHER * size:
             points[:, -1] = points[:, 0]
             return time, points, float(time[-1])
@@ -116,11 +119,14 @@ class File(Scan):
         away = float(np.hypot(*(points[:, -1] - points[:, 0])))
         if self.way_back == 0.0:
             if away > NEAR * float(np.max(steps)):
-                text = f"the last point is {away:.4g} m from the first; give the part of the frame for the way back"
+                text = (
+                    f"the last point is {away:.4g} m from the first; give way_back, the fraction of the frame "
+                    "for the return"
+                )
                 raise self._refused("way_back", f"{text}, e.g. 0.1")
             time = np.append(time, 2.0 * time[-1] - time[-2])
             return time, np.append(points, points[:, :1], axis=1), float(time[-1])
-        # the way back, point by point as dense as the file
+        # the way back, with points as dense as in the file
         end = float(time[-1])
         lasts = end * self.way_back / (1.0 - self.way_back)
         count = max(8, min(MOST, round(lasts / end * (time.size - 1))))
@@ -146,7 +152,7 @@ class File(Scan):
         except (KeyError, OSError, ValueError, csv.Error) as error:
             raise self._refused("path", f"cannot be read: {error.args[0] if error.args else error}") from None
         if any(column.ndim != 1 or column.size != columns[0].size for column in columns):
-            raise self._refused("path", "x and y must be columns of one length")
+            raise self._refused("path", "x and y must be columns of equal length")
         points = np.array(columns)
         count = points.shape[1]
         if not LEAST <= count <= MOST:
@@ -161,7 +167,7 @@ class File(Scan):
             for row in np.flatnonzero(~np.isfinite(values))[:1]:
                 raise self._refused("path", f"{name} of point {row} is {values[row]}; all must be finite")
         for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
-            raise self._refused("path", f"time of point {row + 1} does not come after that of point {row}")
+            raise self._refused("path", f"time of point {row + 1} must be later than that of point {row}")
         return time - time[0], points
 
     def _refused(self, name: str, text: str) -> ParameterError:

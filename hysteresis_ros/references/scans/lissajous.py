@@ -7,20 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Lissajous: one sinusoid for each axis, of frequencies that differ by little.
+"""Lissajous: one sinusoid for each axis, with slightly different frequencies.
 
-With N lines of a frame and the phase θ = π s (s frames)
+With N lines per frame and the phase θ = π s after s frames,
 
     u = width/2 cos(N θ),   v = depth/2 cos((N − 1) θ).
 
-The frequencies are N/2 and (N − 1)/2 frame rates: in a frame the path goes from one corner to another, in the next one
-back on itself. Neighbouring lines are parallel in the middle, where they are farthest apart. There u and v go through
-lines that follow each other in v by 2π/N · depth/2 with the slope ((N − 1) depth) / (N width), so their distance is
+The frequencies are N/2 and (N − 1)/2 frame rates: in one frame the path goes from one corner to another, in the next
+one back along itself. Neighbouring lines are farthest apart in the middle, where they are parallel. There they have the
+slope ((N − 1) depth) / (N width) and are offset in v by 2π/N · depth/2, so their distance is
 
     gap = π width depth / √((N width)² + ((N − 1) depth)²),
 
-the diameter of the largest circle that the path leaves empty; for large N it is
-π width depth / (N √(width² + depth²)).
+which is the diameter of the largest circle that the path leaves empty. For large N it is π width depth / (N √(width² +
+depth²)).
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Lissajous(Scan):
 
     @property
     def gap(self) -> float:
-        """Largest distance of neighbouring lines [m]."""
+        """Largest distance between neighbouring lines [m]."""
         across = math.hypot(self.lines * self.width, (self.lines - 1) * self.depth)
         return math.pi * self.width * self.depth / across
 
@@ -92,7 +92,7 @@ class Lissajous(Scan):
         return (amplitudes * speeds**order)[:, None] * shape
 
     def plane_range(self, matrix: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return bounds of combinations of u and v, or of their derivatives, shapes (A,): exact for one of them.
+        """Return bounds of combinations of u and v, or of their derivatives, shapes (A,); exact for u or v alone.
 
         Parameters
         ----------

@@ -22,32 +22,33 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.pieces import LAWS, Builder, Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Patterns: each line there and back, lines to and fro in turn, each line there with a smooth way back.
+#: Patterns: each line forward and back; lines alternately forward and backward; each line forward, with a smooth
+#: return.
 PATTERNS = ("trace_retrace", "bidirectional", "trace")
 
 
 @dataclass(frozen=True)
 class Raster(Scan):
-    """Lines along u over the whole ``width`` at a constant velocity, v from line to line.
+    """Lines along u at a constant velocity over the whole ``width``; v moves from line to line.
 
-    A line takes 1 / (lines + flyback) of a frame. Of each pass over the plane the part 1 − ``turn`` is at the constant
-    velocity width / ((1 − turn) T), with T the duration of the pass, and covers the whole width; the turn swings beyond
-    it (:mod:`hysteresis_ros.references.pieces`). During the flyback u goes on as before and v returns.
+    A line takes 1 / (lines + flyback) of a frame. A pass over the plane takes T. In the fraction 1 − ``turn`` of it u
+    covers the whole width at the constant velocity width / ((1 − turn) T); in the rest u turns and overshoots the width
+    (:mod:`hysteresis_ros.references.pieces`). During the flyback u continues as before, and v returns.
 
     Parameters
     ----------
     width, depth : float
-        Length of the lines, and distance of the first from the last one [m].
+        Length of the lines, and distance from the first to the last one [m].
     lines : int
         Lines of a frame.
     pattern : str
         One of :data:`PATTERNS`.
     turn : float
-        Part of a pass that its turn takes; with the pattern ``trace`` the way back.
+        Fraction of a pass that its turn takes; with the pattern ``trace``: that the return takes.
     turn_law : str
-        Of turns, steps and flyback.
+        Law of turns, steps and flyback.
     slow : str
-        ``stepped``: v moves during turns only; ``ramped``: at a constant velocity, which makes lines oblique.
+        ``stepped``: v moves only during turns; ``ramped``: v moves at a constant velocity, so lines are oblique.
     flyback : int
         Return of v, in durations of a line.
     """
@@ -57,23 +58,30 @@ class Raster(Scan):
     lines: int = parameter(128, description="lines of a frame", low=2, high=100_000)
     pattern: str = parameter(
         "trace_retrace",
-        description="each line there and back; lines to and fro in turn; or each line there, with a smooth way back",
+        description="each line forward and back; lines alternately forward and backward; or each line "
+        "forward, with a smooth return",
         choices=PATTERNS,
     )
     turn: float = parameter(
-        0.2, description="part of a pass that its turn takes; of trace: the way back", low=0.001, high=0.95
+        0.2,
+        description="fraction of a pass that its turn takes; with trace: that the return takes",
+        low=0.001,
+        high=0.95,
     )
     turn_law: str = parameter("minimum_jerk", description="law of turns, steps and flyback", choices=LAWS)
     slow: str = parameter(
-        "stepped", description="v moves during turns only, or at a constant velocity", choices=("stepped", "ramped")
+        "stepped", description="v moves only during turns, or at a constant velocity", choices=("stepped", "ramped")
     )
     flyback: int = parameter(8, description="return of v, in durations of a line", low=1, high=100_000)
 
     def check(self) -> Iterable[Problem]:
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that excludes another one."""
         yield from super().check()
         if self.pattern == "bidirectional" and (self.lines + self.flyback) % 2:
-            text = f"lines + flyback = {self.lines + self.flyback} is odd, lines to and fro need an even number"
+            text = (
+                f"lines + flyback = {self.lines + self.flyback} is odd, but the pattern bidirectional "
+                "needs an even number"
+            )
             yield Problem("flyback", self.flyback, f"{text}: take {self.flyback + 1}")
 
     @property
@@ -88,17 +96,17 @@ class Raster(Scan):
 
     @property
     def pitch(self) -> float:
-        """Distance of two lines [m]."""
+        """Distance between two lines [m]."""
         return self.depth / (self.lines - 1 if self.slow == "stepped" else self.lines)
 
     @property
     def gap(self) -> float:
-        """Largest distance of neighbouring lines [m]."""
+        """Largest distance between neighbouring lines [m]."""
         return self.pitch
 
     @property
     def line_rate(self) -> float:
-        """Lines per second [Hz]; with ``trace_retrace`` there and back."""
+        """Lines per second [Hz]; with ``trace_retrace`` a line is a trace and its retrace."""
         return self.rate * (self.lines + self.flyback)
 
     @property
@@ -108,12 +116,12 @@ class Raster(Scan):
 
     @property
     def constant_share(self) -> float:
-        """Part of the time of a frame in which data are taken at a constant velocity along the line."""
+        """Fraction of the time of a frame in which data are taken at a constant velocity along the line."""
         return (1.0 - self.turn) * self.lines / (self.lines + self.flyback)
 
     @property
     def overshoot(self) -> float:
-        """How far u swings beyond each end of the lines [m]."""
+        """How far u overshoots each end of the lines [m]."""
         low, high = self._fast.range(np.eye(1))
         return float(max(high[0], -low[0])) - 0.5 * self.width
 

@@ -7,14 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Rosette: a sinusoid through the middle whose direction turns, the sum of two tones.
+"""Rosette: a sinusoid through the middle whose direction turns; the path is the sum of two tones.
 
-With N lines of a frame and the phase θ = π s (s frames)
+With N lines per frame and the phase θ = π s after s frames,
 
     u + i v = R cos(N θ) exp(i θ) = R/2 (exp(i (N + 1) θ) + exp(−i (N − 1) θ)).
 
-N is odd: the path then closes after one frame, and N petals are evenly spaced. Their tips on the rim are 2 R sin(π/N)
-apart. Trajectories of this kind and their control: Nikooienejad, Maroufi and Moheimani 2019 (doi 10.1063/1.5098499).
+N must be odd: the path then closes after one frame, and its N petals are evenly spaced. The tips of the petals, on the
+rim, are 2 R sin(π/N) apart. Trajectories of this kind and their control: Nikooienejad, Maroufi and Moheimani 2019 (doi
+10.1063/1.5098499).
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ class Rosette(Scan):
     Parameters
     ----------
     diameter : float
-        Of the disc [m].
+        Diameter of the disc [m].
     lines : int
-        Diameters of a frame, N, odd.
+        Number N of diameters of a frame, odd.
     """
 
-    diameter: float = parameter(description="of the disc", unit="m", low=1e-12, high=1.0)
-    lines: int = parameter(127, description="diameters of a frame, an odd number", low=3, high=99_999)
+    diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
+    lines: int = parameter(127, description="number of diameters of a frame, odd", low=3, high=99_999)
 
     def check(self) -> Iterable[Problem]:
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that excludes another one."""
         yield from super().check()
         if self.lines % 2 == 0:
             text = f"must be odd, so that the path closes after a frame; take {self.lines + 1}"
@@ -65,7 +66,7 @@ class Rosette(Scan):
 
     @property
     def gap(self) -> float:
-        """Distance of neighbouring tips of petals [m]."""
+        """Distance between neighbouring tips of petals [m]."""
         return self.diameter * math.sin(math.pi / self.lines)
 
     @property

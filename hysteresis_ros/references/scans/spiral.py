@@ -7,27 +7,27 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-r"""Spiral of Archimedes: out in one frame, in with the next, at constant angular or constant linear velocity.
+r"""Spiral of Archimedes: outwards in one frame, inwards in the next, at constant angular or constant linear velocity.
 
-With the angle ψ, the radius is :math:`r = a\,\psi` from the middle outwards, until half an angle of turn before the
-angle Ψ of a frame; there the radius turns within the angle ``rim`` by minimum jerk
-(:mod:`hysteresis_ros.references.pieces`, with ψ in the place of the time) and comes back. The angle only ever grows:
+A frame is the angle Ψ. From the middle outwards the radius is :math:`r = a\,\psi`. Around ψ = Ψ, within ``rim``
+revolutions, it reverses by minimum jerk (:mod:`hysteresis_ros.references.pieces`, with ψ instead of the time), and then
+decreases. The angle ψ always grows:
 
 .. math::
 
     u + i v = r(\psi)\,e^{i\psi}, \qquad \Psi = 2\pi\,(\mathrm{turns} + 1/4).
 
-The quarter of a turn lets the spiral inwards pass the middle straight into the spiral outwards: the path is smooth
-there, and repeats after two frames.
+Because of the quarter revolution the inward spiral continues straight through the middle into the outward spiral: the
+path is smooth there, and repeats after two frames.
 
 *Constant angular velocity* (cav): :math:`\psi = \Psi s` with s frames. *Constant linear velocity* (clv):
-:math:`\mathrm{d}s/\mathrm{d}\psi \propto \sqrt{1 + \psi^2}`, whose integral is
-:math:`(\psi\sqrt{1 + \psi^2} + \operatorname{arsinh}\psi)/2`: the arc length of the spiral. At the middle that asks for
-an unlimited angular velocity for many turns; so within ``core`` turns, and in the turn at the rim, the square root
-gives way to the even polynomial of fourth degree that continues its value, slope and curvature. The acceleration and
-jerk then have no jumps of the timing. Spirals of this kind: Mahmood and Moheimani 2009
-(doi 10.1088/0957-4484/20/36/365503); with internal models and a smooth turn at the rim: Bazaei, Yong and Moheimani 2016
-(doi 10.1109/TMECH.2016.2574892).
+:math:`\mathrm{d}s/\mathrm{d}\psi \propto \sqrt{1 + \psi^2}`, whose integral is :math:`(\psi\sqrt{1 + \psi^2} +
+\operatorname{arsinh}\psi)/2`: the arc length of the spiral. Near the middle this needs an angular velocity that grows
+without limit with the number of revolutions. So within ``core`` revolutions, and in the reversal at the rim, the even
+polynomial of fourth degree that continues value, slope and curvature replaces the square root. The timing then causes
+no jumps of acceleration and jerk. Spirals of this kind: Mahmood and Moheimani 2009 (doi
+10.1088/0957-4484/20/36/365503); with internal models and a smooth turn at the rim: Bazaei, Yong and Moheimani 2016 (doi
+10.1109/TMECH.2016.2574892).
 """
 
 from __future__ import annotations
@@ -43,38 +43,40 @@ from hysteresis_ros.configuration import parameter
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Points of each part of a frame at which derivatives are looked up for their largest magnitudes.
+#: Number of points of each part of a frame at which the largest magnitudes of derivatives are sought.
 LOOKS = 4000
-#: Points of the table from which the angle at an instant is first guessed, and steps of Newton's method after it.
+#: Number of points of the table that gives a first angle at an instant, and number of Newton steps after it.
 TABLE, STEPS = 4000, 3
 
 
 @dataclass(frozen=True)
 class Spiral(Scan):
-    """A spiral out and in again.
+    """A spiral outwards and back inwards.
 
     Parameters
     ----------
     diameter : float
-        Of the disc that has the constant distance of arms, without the turn at the rim [m].
+        Diameter of the disc in which the arms have a constant distance, without the reversal at the rim [m].
     turns : int
-        Turns of a frame; a quarter comes on top.
+        Revolutions of a frame; a quarter is added.
     law : str
         ``cav``: constant angular velocity, ``clv``: constant linear velocity.
     core : float
-        With ``clv``: turns around the middle at a lower velocity.
+        With ``clv``: revolutions around the middle at a lower velocity.
     rim : float
-        Turns in which the radius turns.
+        Revolutions in which the radius reverses at the rim.
     """
 
-    diameter: float = parameter(description="of the disc", unit="m", low=1e-12, high=1.0)
-    turns: int = parameter(64, description="turns of a frame; a quarter comes on top", low=2, high=100_000)
+    diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
+    turns: int = parameter(64, description="revolutions of a frame; a quarter is added", low=2, high=100_000)
     law: str = parameter("cav", description="constant angular or constant linear velocity", choices=("cav", "clv"))
-    core: float = parameter(1.0, description="clv: turns around the middle at a lower velocity", low=0.05, high=1000.0)
-    rim: float = parameter(0.5, description="turns at the rim in which the radius turns", low=0.05, high=1e5)
+    core: float = parameter(
+        1.0, description="clv: revolutions around the middle at a lower velocity", low=0.05, high=1000.0
+    )
+    rim: float = parameter(0.5, description="revolutions in which the radius reverses at the rim", low=0.05, high=1e5)
 
     def check(self) -> Iterable[Problem]:
-        """Yield entries that exclude each other."""
+        """Yield a Problem for each parameter that excludes another one."""
         yield from super().check()
         if self.rim > self.turns:
             yield Problem("rim", self.rim, f"must be ≤ the turns of a frame, {self.turns}")
@@ -96,17 +98,17 @@ class Spiral(Scan):
 
     @property
     def gap(self) -> float:
-        """Distance of two arms [m]."""
+        """Distance between two arms [m]."""
         return 2.0 * math.pi * self._slope
 
     @property
     def frequency(self) -> float:
-        """Turns per second [Hz]; with clv the mean over a frame."""
+        """Revolutions per second [Hz]; with clv the mean over a frame."""
         return (self.turns + 0.25) * self.rate
 
     @property
     def constant_share(self) -> float:
-        """Part of the time of a frame at constant linear velocity; with cav none is."""
+        """Fraction of the time of a frame at constant linear velocity; 0 with cav."""
         if self.law == "cav":
             return 0.0
         return float(self._elapsed(np.array([self._outer]))[0] - self._elapsed(np.array([self._inner]))[0])
@@ -123,16 +125,16 @@ class Spiral(Scan):
 
     @property
     def _outer(self) -> float:
-        """Angle from the middle at which the radius begins to turn [rad]."""
+        """Angle from the middle at which the radius begins to reverse [rad]."""
         return self._whole - math.pi * self.rim
 
     @property
     def _slope(self) -> float:
-        """Radius per angle, a [m/rad]."""
+        """Radius per angle: a [m/rad]."""
         return 0.5 * self.diameter / self._outer
 
     def _radius(self, angle: np.ndarray) -> list[np.ndarray]:
-        """Return the radius over a, and its derivatives by the angle, at angles from the middle in 0 … Ψ."""
+        """Return r/a and its derivatives by the angle, at angles from the middle in 0 … Ψ."""
         turn = 2.0 * math.pi * self.rim
         s = np.maximum(angle - self._outer, 0.0) / turn
         out = s == 0.0
@@ -145,7 +147,7 @@ class Spiral(Scan):
 
     @cached_property
     def _joined(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the even polynomials of core and rim: powers 0, 2, 4 of the angle from the middle of each."""
+        """Coefficients of the even polynomials of core and rim: powers 0, 2, 4 of the angle from each centre."""
         found = []
         for at, slope, end in ((self._inner, 1.0, self._inner), (self._outer, -1.0, self._whole - self._outer)):
             value = math.sqrt(1.0 + at * at)
@@ -156,7 +158,7 @@ class Spiral(Scan):
         return found[0], found[1]
 
     def _pace(self, angle: np.ndarray) -> list[np.ndarray]:
-        """Return ds/dψ before it is scaled, and its derivatives, at angles from the middle in 0 … Ψ."""
+        """Return the unscaled ds/dψ and its derivatives, at angles from the middle in 0 … Ψ."""
         if self.law == "cav":
             return [np.ones_like(angle), np.zeros_like(angle), np.zeros_like(angle)]
         root = np.sqrt(1.0 + angle**2)
@@ -192,7 +194,7 @@ class Spiral(Scan):
         return float(self._passed(np.array([self._whole]))[0])
 
     def _elapsed(self, angle: np.ndarray) -> np.ndarray:
-        """Return the part of a frame until angles from the middle."""
+        """Return the fraction of a frame until given angles from the middle."""
         return self._passed(angle) / self._total
 
     @cached_property
@@ -203,7 +205,7 @@ class Spiral(Scan):
         return self._elapsed(angles), angles
 
     def _angle(self, elapsed: np.ndarray) -> np.ndarray:
-        """Return the angle from the middle after parts of a frame."""
+        """Return the angle from the middle after given fractions of a frame."""
         if self.law == "cav":
             return elapsed * self._whole
         angle = np.interp(elapsed, *self._table)
@@ -213,7 +215,7 @@ class Spiral(Scan):
         return angle
 
     def _outward(self, angle: np.ndarray, order: int) -> np.ndarray:
-        """Return a derivative by the number of frames on the way out, over exp(i ψ), at angles from the middle."""
+        """Return a derivative on the outward spiral by the number of frames, over exp(i ψ), at angles."""
         r, r1, r2, r3 = (self._slope * value for value in self._radius(angle))
         if order == 0:
             return r + 0j
@@ -241,7 +243,7 @@ class Spiral(Scan):
         outward = frames < 1.0
         angle = self._angle(np.where(outward, frames, 2.0 - frames))
         path = self._outward(angle, order) * np.exp(1j * angle)
-        # inwards: the mirror image of the way out, backwards in time and turned
+        # inwards: the outward spiral, mirrored, backwards in time and rotated
         back = np.exp(2j * self._whole) * np.conj(path) * (-1.0) ** order
         path = np.where(outward, path, back)
         return np.array([path.real, path.imag])
@@ -258,13 +260,13 @@ class Spiral(Scan):
             angles = np.linspace(low + inset, high - inset, LOOKS)
             for order in range(4):
                 size = np.abs(self._outward(angles, order))
-                # between two looks a parabola rises above them by an eighth of the second difference
+                # between two points a parabola rises above them by at most an eighth of the second difference
                 rise = 0.25 * np.max(np.abs(np.diff(size, 2)))
                 found[order] = max(found[order], size.max() + rise)
         return found
 
     def plane_range(self, matrix: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return bounds of combinations of u and v, or of their derivatives, shapes (A,): magnitudes of the vectors.
+        """Return bounds of combinations of u and v, or of their derivatives, shapes (A,), from magnitudes of vectors.
 
         Parameters
         ----------
@@ -276,7 +278,7 @@ class Spiral(Scan):
 
     @cached_property
     def passes(self) -> Passes:
-        """The passes of a period: whole turns around the middle; outwards a trace, inwards a retrace."""
+        """The passes of a period: whole revolutions around the middle; outwards a trace, inwards a retrace."""
         ends = self._elapsed(2.0 * math.pi * np.arange(self.turns + 1.0))
         begin, duration, line = ends[:-1], np.diff(ends), np.arange(self.turns)
         return Passes(
@@ -287,4 +289,4 @@ class Spiral(Scan):
         )
 
 
-SCAN = ScanShape("spiral", Spiral, "a spiral out and in again")
+SCAN = ScanShape("spiral", Spiral, "a spiral outwards and back inwards")

@@ -10,7 +10,7 @@
 """Reference waveforms: each is one file or folder here, found automatically; a parameter chooses one by name.
 
 :mod:`hysteresis_ros.references.declaration` describes the declaration of a waveform. A waveform is a block whose output
-depends on the sample counter only (the same module computes the position within the cycle from it). After the last of
+depends only on the sample counter, from which that module computes the position within the cycle. After the last of
 ``cycles`` cycles it holds its value at the end of the cycle: for square the last level, for staircase the level after
 the last step, at which the next cycle would begin.
 """
@@ -44,7 +44,7 @@ class WaveformParameters(Parameters):
     type: str = parameter("hold", description="shape of the waveform", choices=tuple(WAVEFORMS))
     amplitude: float = parameter(0.0, description="height above the offset (peak)", unit="m", low=0.0)
     frequency: float = parameter(1.0, description="cycles per second; chirp: initial frequency", unit="Hz", low=0.0)
-    offset: float = parameter(0.0, description="added to the waveform; the value of hold", unit="m")
+    offset: float = parameter(0.0, description="added to the waveform; for hold: the value", unit="m")
     phase: float = parameter(
         0.0,
         description=f"phase at the first sample; not for {_names(lambda shape: not shape.takes_phase)}",
@@ -90,17 +90,17 @@ class Waveform(Block):
     Attributes
     ----------
     lowest, highest : float
-        Range of the waveform [m], including the offset (of the continuous shape where it is a formula).
+        Range of the waveform [m], including the offset; for a formula the range of the continuous shape.
     crest_factor : float or None
         Peak over root mean square, without the offset, of a multisine.
     period : int or None
-        Samples after which the output repeats bit for bit; None where it does not within 2²⁶ samples.
+        Number of samples after which the output repeats bit for bit; None if it does not within 2²⁶ samples.
 
     Raises
     ------
     ParameterError
-        Parameters are wrong, a frequency reaches half the sample rate, a multisine's period is not a whole number of
-        samples, or a file is missing or does not fit.
+        Parameters are wrong, a frequency reaches half the sample rate, the period of a multisine is not a whole number
+        of samples, or a file is missing or unusable.
     """
 
     def __init__(self, parameters: WaveformParameters, sample_time: float):

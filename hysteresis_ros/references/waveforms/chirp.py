@@ -73,11 +73,15 @@ def chirp_logarithmic(p, x, u):
 
 
 def check(parameters):
-    """Yield a Problem for frequencies that exclude exponential growth."""
+    """Yield a Problem for frequencies between which exponential growth is impossible."""
     if parameters.chirp.sweep == "logarithmic":
         first, last = parameters.frequency, parameters.chirp.final_frequency
         if not (first > 0.0 and last > 0.0 and first != last):
-            yield Problem("chirp.final_frequency", last, f"logarithmic: > 0 Hz and not frequency = {first:g} Hz")
+            yield Problem(
+                "chirp.final_frequency",
+                last,
+                f"a logarithmic sweep needs two different frequencies > 0 Hz; it begins at frequency = {first:g} Hz",
+            )
 
 
 def pack(parameters, sample_time: float) -> Packed:

@@ -29,7 +29,7 @@ from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, O
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 #: Seconds per unit, by the names allowed in a header.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-#: Largest deviation of the samples from a uniform grid, and of that grid from the generator's, in sample times.
+#: Largest deviation of the samples from a uniform grid, and of this grid from the generator's, in sample times.
 GRID_TOLERANCE = 0.01
 LARGEST_TABLE = 10_000_000
 
@@ -55,8 +55,8 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     Raises
     ------
     ParameterError
-        The file is missing, unreadable, lacks the column or unit, holds values that are not finite, or its sample
-        time does not fit.
+        The file is missing, unreadable, lacks the column or unit, contains values that are not finite, or its sample
+        time is not the generator's.
     """
 
     def refused(name, value, text):
@@ -93,13 +93,17 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
             )
         return values
     if measured is not None and _differs(measured, file_sample_time, values.size):
-        raise refused("sample_time", file_sample_time, f"the time column of {path} says {measured:g} s; give that or 0")
+        raise refused(
+            "sample_time", file_sample_time, f"the time column of {path} states {measured:g} s; give this value, or 0"
+        )
     if not _differs(file_sample_time, sample_time, values.size):
         return values
     count = int(np.floor((values.size - 1) * file_sample_time / sample_time + 1e-6)) + 1
     if count > LARGEST_TABLE:
         raise refused(
-            "sample_time", file_sample_time, f"interpolates {path} to {count} samples, allowed ≤ {LARGEST_TABLE}"
+            "sample_time",
+            file_sample_time,
+            f"interpolation of {path} would give {count} samples; allowed: ≤ {LARGEST_TABLE}",
         )
     grid = np.arange(count) * (sample_time / file_sample_time)
     return np.interp(grid, np.arange(values.size), values)
@@ -130,21 +134,21 @@ def _name_and_unit(text: str) -> tuple[str, str | None]:
 
 
 def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarray | None, list[np.ndarray]]:
-    """Return the column ``time`` [s] of a CSV or NPZ, None where there is none, and columns of lengths [m].
+    """Return the column ``time`` [s] of a CSV or NPZ (None: no such column), and columns of lengths [m].
 
     Parameters
     ----------
     source : Path
-        Its suffix says what it is.
+        The suffix determines the format.
     columns : sequence of str
         Names without units, which the header of a CSV gives.
 
     Raises
     ------
     KeyError
-        A column is missing, or its unit.
+        A column or its unit is missing.
     ValueError
-        The content is not numbers in columns of one length.
+        The content is not numbers in columns of equal length.
     """
     return (_read_npz if source.suffix.lower() == ".npz" else _read_csv)(source, columns)
 

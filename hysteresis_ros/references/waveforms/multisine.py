@@ -54,7 +54,9 @@ class MultisineParameters(Parameters):
 
     first_harmonic: int = parameter(1, description="lowest harmonic of frequency", low=1)
     last_harmonic: int = parameter(10, description="highest harmonic of frequency", low=1)
-    harmonic_step: int = parameter(1, description="distance of harmonics; 2 from 1 excites odd ones only", low=1)
+    harmonic_step: int = parameter(
+        1, description="distance of harmonics; 2, with first_harmonic 1, excites only odd ones", low=1
+    )
     phases: str = parameter("schroeder", description="choice of the phases", choices=("schroeder", "random"))
     seed: int = parameter(1, description="seed of the random phases", low=0)
 
@@ -91,7 +93,7 @@ def _phases(own: MultisineParameters) -> np.ndarray:
         index = np.arange(1, count + 1)
         # M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85, flat spectrum: Σ cos(… − π i(i−1)/M), as sines.
         return 0.25 - 0.5 * ((index * (index - 1)) % (2 * count)) / count
-    # The raw stream of a bit generator is the same in every NumPy (NEP 19); that of distributions need not be.
+    # The raw numbers of a bit generator are the same in every NumPy (NEP 19); those of distributions may differ.
     return (np.random.PCG64(own.seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 
@@ -122,8 +124,8 @@ def pack(parameters, sample_time: float) -> Packed:
     parts = [complex(elementary.sin(angle), -elementary.cos(angle)) for angle in angles]
     spectrum[harmonics] = 0.5 * samples * np.array(parts)
     period = np.fft.irfft(spectrum, samples)
-    # smaller by 10⁻¹², so that the kernel's rounding cannot exceed the amplitude; 13 digits, because the order of
-    # additions in NumPy's transform may differ between machines
+    # smaller by 10⁻¹², so that rounding in the kernel cannot exceed the amplitude; rounded to 13 digits, because the
+    # order of additions in NumPy's transform may differ between machines
     scale = float(rounded((1.0 - 1e-12) / np.max(np.abs(period))))
     lowest = parameters.offset + parameters.amplitude * scale * float(np.min(period))
     highest = parameters.offset + parameters.amplitude * scale * float(np.max(period))

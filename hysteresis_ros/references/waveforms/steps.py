@@ -25,7 +25,7 @@ COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # number of entries, period [sampl
 
 @dataclass(frozen=True)
 class StepsParameters(Parameters):
-    """Levels at given times; zero before the first, the last one holds."""
+    """Levels at given times; zero before the first time; the last level is held."""
 
     values: tuple[float, ...] = parameter(description="levels, added to the offset", unit="m")
     times: tuple[float, ...] = parameter(description="growing start times of the levels", unit="s", low=0.0)
@@ -36,11 +36,17 @@ class StepsParameters(Parameters):
     def check(self):
         """Yield a Problem when times and values differ in number, times do not grow, or the period is too short."""
         if not self.values or len(self.values) != len(self.times):
-            yield Problem("times", self.times, f"must have one time for each of the {len(self.values)} values, ≥ 1")
+            yield Problem(
+                "times", self.times, f"must have one time for each of the {len(self.values)} values, and at least one"
+            )
         elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
             yield Problem("times", self.times, "must grow strictly")
         elif self.period and self.period <= self.times[-1]:
-            yield Problem("period", self.period, f"must be 0 (never) or > {self.times[-1]:g} s, the last time")
+            yield Problem(
+                "period",
+                self.period,
+                f"must be 0 (the levels do not repeat) or > {self.times[-1]:g} s, the last entry of times",
+            )
 
 
 @kernel
@@ -72,11 +78,15 @@ def pack(parameters, sample_time: float) -> Packed:
         Two times are less than a sample apart.
     """
     own, p = parameters.steps, head(parameters)
-    # The first sample at or after each time; rounding of t/Ts must not delay it.
+    # the first sample at or after each time; rounding of t/Ts must not delay a level
     starts = np.ceil(np.array(own.times) / sample_time - 1e-6)
     repeat = round(own.period / sample_time)
     if np.any(np.diff(starts) <= 0.0) or 0 < repeat <= starts[-1]:
-        refuse("steps.times", own.times, f"must be at least one sample ({sample_time:g} s) apart, also from the period")
+        refuse(
+            "steps.times",
+            own.times,
+            f"must be at least one sample ({sample_time:g} s) apart, and at least one sample before the period",
+        )
     levels = np.array(own.values)
     reached = np.append(levels, 0.0) if starts[0] > 0.0 else levels
     p[END] = parameters.cycles * repeat
