@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         metrics,
         plot,
         report,
+        scan_run,
         simulate,
         validate,
     )
@@ -115,6 +116,7 @@ __all__ = [
     "references",
     "report",
     "reproduce",
+    "scan_run",
     "simulate",
     "sweep",
     "to_control",

@@ -55,13 +55,18 @@ from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_ea
 from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
-from hysteresis_ros.loop.stage_simulation import chosen_stage, simulate_stage
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import chosen_stage, displacements_between, simulate_stage, with_scan
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.references.scan import Scan
+from hysteresis_ros.references.scans import scan_words
 from hysteresis_ros.units import readable
 
 if TYPE_CHECKING:
     import pandas
+
+    from hysteresis_ros.analysis.scan_report import ScanRun
 
 
 class Run(Recording):  # numpydoc ignore=PR02
@@ -508,6 +513,7 @@ __all__ = [
     "metrics",
     "plot",
     "report",
+    "scan_run",
     "simulate",
     "validate",
 ]
@@ -594,6 +600,7 @@ def simulate(
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
+    scan: Scan | None = None,
     namespace: str | None = None,
     axes: None = None,
 ) -> Run: ...
@@ -646,6 +653,10 @@ def simulate(
     faults : sequence of Fault or str
         Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or as in the commands ``"stale:0.1:0.3"``:
         ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
+    scan : Scan, optional
+        Scan that a stage follows about its setpoints, such as
+        ``hysteresis_ros.references.scans.scan_of("raster", {"width": 30e-6, "depth": 30e-6})``; by default that of its
+        configuration. :func:`report` then judges the scan.
     namespace : str, optional
         The axis, where a configuration contains several; for a stage, the axis that has the faults.
     axes : int, optional
@@ -689,6 +700,8 @@ def simulate(
         return array.run(setpoints, samples)
     if each is not None:
         raise ConfigurationError("each: values for each axis need a number of axes: give axes")
+    if scan is not None:
+        configuration = with_scan(configuration, *scan_words(scan))
     if configuration.stage is not None:
         if requests is not None or speeds is not None:
             raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
@@ -893,8 +906,9 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name. For many
-        independent axes each figure is an array, shape (n,), with NaN where an axis does not have it.
+        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name; for a
+        stage that follows a scan also ``scan``, errors in the plane (:func:`scan_run`). For many independent axes each
+        figure is an array, shape (n,), with NaN where an axis does not have it.
 
     Raises
     ------
@@ -948,7 +962,8 @@ def report(
     -------
     dict
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
-        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name.
+        its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name; for a
+        stage that follows a scan also ``scan``, errors in the plane (:func:`scan_run`).
 
     Raises
     ------
@@ -984,11 +999,18 @@ def report(
         named = source if isinstance(source, Mapping) else labels_of(source)
         return report_several({name: _recording(run, namespace) for name, run in named.items()}, path, title)[0]
     run = _recording(source, namespace)
+    heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
     if run.axes:
         from hysteresis_ros.analysis.side_by_side import report_several
 
-        return report_several({name: run.axis(name) for name in run.axes}, path, title)[0]
-    heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
+        axes, scanned = {name: run.axis(name) for name in run.axes}, scan_run(run)
+        if scanned is None:
+            return report_several(axes, path, title)[0]
+        from hysteresis_ros.analysis.scan_report import scan_figures, write_scan_report
+
+        if path is not None:
+            write_scan_report(path, scanned, heading)
+        return {"scan": scan_figures(scanned), **report_several(axes)[0]}
     from hysteresis_ros.analysis.inchworm import is_inchworm
 
     if is_inchworm(run):
@@ -1001,6 +1023,64 @@ def report(
     if path is not None:
         write(run, path, heading, figures)
     return figures
+
+
+def scan_run(
+    source: str | os.PathLike[str] | Recording, first: float | None = None, last: float = np.inf
+) -> ScanRun | None:
+    """Return a recorded scan of a stage, for :func:`~hysteresis_ros.analysis.scan_report.scan_figures`.
+
+    A simulated run is judged between its samples too, against the path in closed form, undelayed.
+
+    Parameters
+    ----------
+    source : path-like or Recording
+        The whole run of a stage.
+    first, last : float, optional
+        Part of the run that counts [s]; by default what follows the first period of the path, or its first line if the
+        run has fewer than two periods.
+
+    Returns
+    -------
+    ScanRun or None
+        None for a run that follows no scan.
+
+    Raises
+    ------
+    RecordingError
+        The part has no sample on a line.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.scan_run(hr.simulate("xy_scanner", duration=0.01)) is None
+    True
+    """
+    from hysteresis_ros.analysis.scan_report import ScanRun, judged_from
+
+    run = _recording(source, None)
+    configuration = configuration_of(run) if run.axes and run.configuration else None
+    if configuration is None or configuration.stage is None:
+        return None
+    parameters = StageParameters.from_configuration(configuration)
+    scan, names = parameters.scan, parameters.scanning_axes
+    if scan is None:
+        return None
+    if run.metadata.get("source") == "offline simulation":
+        time, displacement = displacements_between(parameters, run)
+        sample = np.minimum(((time - time[0]) * parameters.sample_rate + 1e-6).astype(int), len(run) - 1)
+        reference = scan.position(time) + np.array([run[f"{name}/setpoint"][sample] for name in names])
+    else:
+        time, displacement = (
+            run.time - run.time[0],
+            np.array([run[f"{name}/displacement"] for name in parameters.names]),
+        )
+        reference = np.array([run[f"{name}/reference"] for name in names])
+    displacement = displacement[[parameters.names.index(name) for name in names]]
+    ends = parameters.stage.scan.periods * scan.period or np.inf
+    begins = judged_from(scan, time) if first is None else first
+    there = (time >= begins) & (time < min(last, ends))
+    return ScanRun(scan, time[there], reference[:, there], displacement[:, there])
 
 
 def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:

@@ -23,7 +23,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.page import render_page, require_page, write_page
 from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
-from hysteresis_ros.analysis.tables import shown_row
+from hysteresis_ros.analysis.tables import aligned, shown, shown_row
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import replacing
 from hysteresis_ros.references.scan import AXES, Clock, Scan
@@ -134,6 +134,12 @@ class ErrorMap:
     count: np.ndarray  #: shape (rows, columns); Samples of each bin.
     mean: np.ndarray  #: shape (2, rows, columns); Of x and y [m].
     rms: np.ndarray  #: shape (rows, columns); Of the magnitude [m].
+
+
+def judged_from(scan: Scan, time: np.ndarray) -> float:
+    """Return from when on a run of a scan counts [s]: after its first period, or after its first line if it has one."""
+    lasts = time[-1] - time[0]
+    return scan.period if lasts >= 1.9 * scan.period else float(scan.passes.begin[1]) / scan.rate
 
 
 def _rms(values: np.ndarray) -> float:
@@ -360,6 +366,13 @@ def scan_picture(scan: Scan):
     right.set(xlabel="time [ms]", ylabel="velocity [mm/s]")
     add_legend(right)
     return figure
+
+
+def format_scan(figures: dict) -> str:
+    """Return the figures of a scan as aligned lines for a terminal."""
+    rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in ROWS]
+    there = [row for row, (name, *_) in zip(rows, ROWS, strict=True) if figures[name] is not None]
+    return "\n".join(aligned([(label, [value], unit) for label, value, unit in there]))
 
 
 def write_picture(path, figure) -> None:

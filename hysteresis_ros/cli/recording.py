@@ -41,7 +41,9 @@ if TYPE_CHECKING:
 def report(recordings, output, json_path, namespace, title, range_, skip, last_periods) -> None:
     """Evaluate recordings (bag, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
-    For an inchworm motor: steps, speed, slip and final error of each move. Several recordings are shown side by side.
+    For an inchworm motor: steps, speed, slip and final error of each move. For a stage that follows a scan: errors in
+    the plane, along and across the lines, of trace and retrace, and their map. Several recordings are shown side by
+    side.
     Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
     "hysteresis_ros[report]").
     """
@@ -60,6 +62,11 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
             for whole, run in read.items()
             for label, one in (axes[whole] or {whole: run}).items()
         }
+    if len(read) == 1 and len(runs) > 1 and last_periods is None:
+        ((label, run),) = read.items()
+        part = _bounds(range_, skip) if range_ or skip else (None, float("inf"))
+        if _scanned(run, runs, output, title or label, json_path, part):
+            return
     if len(runs) > 1:
         with shown(f"evaluating {len(runs)} runs"):
             figures, table = report_several(runs, output, title)
@@ -69,6 +76,27 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
         _single(run, output, title or label, json_path)
     if output is not None and json_path != "-":
         click.echo(f"report: {output}")
+
+
+def _scanned(run, axes, output, title: str, json_path: str | None, part) -> bool:
+    """Evaluate the run of a stage that follows a scan, in the plane; return False for any other."""
+    from hysteresis_ros.analysis.scan_report import format_scan, scan_figures, write_scan_report
+    from hysteresis_ros.analysis.side_by_side import report_several
+    from hysteresis_ros.api import scan_run
+
+    with shown(f"evaluating {len(run)} samples"):
+        scanned = scan_run(run, *part)
+        if scanned is None:
+            return False
+        figures, table = report_several(axes)
+        found = scan_figures(scanned)
+        if output is not None:
+            write_scan_report(output, scanned, title)
+    between = f"scan, {scanned.time[0]:.6g} … {scanned.time[-1]:.6g} s:"
+    write_json({"scan": found, "runs": figures}, json_path, "\n".join([between, format_scan(found), "", table]))
+    if output is not None and json_path != "-":
+        click.echo(f"report: {output}")
+    return True
 
 
 def _single(run, output, title: str, json_path: str | None) -> None:
@@ -94,6 +122,17 @@ def _single(run, output, title: str, json_path: str | None) -> None:
     write_json(figures, json_path, table(figures))
 
 
+def _bounds(range_: str | None, skip: str | None) -> tuple[float, float]:
+    """Return the part of a run that is asked for [s]."""
+    from hysteresis_ros.analysis import parts
+
+    if range_ is not None and ":" not in range_:
+        raise click.UsageError(f"--range {range_}: write FROM:TO, e.g. 0.5s:2s, 0.5: or :2")
+    first, _, last = (range_ or f"{skip or 0}:").partition(":")
+    option = "--skip" if skip else "--range"
+    return parts.seconds(first or "0", option), parts.seconds(last, option) if last else float("inf")
+
+
 def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
     """Return the part of a run to evaluate; the error names a run that lacks it."""
     from hysteresis_ros.analysis import parts
@@ -101,12 +140,7 @@ def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int
 
     if sum(option is not None for option in (range_, skip, periods)) > 1:
         raise click.UsageError("--range, --skip and --last-periods exclude each other")
-    if range_ is not None and ":" not in range_:
-        raise click.UsageError(f"--range {range_}: write FROM:TO, e.g. 0.5s:2s, 0.5: or :2")
-    first, _, last = (range_ or f"{skip or 0}:").partition(":")
-    option = "--skip" if skip else "--range"
-    begin = parts.seconds(first or "0", option)
-    end = parts.seconds(last, option) if last else float("inf")
+    begin, end = _bounds(range_, skip)
     try:
         return parts.within(run, begin, end) if periods is None else parts.last_periods(run, periods)
     except RecordingError as error:

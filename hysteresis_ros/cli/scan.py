@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import pathlib
-from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -67,11 +66,11 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
     """
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.references.scan import ScanLimits, check_limits, harmonics, largest_frame_rate
-    from hysteresis_ros.references.scans import rows_of, scan_of
+    from hysteresis_ros.references.scans import parsed_values, rows_of, scan_of
 
-    rows = rows_of(kind)
-    values = _values(parameters, rows)
-    allowed = ScanLimits.from_mapping(_values(limits, {row.name: row for row in ScanLimits.table()}), "--limit ")
+    values = parsed_values(parameters, rows_of(kind))
+    limited = parsed_values(limits, {row.name: row for row in ScanLimits.table()})
+    allowed = ScanLimits.from_mapping(limited, "--limit ")
     _require_places(output, plot, rate)
     with shown("computing"):
         made = scan_of(kind, values)
@@ -81,6 +80,7 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
                 check_limits(made, allowed)
             if best == math.inf:
                 raise ConfigurationError("--fastest: there is no largest frame rate; give --limit velocity=10mm/s, say")
+            values.pop("line_rate", None)
             made = scan_of(kind, values | {"frame_rate": best})
         check_limits(made, allowed)
         found = harmonics(made, count)
@@ -95,29 +95,6 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
     write_json(figures, json_path, "\n".join(_lines(figures)))
     for line in written if json_path != "-" else ():
         click.echo(line)
-
-
-def _values(given: tuple[str, ...], rows: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters in SI from texts NAME=VALUE."""
-    from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
-    from hysteresis_ros.references.recipes import parameter_value
-
-    found, problems = {}, []
-    for word in given:
-        name, mark, text = (part.strip() for part in word.partition("="))
-        if not mark:
-            raise click.UsageError(f"{word}: write NAME=VALUE; names are {', '.join(rows)}")
-        if name not in rows:
-            allowed = f"there is no such parameter; there are {', '.join(rows)}{did_you_mean(name, rows)}"
-            problems.append(Problem(name, text, allowed))
-            continue
-        try:
-            found[name] = parameter_value(rows[name], text)
-        except ValueError as error:
-            problems.append(Problem(name, text, str(error)))
-    if problems:
-        raise ParameterError(problems)
-    return found
 
 
 def _require_places(output: pathlib.Path | None, plot: pathlib.Path | None, rate: float | None) -> None:

@@ -21,6 +21,7 @@ from hysteresis_ros.cli.progress import shown
 
 @click.command(short_help="Simulate a configuration without ROS.")
 @click.argument("config", type=ConfigurationName())
+@click.argument("values", nargs=-1, metavar="[NAME=VALUE]...")
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
 @params_file_option
 @click.option("--duration", type=Quantity("s"), help="Length of the run [s]; by default that of the configuration.")
@@ -43,22 +44,36 @@ from hysteresis_ros.cli.progress import shown
     metavar="GAIN OPENING",
     help="Relative change of gain and loop width of the plant's hysteresis over the run, such as 0.2 -0.1.",
 )
+@click.option("--scan", metavar="KIND", help="Scan that a stage follows; NAME=VALUE are its parameters, as in scan.")
 @reference_options
 @click.option(
     "--namespace",
     help="Which axis of the configuration, when it describes several; of a stage the one that has the faults or the "
     "reference.",
 )
-def simulate(config, output, laid_over, duration, setpoints, faults, learned, drift, namespace, reference):
-    """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals."""
+def simulate(
+    config, values, output, laid_over, duration, setpoints, faults, learned, drift, scan, namespace, reference
+):
+    """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals.
+
+    A stage may follow a scan, see `hysteresis scan`: `hysteresis simulate xy_scanner --scan raster width=30um
+    depth=30um lines=32 line_rate=5Hz -o run.npz`.
+    """
     from hysteresis_ros.loop.reach import reach_warnings, single_axis
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.simulation import simulate as run_offline
+    from hysteresis_ros.loop.stage_simulation import with_scan
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.dataset import requests_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
 
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
+    if values and scan is None:
+        raise click.UsageError(f"{values[0]} belongs to a scan: give --scan raster, say")
+    if scan is not None:
+        if reference.kind:
+            raise click.UsageError("--scan and --reference exclude each other: a stage follows one of them")
+        configuration = with_scan(configuration, scan, values)
     if configuration.stage is not None:
         refused = {"--learned": learned, "--drift": drift}
         for option, value in refused.items():
@@ -105,6 +120,8 @@ def simulate(config, output, laid_over, duration, setpoints, faults, learned, dr
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
     """Run a stage, write its recording, and print the errors of its axes and what scans of one do to the others."""
     from hysteresis_ros.analysis.metrics import axes_figures
+    from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
+    from hysteresis_ros.api import scan_run
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.stage_simulation import chosen_stage, coupling_errors, simulate_stage
     from hysteresis_ros.recordings.align import setpoints_per_sample
@@ -120,7 +137,8 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         replayed = {name: setpoints_per_sample(recorded.axis(name)) for name in parameters.names}
     with shown("simulating; the first run of a version compiles"):
         recording = simulate_stage(parameters, duration=duration, setpoints=replayed)
-        coupled = [] if faults or replayed else coupling_errors(parameters, duration)
+        coupled = [] if faults or replayed or parameters.scan else coupling_errors(parameters, duration)
+        scanned = scan_run(recording) if parameters.scan else None
     save_run(recording, output)
     rate = parameters.sample_rate
     click.echo(
@@ -133,6 +151,9 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
         if faults:
             for line in mode_lines(recording.axis(name)):
                 click.echo(f"{name}: {line}")
+    if scanned is not None:
+        click.echo(f"scan from {scanned.time[0]:.6g} s on, between the samples too:")
+        click.echo(format_scan(scan_figures(scanned)))
     for error in coupled:
         rms, peak = readable(error.rms, "m"), readable(error.peak, "m")
         click.echo(

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, group, parameter
+from hysteresis_ros.configuration import STAGE, Configuration, Parameters, dump_configuration, group, parameter
 from hysteresis_ros.control.coupling import lost_direction
 from hysteresis_ros.control.state_feedback import full_rank
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
@@ -34,6 +34,10 @@ from hysteresis_ros.models.compensator import resting_displacements
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import inverse, product
 from hysteresis_ros.models.structure import StructureParameters
+from hysteresis_ros.references.scan import AXES as COORDINATES
+from hysteresis_ros.references.scan import Scan, ScanLimits, check_limits
+from hysteresis_ros.references.scans import parsed_scan
+from hysteresis_ros.references.waveforms.scan import ScanWaveformParameters
 
 #: Largest number of axes.
 MOST_AXES = 16
@@ -41,6 +45,24 @@ MOST_AXES = 16
 HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
 #: Parameters that all axes of a stage and the stage itself have in common.
 SHARED = ("sample_rate", "time_mode")
+
+
+@dataclass(frozen=True)
+class StageScanParameters(Parameters):
+    """The scan that axes of a stage follow, about their setpoints, instead of their own waveforms."""
+
+    kind: str = parameter(
+        "", read_only=True, description="kind of the scan, e.g. raster, see `hysteresis scan`; empty: no scan"
+    )
+    values: tuple[str, ...] = parameter(
+        (), read_only=True, description="parameters of the scan, e.g. [width=30um, depth=30um, lines=64, line_rate=5Hz]"
+    )
+    axes: tuple[str, ...] = parameter(
+        (), read_only=True, description="names of the axes that follow x, y and z; empty: the first ones"
+    )
+    periods: int = parameter(
+        2, low=0, read_only=True, description="periods of the path after which the axes stay; 0: endless"
+    )
 
 
 @dataclass(frozen=True)
@@ -73,6 +95,7 @@ class StageNodeParameters(NodeParameters):
         description="from the commands of the degrees of freedom to those of the actuators, n·n "
         "numbers row by row; empty: each actuator drives its axis",
     )
+    scan: StageScanParameters = group(StageScanParameters)
 
     def matrix(self, name: str) -> np.ndarray:
         """Return ``sensor_matrix`` or ``decoupling``, shape (n, n)."""
@@ -221,7 +244,7 @@ class StageParameters:
                 problems += [replace(problem, name=f"{space}/{problem.name}") for problem in error.problems]
         if problems:
             raise ParameterError(problems)
-        found = cls(namespace, stage, tuple(axes))
+        found = cls(namespace, stage, tuple(axes)).following(stage.scan)
         found._require_fit()
         return found
 
@@ -234,6 +257,65 @@ class StageParameters:
     def sample_rate(self) -> float:
         """Samples per second of all axes [Hz]."""
         return self.stage.sample_rate
+
+    @property
+    def scan(self) -> Scan | None:
+        """The scan that axes follow, about their setpoints."""
+        given = self.stage.scan
+        return parsed_scan(given.kind, given.values) if given.kind else None
+
+    @property
+    def scanning_axes(self) -> tuple[str, ...]:
+        """Names of the axes that follow x, y and, of a tilted plane, z of the scan; none without one."""
+        scan = self.scan
+        return () if scan is None else (self.stage.scan.axes or self.names)[: scan.axes]
+
+    def following(self, given: StageScanParameters) -> StageParameters:
+        """Return the same stage whose axes follow a scan.
+
+        A scan that is wrong, or that the axes cannot follow, is refused: range and limits of the motion are those of
+        their reference generators.
+        """
+        where = f"{self.namespace}/{STAGE}: scan"
+        found = replace(self, stage=replace(self.stage, scan=given))
+        try:
+            scan, names = found.scan, found.scanning_axes
+        except ParameterError as error:
+            raise ParameterError(
+                [replace(problem, name=f"{where}.values: {problem.name}") for problem in error.problems]
+            ) from None
+        if scan is None:
+            return found
+        wrong = [name for name in names if name not in self.names]
+        if wrong or len(set(names)) < scan.axes:
+            allowed = f"must name {scan.axes} different axes, of {', '.join(self.names)}"
+            raise ParameterError([Problem(f"{where}.axes", given.axes or self.names, allowed)])
+        axes = list(self.axes)
+        for name, coordinate in zip(names, COORDINATES, strict=False):
+            place = self.names.index(name)
+            source = axes[place].generator
+            own = replace(
+                source.waveform,
+                type="scan",
+                scan=ScanWaveformParameters(given.kind, given.values, coordinate),
+                cycles=given.periods,
+                offset=0.0,
+                phase=0.0,
+            )
+            axes[place] = replace(axes[place], reference_generator=replace(source, waveform=own))
+        sources = [axes[self.names.index(name)].generator for name in names]
+        limits = [
+            tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
+            for what in ("velocity", "acceleration", "jerk")
+        ]
+        low = tuple(source.minimum - source.initial_setpoint for source in sources)
+        high = tuple(source.maximum - source.initial_setpoint for source in sources)
+        try:
+            check_limits(scan, ScanLimits(low, high, *limits))
+        except ParameterError as error:
+            words = f"{where}: about the setpoints, as {', '.join(names)}: "
+            raise ParameterError([replace(problem, name=words + problem.name) for problem in error.problems]) from None
+        return replace(found, axes=tuple(axes))
 
     def _require_fit(self) -> None:
         """Refuse axes that do not fit together or do not fit the structure."""

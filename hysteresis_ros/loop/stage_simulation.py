@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline runs of a stage: a recording of all axes, and the error that scans of one axis cause in the others."""
+"""Offline runs of a stage: recordings, displacements between their samples, and what axes do to each other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +21,14 @@ from hysteresis_ros.configuration import STAGE, Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.stage import Stage
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
+from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
+
+#: Instants within each sample at which displacements between samples are known.
+INSTANTS = 5
+#: Largest condition number of the modes of a structure that is continued between its samples.
+WORST_CONDITION = 1e10
 
 
 def simulate_stage(
@@ -67,6 +73,72 @@ def simulate_stage(
         "stage": f"{parameters.namespace}/{STAGE}",
     }
     return Recording.of_axes(axes, metadata)
+
+
+def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) -> Configuration:
+    """Return the configuration of a stage that follows a scan, whose parameters are texts ``NAME=VALUE``."""
+    if configuration.stage is None:
+        raise ConfigurationError(
+            f"{configuration.source}: a scan moves several axes, and this file has no section '/{STAGE}' that couples "
+            "them: take a stage such as xy_scanner, or --reference for a single axis"
+        )
+    entry = f"{configuration.stage}/{STAGE}", {"scan.kind": kind, "scan.values": list(values)}
+    return replace(configuration, entries=(*configuration.entries, entry))
+
+
+def displacements_between(
+    parameters: StageParameters, recording: Recording, stage: Stage | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return instants [s], shape (M,), and degrees of freedom [m], shape (n, M), within and at the samples of a run.
+
+    The run is one of the simulated stage from rest, or of ``stage``, another one at rest. The structure goes on while
+    its inputs are held, so that at the samples these are the displacements of the recording. A structure without a
+    continuous equivalent is joined by lines, and one with hysteresis inside it is known at its samples only.
+    """
+    names, step = parameters.names, 1.0 / parameters.sample_rate
+    sampled = np.array([recording[f"{name}/displacement"] for name in names])
+    if parameters.stage.type != HAMMERSTEIN:
+        return recording.time, sampled
+    stage = stage or Stage(parameters)
+    drives = np.empty((len(names), len(recording)))
+    rest = np.array([plant.resting_drive for plant in stage.plants])
+    for i, (name, plant) in enumerate(zip(names, stage.plants, strict=True)):
+        one = plant.actuator
+        crept = one.creep.simulate(one.hysteresis.simulate(recording[f"{name}/plant_voltage"]))
+        drives[i] = one.dynamics.simulate(crept)
+    places = np.arange(1, INSTANTS + 1) / INSTANTS
+    found = _continued(parameters.stage.structure.linear, rest, drives, places)
+    if found is None:
+        ends = np.append(sampled[:, 1:], sampled[:, -1:], axis=1)
+        between = sampled[:, :, None] + (ends - sampled)[:, :, None] * places
+    else:
+        preloads = np.array([axis.plant_simulator.preload.offset for axis in parameters.axes])
+        between = np.tensordot(parameters.stage.matrix("sensor_matrix"), found + preloads[:, None, None], 1)
+    # behind the last sample nothing is recorded
+    time = (recording.time[:-1, None] + places * step).ravel()
+    between = between[:, :-1].reshape(len(names), -1)
+    return np.append(recording.time[0], time), np.hstack([sampled[:, :1], between])
+
+
+def _continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
+    """Return outputs at parts of each sample under held inputs, shape (q, N, parts); None without such a system."""
+    import scipy.signal
+
+    poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
+    if not np.all((poles.imag != 0.0) | (poles.real > 0.0)) or np.linalg.cond(vectors) >= WORST_CONDITION:
+        return None
+    unit = np.linalg.solve(vectors, np.linalg.solve(np.eye(model.order) - model.A, model.B))
+    driven = unit @ inputs
+    states = np.empty(driven.shape, dtype=complex)
+    for i, (pole, first) in enumerate(zip(poles, unit @ rest, strict=True)):
+        after = scipy.signal.lfilter([1.0], [1.0, -pole], (1.0 - pole) * driven[i], zi=[pole * first])[0]
+        states[i, 0], states[i, 1:] = first, after[:-1]
+    out, through = model.C @ vectors, model.D @ inputs
+    found = np.empty((len(model.C), inputs.shape[1], len(places)))
+    for j, place in enumerate(places):
+        left = poles[:, None] ** place
+        found[:, :, j] = (out @ (left * states + (1.0 - left) * driven)).real + through
+    return found
 
 
 def chosen_stage(configuration: Configuration, faults: tuple[str, ...], namespace: str | None) -> StageParameters:

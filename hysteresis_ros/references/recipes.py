@@ -414,6 +414,8 @@ def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> 
             raise ValueError(f"must be a whole number, allowed: {row.allowed()}") from None
     elif row.type is float:
         value = _numbers(row, [text], gain)[0]
+    elif row.type == tuple[str, ...]:
+        value = [word.strip() for word in text.split(",")]
     else:
         value = _numbers(row, text.split(","), gain)
     try:

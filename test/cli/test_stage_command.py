@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 
@@ -184,3 +186,45 @@ def test_a_recording_of_one_axis_has_no_axes():
     assert one.axes == ()
     with pytest.raises(RecordingError, match="it is of a single axis"):
         one.axis("x")
+
+
+SCAN = ("--scan", "raster", "width=20um", "depth=20um", "lines=4", "flyback=2", "line_rate=50Hz")
+
+
+def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
+    path, page = tmp_path / "run.npz", tmp_path / "run.html"
+    said = hysteresis("simulate", "xy_scanner", *SCAN, "-o", path)
+    assert "2400 samples at 10000 Hz (0.24 s), axes x, y" in said
+    assert "scan from 0.12 s on, between the samples too:" in said
+    assert "Coupling: RMS across a line, about its mean" in said and "Trace - retrace along the lines" in said
+    answer = subprocess.run(
+        [sys.executable, "-m", "hysteresis_ros.cli.main", "report", path, "--json", "-"], capture_output=True, text=True
+    )
+    figures = json.loads(answer.stdout)
+    assert figures["scan"]["samples"] == 5 * 4 * 2 * 80 and figures["scan"]["size_m"] == 20e-6
+    printed = re.search(r"RMS error in the plane +(\S+)  µm", said)[1]
+    assert float(printed) == pytest.approx(1e6 * figures["scan"]["rms_error_m"], rel=1e-3)
+    assert set(figures["runs"]) == {"run.npz x", "run.npz y"}
+    said = hysteresis("report", path, "-o", page, "--range", "0.12s:0.18s")
+    assert "scan, 0.12 … 0.18 s:" in said and "report: " in said
+    html = page.read_text(encoding="utf-8")
+    for words in ("Map of the error in the plane", "RMS error line by line", "trace against retrace", "% of size"):
+        assert words in html
+    assert "RMS error" in hysteresis("report", path, "--namespace", "x")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--scan", "raster", "width=50um", "depth=10um"), "out of range"),
+        (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
+        (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
+        (("--scan", "rastr", "width=20um"), "did you mean raster"),
+        (("width=20um",), "width=20um belongs to a scan: give --scan raster, say"),
+        ((*SCAN, "--reference", "sine", "--amplitude", "1um"), "--scan and --reference exclude each other"),
+    ],
+)
+def test_a_scan_that_a_stage_cannot_follow_is_refused(words, message, tmp_path):
+    assert message in hysteresis("simulate", "xy_scanner", "-o", tmp_path / "never.npz", *words, code=2)
+    assert "couples them" in hysteresis("simulate", "kim2009", "-o", tmp_path / "never.npz", *SCAN, code=2)
+    assert not list(tmp_path.iterdir())

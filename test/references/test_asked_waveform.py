@@ -56,7 +56,7 @@ def test_nothing_of_the_waveform_before_stays(kind, tmp_path):
     common |= {"cycles": 2} if kind == "decreasing_triangle" else {}
     units = {row.name: "m" if row.unit == "m" else "" for row in WaveformParameters.table()}
     text = {
-        name: ",".join(f"{one!r}{units[name]}" for one in value)
+        name: ",".join(one if isinstance(one, str) else f"{one!r}{units[name]}" for one in value)
         if isinstance(value, tuple)
         else f"{value}{units[name]}"
         for name, value in {**common, **own}.items()

@@ -259,7 +259,7 @@ def test_turns_have_the_peaks_of_their_laws():
     """Minimum jerk: 3 V/T and 12 V/T², 5/16 V T beyond the ends; parabolic: 2 V/T, V T/4."""
     for law, steepest, beyond in (("minimum_jerk", 3.0, 5.0 / 16.0), ("parabolic", 2.0, 0.25)):
         scan = made("raster", turn_law=law, rotation=0.0)
-        turn = scan.turn / (2.0 * scan.line_rate)
+        turn = scan.turn / (2.0 * scan.lines_per_second)
         assert scan.peak(1)[0] == pytest.approx(scan.line_velocity)
         assert scan.peak(2)[0] == pytest.approx(steepest * scan.line_velocity / turn)
         assert scan.overshoot == pytest.approx(beyond * scan.line_velocity * turn)
@@ -401,8 +401,8 @@ def test_tones_are_where_the_laws_say():
     assert np.mean(tones) == pytest.approx(spiral.frequency) and np.ptp(tones) == pytest.approx(0.5 * spiral.rate)
     raster = made("raster", rotation=0.0)
     found = harmonics(raster, 40)
-    assert found.frequencies[np.argmax(np.abs(found.amplitudes[0]))] == pytest.approx(raster.line_rate)
-    assert raster.bandwidth >= raster.line_rate
+    assert found.frequencies[np.argmax(np.abs(found.amplitudes[0]))] == pytest.approx(raster.lines_per_second)
+    assert raster.bandwidth >= raster.lines_per_second
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])

@@ -14,11 +14,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hysteresis_ros.configuration import ParameterRow
 from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
+from hysteresis_ros.references.recipes import parameter_value
 from hysteresis_ros.references.scan import Scan, ScanShape
 from hysteresis_ros.registry import discover
 
@@ -78,3 +79,81 @@ def rows_of(kind: str) -> dict[str, ParameterRow]:
     shared = {row.name for row in Scan.table()}
     rows = shape_of(kind).parameters.table()
     return {row.name: row for row in sorted(rows, key=lambda row: row.name in shared)}
+
+
+def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dict[str, Any]:
+    """Return parameters in SI from texts.
+
+    Parameters
+    ----------
+    words : iterable of str
+        Texts ``NAME=VALUE``, a length with its unit: ``width=80um``.
+    rows : mapping of str to ParameterRow
+        The parameters that there are, as :func:`rows_of` returns them.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    ParameterError
+        A text has another form, or a parameter is unknown or is not what it must be.
+    """
+    found, problems = {}, []
+    for word in words:
+        name, mark, text = (part.strip() for part in word.partition("="))
+        if not mark:
+            problems.append(Problem(word, None, f"write NAME=VALUE; names are {', '.join(rows)}"))
+        elif name not in rows:
+            allowed = f"there is no such parameter; there are {', '.join(rows)}{did_you_mean(name, rows)}"
+            problems.append(Problem(name, text, allowed))
+        else:
+            try:
+                found[name] = parameter_value(rows[name], text)
+            except ValueError as error:
+                problems.append(Problem(name, text, str(error)))
+    if problems:
+        raise ParameterError(problems)
+    return found
+
+
+def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
+    """Return a scan from texts, as a parameter file or the command line has them.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`SCANS`.
+    words : iterable of str
+        Texts ``NAME=VALUE``.
+
+    Raises
+    ------
+    ParameterError
+        There is no such scan, or a parameter is unknown, missing or out of range.
+    """
+    return scan_of(kind, parsed_values(words, rows_of(kind)))
+
+
+def scan_words(scan: Scan) -> tuple[str, tuple[str, ...]]:
+    """Return the kind of a scan, and its parameters as texts, from which :func:`parsed_scan` makes it again.
+
+    Parameters
+    ----------
+    scan : Scan
+
+    Raises
+    ------
+    ParameterError
+        The scan is not one of :data:`SCANS`.
+    """
+    kind = next((name for name, shape in SCANS.items() if type(scan) is shape.parameters), None)
+    if kind is None:
+        raise ParameterError([Problem("scan", type(scan).__name__, f"must be one of {', '.join(SCANS)}")])
+    rows = rows_of(kind)
+    given = {name: value for name, value in scan.to_mapping().items() if value != rows[name].default}
+    return kind, tuple(
+        f"{name}={value!r}{rows[name].unit}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in given.items()
+    )

@@ -51,6 +51,8 @@ class Raster(Scan):
         ``stepped``: v moves only during turns; ``ramped``: v moves at a constant velocity, so lines are oblique.
     flyback : int
         Return of v, in durations of a line.
+    line_rate : float
+        Lines per second instead of frames per second [Hz]; with ``trace_retrace`` there and back. 0: ``frame_rate``.
     """
 
     width: float = parameter(description="length of the lines", unit="m", low=1e-12, high=1.0)
@@ -73,6 +75,9 @@ class Raster(Scan):
         "stepped", description="v moves only during turns, or at a constant velocity", choices=("stepped", "ramped")
     )
     flyback: int = parameter(8, description="return of v, in durations of a line", low=1, high=100_000)
+    line_rate: float = parameter(
+        0.0, description="lines per second, in place of frame_rate; 0: frame_rate", unit="Hz", low=0.0, high=1e6
+    )
 
     def check(self) -> Iterable[Problem]:
         """Yield a Problem for each parameter that excludes another one."""
@@ -105,7 +110,12 @@ class Raster(Scan):
         return self.pitch
 
     @property
-    def line_rate(self) -> float:
+    def rate(self) -> float:
+        """Frames per second [Hz]."""
+        return self.line_rate / (self.lines + self.flyback) if self.line_rate else self.frame_rate
+
+    @property
+    def lines_per_second(self) -> float:
         """Lines per second [Hz]; with ``trace_retrace`` a line is a trace and its retrace."""
         return self.rate * (self.lines + self.flyback)
 

@@ -1,0 +1,184 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A stage that follows a scan: its path, what its axes cannot follow, and what is known between the samples."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from coupled_stages import LINEAR, SAMPLE_TIME, configured, modes
+
+import hysteresis_ros as hr
+from hysteresis_ros.analysis.scan_report import scan_figures
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import displacements_between, simulate_stage, with_scan
+from hysteresis_ros.models.linear import zero_order_hold
+from hysteresis_ros.references.scan import ScanLimits, largest_frame_rate
+from hysteresis_ros.references.scans import parsed_scan, scan_of, scan_words
+from hysteresis_ros.references.waveforms.scan import repetition
+
+RASTER = ("width=20um", "depth=10um", "lines=4", "flyback=2", "line_rate=50Hz", "slow=ramped", "rotation=10deg")
+MIDDLE = 20e-6
+
+
+def following(kind="raster", values=RASTER, **overrides) -> StageParameters:
+    return StageParameters.from_configuration(with_scan(configured(**overrides), kind, values))
+
+
+def refused(values, kind="raster", **overrides) -> str:
+    with pytest.raises(ParameterError) as error:
+        following(kind, values, **overrides)
+    return str(error.value)
+
+
+def test_the_axes_follow_the_path_about_their_setpoints():
+    parameters = following()
+    scan, run = parameters.scan, simulate_stage(parameters)
+    assert run.time.size == round(2 * scan.period / SAMPLE_TIME) == 2400, "two periods"
+    path = scan.position(run.time) + MIDDLE
+    for place, name in enumerate("xy"):
+        np.testing.assert_allclose(run[f"{name}/reference"], path[place], atol=1e-15)
+    assert scan_of("raster", dict(width=20e-6, depth=10e-6, lines=4, flyback=2, line_rate=50.0)).rate == 50.0 / 6.0
+
+
+def test_axes_are_chosen_by_name_and_the_others_hold():
+    parameters = following(stage={"scan__axes": ["y", "x"], "scan__periods": 0})
+    run = simulate_stage(parameters, duration=0.05)
+    path = parameters.scan.position(run.time) + MIDDLE
+    np.testing.assert_allclose(run["y/reference"], path[0], atol=1e-15)
+    np.testing.assert_allclose(run["x/reference"], path[1], atol=1e-15)
+    with pytest.raises(ConfigurationError, match="no end"):
+        simulate_stage(parameters)
+    assert "must name 2 different axes, of x, y" in refused(RASTER, stage={"scan__axes": ["y", "z"]})
+    assert "must name 3 different axes" in refused((*RASTER, "axes=3"))
+
+
+def test_the_text_of_a_run_gives_the_scan_back():
+    parameters = following()
+    text = parameters.configuration_text()
+    again = StageParameters.from_configuration(parse_configuration(text, "text"))
+    assert again.scan == parameters.scan
+    assert again == parameters
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (("width=50um", "depth=10um", "line_rate=5Hz"), r"position of x = -2\.8\S*e-05: m reached .* m out of range"),
+        (("width=20um", "depth=10um", "lines=4", "line_rate=400Hz"), "velocity of x .* is 1.* times its limit 0.0154"),
+        (("width=20um", "depth=10um", "lines=4", "line_rate=150Hz"), "acceleration of x .* times its limit 21.6"),
+        (("width=20um", "depth=10um", "lines=4", "line_rate=150Hz"), r"allowed: ≤ \S+ Hz, a frame in \S+ s or more"),
+        (("width=20um", "depth=10um", "turn_law=parabolic"), "turn_law = 'parabolic': the acceleration jumps"),
+        (("width=20um", "depth=10um", "line_rate=7.1234567Hz"), "whole within 1000 periods; the nearest .* last"),
+        (("width=20um",), "scan.values: depth = None: missing"),
+        (("width=20", "depth=10um"), "scan.values: width = '20': of which unit"),
+        (("width", "depth=10um"), "write NAME=VALUE"),
+        (("width=20um", "deptz=10um"), "there is no such parameter; .* did you mean depth"),
+    ],
+)
+def test_what_the_axes_cannot_follow_is_refused_with_what_they_can(values, words):
+    assert re.search(words, refused(values)), refused(values)
+
+
+def test_the_frame_rate_that_a_refusal_names_is_the_largest_of_the_limits():
+    values = ("width=20um", "depth=10um", "lines=4", "flyback=2")
+    best = float(re.search(r"allowed: ≤ (\S+) Hz", refused((*values, "frame_rate=200Hz")))[1])
+    limits = ScanLimits((), (), (0.0154,), (21.6,), (30200.0,))
+    limit = largest_frame_rate(parsed_scan("raster", values), limits)
+    assert best == pytest.approx(limit, rel=1e-3) and best <= limit
+
+
+def test_a_kind_that_does_not_exist_and_a_file_without_stage_are_refused():
+    assert "there is no such scan" in refused((), "rastr") and "did you mean raster" in refused((), "rastr")
+    with pytest.raises(ConfigurationError, match="has no section '/stage' that couples them"):
+        with_scan(configured("kim2009"), "raster", RASTER)
+
+
+def test_a_path_repeats_after_whole_samples_of_one_or_several_periods():
+    assert repetition(0.2, 1e-4) == 2000
+    assert repetition(2.0 / 37.5, 1e-4) == 1600, "three periods of 533 1/3 samples"
+    with pytest.raises(ParameterError, match="the nearest whole periods last 0.1234 s and 0.1235 s"):
+        repetition(0.1234567891, 1e-4)
+
+
+@pytest.mark.parametrize("kind", ["raster", "spiral", "lissajous", "cycloid", "rosette"])
+def test_a_scan_comes_back_from_its_words(kind):
+    values = {"raster": dict(width=3e-6, depth=1e-6, rotation=0.3, lines=16, slow="ramped")}
+    values |= {"spiral": dict(diameter=4e-6, law="clv"), "lissajous": dict(width=3e-6, depth=2e-6, lines=15)}
+    values |= {"cycloid": dict(width=4e-6, diameter=1e-6), "rosette": dict(diameter=5e-6)}
+    scan = scan_of(kind, values[kind] | dict(frame_rate=1.0 / 3.0, axes=3, slope_x=0.1))
+    assert parsed_scan(*scan_words(scan)) == scan
+
+
+def fine(rate: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return A and B of modes at 700 and 800 Hz for a grid that is so many times finer than the samples."""
+    A, B = np.zeros((4, 4)), np.zeros((4, 2))
+    for i, frequency in enumerate((700.0, 800.0)):
+        w, own = 2.0 * np.pi * frequency, slice(2 * i, 2 * i + 2)
+        A[own, own], held = zero_order_hold([[0.0, w], [-w, -0.02 * w]], [[0.0], [w]], SAMPLE_TIME / rate)
+        B[own, i] = held[:, 0]
+    return A, B
+
+
+def test_between_the_samples_is_what_a_finer_grid_gives():
+    A, B = modes((700.0, 800.0), (0.01, 0.01))
+    C = np.array([[1.0, 0.0, 0.1, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    values = {"structure__A": tuple(A.ravel()), "structure__B": tuple(B.ravel()), "structure__C": tuple(C.ravel())}
+    configuration = with_scan(
+        configured(**LINEAR, stage={**values, "decoupling": []}),
+        "lissajous",
+        ("width=2um", "depth=1um", "lines=3", "frame_rate=50Hz"),
+    )
+    parameters = StageParameters.from_configuration(configuration)
+    run = simulate_stage(parameters, duration=0.02)
+    time, found = displacements_between(parameters, run)
+    for place, name in enumerate("xy"):
+        np.testing.assert_allclose(found[place, ::5], run[f"{name}/displacement"], atol=1e-17)
+    A, B = fine(5)
+    drives = 0.4e-6 * np.array([run[f"{name}/plant_voltage"] for name in "xy"])
+    x, expected = np.zeros(4), []
+    for u in np.repeat(drives, 5, axis=1).T[: time.size]:
+        expected.append(C @ x)
+        x = A @ x + B @ u
+    np.testing.assert_allclose(found, np.array(expected).T, atol=1e-15)
+    assert time == pytest.approx(np.arange(time.size) * SAMPLE_TIME / 5, abs=1e-12)
+    # rectangular interpolation would not do: the modes ring
+    assert np.max(np.abs(np.diff(found[:, :200]))) > 1e-8
+
+
+def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
+    scan = parsed_scan("raster", RASTER)
+    run = hr.simulate("xy_scanner", scan=scan)
+    judged = hr.scan_run(run)
+    assert judged.scan == scan
+    assert judged.time[0] == pytest.approx(scan.period) and judged.time.size == 5 * 1199 + 1, "up to the last sample"
+    np.testing.assert_allclose(judged.reference, scan.position(judged.time) + MIDDLE, atol=1e-15)
+    figures = hr.report(run)
+    assert figures["scan"] == scan_figures(judged) and {"x", "y"} <= figures.keys()
+    assert hr.scan_run(run, 0.15).time[0] == pytest.approx(0.15)
+    # of a run that was not simulated only the samples are known: an error of 10 nm across the plane is found as it is
+    shifted = {f"{name}/displacement": run[f"{name}/reference"] - 10e-9 for name in "xy"}
+    other = replace(run, signals=run.signals | shifted, metadata=run.metadata | {"source": "bag"})
+    assert scan_figures(hr.scan_run(other))["rms_error_m"] == pytest.approx(np.sqrt(2.0) * 10e-9, rel=1e-6)
+    assert hr.scan_run(hr.simulate("kim2009", duration=0.02)) is None
+
+
+def test_the_reference_is_one_of_the_stage_and_not_of_a_copy():
+    """A stage that is reset begins its scan anew."""
+    stage = Stage(following())
+    first = stage.run(stage.default_setpoints(300))["x"]["reference"].copy()
+    stage.reset()
+    assert np.array_equal(stage.run(stage.default_setpoints(300))["x"]["reference"], first)
