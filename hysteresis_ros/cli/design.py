@@ -71,12 +71,15 @@ from hysteresis_ros.designs.learning_filters import KINDS
     help="NPZ of `hysteresis frf`: design for the measured response, and compute the margins from it.",
 )
 @click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
-@click.option("-o", "--output", required=True, help="Parameter file to write.")
+@click.option("-o", "--output", help="Parameter file to write.")
 def design(config, namespace, output, response, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning
     the controller is kept, and its learning filter is designed.
+
+    Of a stage it designs all axes, or that of --namespace, and prints how they interact; with --learning for the
+    period of its scan, beginning with corrections by which the coupled model follows it. Without -o it prints only.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (
@@ -97,6 +100,11 @@ def design(config, namespace, output, response, **options):
     from hysteresis_ros.loop.reach import single_axis
 
     configuration = load_configuration(config)
+    if configuration.stage is not None:
+        _design_stage(configuration, namespace, output, response, options)
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.")
     axis = single_axis(configuration, namespace or None)
     measured = None if response is None else load_response(response)
     known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
@@ -125,3 +133,64 @@ def design(config, namespace, output, response, **options):
         for warning in design_warnings(axis.plant_simulator, result.margins.gain_crossovers):
             click.echo(f"hysteresis: warning: {warning}", err=True)
     click.echo(f"{output}: written, type {result.parameters.type}")
+
+
+def _design_stage(configuration, namespace: str, output: str | None, response, options: dict) -> None:
+    """Design controllers or learning of a stage, and print how its axes interact."""
+    from hysteresis_ros.configuration import parse_configuration
+    from hysteresis_ros.control.learning import write_learned
+    from hysteresis_ros.designs.controller import OPTIONS, DesignRequest, design_lines, drawn_around
+    from hysteresis_ros.designs.coupled import (
+        controllers_file,
+        design_controllers,
+        design_stage_learning,
+        stage_learning_file,
+        stage_lines,
+    )
+    from hysteresis_ros.designs.learning import asked, learning_lines
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+
+    if response is not None:
+        raise ConfigurationError("--response is of a single axis, and this is a stage: leave it out")
+    parameters = StageParameters.from_configuration(configuration)
+    wanted = options.get("controller") or options.get("learning")
+    if not wanted:
+        given = [name for name, value in options.items() if value]
+        if output is not None or given:
+            raise ConfigurationError("the design is missing: give --controller NAME or --learning NAME")
+        for line in stage_lines(parameters):
+            click.echo(line)
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.")
+    learns = asked(options)
+    if learns is not None:
+        if learns.period is not None:
+            raise ConfigurationError("--period is that of the scan of a stage: leave it out")
+        with shown("designing"):
+            result = design_stage_learning(parameters, learns)
+        place = pathlib.Path(output).expanduser().resolve()
+        files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in result.designs}
+        for name, correction in result.corrections.items():
+            write_learned(files[name], correction, configuration.source)
+        text = stage_learning_file(configuration, result, files)
+        write_file(output, text)
+        for name, learned in result.designs.items():
+            click.echo("\n".join([f"axis {name}", *learning_lines(learned), ""]))
+        for name, why in result.left.items():
+            click.echo(f"hysteresis: warning: axis {name} does not learn: {why}", err=True)
+        click.echo(f"{output}: written, learning by {learns.kind}; begins with {', '.join(files.values())}")
+        return
+    ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
+    request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
+    with shown("designing"):
+        designs = design_controllers(parameters, request, chosen=namespace or None)
+        text = controllers_file(configuration, designs, f"--controller {request.controller}")
+        lines = stage_lines(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
+    write_file(output, text)
+    for name, design in designs.items():
+        click.echo("\n".join([f"axis {name}", *design_lines(design), ""]))
+    click.echo("\n".join(["stage", *lines]))
+    click.echo(f"{output}: written, type {request.controller}")

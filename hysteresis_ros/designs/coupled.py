@@ -7,19 +7,44 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop of a stage, for its margins: the controllers of all axes with the plant that they share."""
+"""The loop of a stage: its margins, and designs of the controllers and of the learned corrections of all axes.
+
+**Dynamic decoupling of a scan.** With the references R of all axes at a harmonic of the path, the coupled closed loop T
+from references to displacements, and its controllers as they are, the corrected references are Q (T⁻¹ - I) R + R: then
+the displacements of the model are R at the samples, on every axis. The whole period is known, so T may have zeros
+outside the unit circle and its inverse needs no truncation; Q is the robustness filter of the axis, beyond whose
+bandwidth nothing is corrected. This is where learning begins; it goes on from what the model does not know.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values
+from hysteresis_ros.control.learning import LONGEST, SAME, Learned
 from hysteresis_ros.control.linearisation import whole_loop
+from hysteresis_ros.control.uncertainty import ResponseUncertainty
+from hysteresis_ros.designs.controller import AxisDesign, DesignRequest, design_axis, design_text, learning_text
+from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
+from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import product
+from hysteresis_ros.references.waveforms.scan import repetition
+
+#: Harmonics below this part of the largest one are not corrected.
+SMALLEST = 1e-7
+#: Angle that stands for rest: integrators have no response at 0.
+RESTING = 1e-7
+#: Frequencies at which coupling is printed, as parts of the sample rate, and those of the grid of singular values.
+PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 
 def diagonal(systems) -> StateSpace:
@@ -44,22 +69,30 @@ def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
 def stage_plant(parameters: StageParameters) -> StateSpace:
     """Return the plant from the commands of the degrees of freedom to their measurements, the hysteresis compensated.
 
-    It has the delays of the actuators, and each measurement is taken before the commands of its sample act.
+    It has the delays of the actuators, and each measurement is taken before the commands of its sample act. With the
+    hysteresis inside the structure it is linear for motions too small for any play.
     """
     stage = parameters.stage
-    if stage.type != HAMMERSTEIN:
-        raise ConfigurationError(
-            f"type = {stage.type}: the loop of a stage is known for {HAMMERSTEIN}, whose compensators invert the "
-            "hysteresis"
-        )
+    linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
     late = []
     for axis in parameters.axes:
         model = axis.plant_simulator.dynamics.state_space
         row, through = axis.plant_simulator.dynamics.acting
         late.append(StateSpace(model.A, model.B, row[np.newaxis], np.array([[through]])))
-    plant = in_series(diagonal(late), stage.structure.linear.held())
+    plant = in_series(diagonal(late), linear.held())
     into, out = stage.matrix("decoupling"), stage.matrix("sensor_matrix")
     return StateSpace(plant.A, product(plant.B, into), product(out, plant.C), product(out, product(plant.D, into)))
+
+
+def _controllers(parameters: StageParameters) -> list[StateSpace]:
+    """Return controller and damping of each axis, inputs reference and measurement, output command."""
+    found = []
+    for axis in parameters.axes:
+        controller = whole_loop(part(axis.motion_controller, ControllerParameters), 1.0 / parameters.sample_rate)[0]
+        if controller.B.shape[1] != 2:
+            raise ConfigurationError(f"{axis.namespace}/motion_controller: a damping by force has no loop in a stage")
+        found.append(controller)
+    return found
 
 
 def stage_loop(parameters: StageParameters) -> StateSpace:
@@ -67,11 +100,185 @@ def stage_loop(parameters: StageParameters) -> StateSpace:
 
     Controllers and dampings are linear about rest, as for the margins of a single axis.
     """
-    sample_time = 1.0 / parameters.sample_rate
-    feedbacks = []
-    for axis in parameters.axes:
-        controller = whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)[0]
-        if controller.B.shape[1] != 2:
-            raise ConfigurationError(f"{axis.namespace}/motion_controller: a damping by force has no loop in a stage")
-        feedbacks.append(StateSpace(controller.A, controller.B[:, 1:], -controller.C, -controller.D[:, 1:]))
+    feedbacks = [StateSpace(one.A, one.B[:, 1:], -one.C, -one.D[:, 1:]) for one in _controllers(parameters)]
     return in_series(stage_plant(parameters), diagonal(feedbacks))
+
+
+def stage_response(parameters: StageParameters, angles) -> np.ndarray:
+    """Return the closed loop from references to displacements at angles in the z plane, shape (F, n, n)."""
+    z = np.exp(1j * np.maximum(np.abs(angles), RESTING))
+    plant, count = stage_plant(parameters).response(z), len(parameters.names)
+    both = np.array([one.response(z)[:, 0] for one in _controllers(parameters)])
+    forward, back = (np.swapaxes(both[:, :, place], 0, 1)[:, np.newaxis] for place in (0, 1))
+    return np.linalg.solve(np.eye(count) - plant * back, plant * forward)
+
+
+def stage_lines(parameters: StageParameters) -> list[str]:
+    """Return the printed table of a stage: interaction of its axes, and the margins of its loops."""
+    names, rate = parameters.names, parameters.sample_rate
+    stage = parameters.stage
+    linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
+    gain = product(stage.matrix("sensor_matrix"), linear.dc_gain.reshape(len(names), -1))
+    sizes = singular_values(stage_plant(parameters).response(np.exp(2j * np.pi * GRID)))
+    worst = int(np.argmax(sizes[:, 0] / sizes[:, -1]))
+    margins = disk_margins(stage_loop(parameters), 1.0 / rate)
+    rows = [
+        (f"relative gains of {name}", ", ".join(f"{value:.4g}" for value in row))
+        for name, row in zip(names, relative_gain_array(gain), strict=True)
+    ]
+    rows += [
+        ("singular values at rest", ", ".join(f"{value:.4g}" for value in sizes[0])),
+        ("singular values, worst", f"{sizes[worst, 0]:.4g} … {sizes[worst, -1]:.4g} at {GRID[worst] * rate:.4g} Hz"),
+    ]
+    coupled = np.abs(stage_response(parameters, 2.0 * np.pi * np.array(PRINTED)))
+    for turns, response in zip(PRINTED, coupled, strict=True):
+        others = response - np.diag(np.diag(response))
+        row, column = np.unravel_index(int(np.argmax(others)), others.shape)
+        text = f"{100.0 * others[row, column]:.3g} % of {names[column]} in {names[row]}"
+        rows.append((f"coupling at {turns * rate:.4g} Hz", text if len(names) > 1 else "none"))
+    for label, margin in [*zip(names, margins.loops, strict=True), ("all at once", margins.together)]:
+        text = f"{margin.gain_margin:.1f} dB, {margin.phase_margin:.0f} deg, at {margin.frequency:.4g} Hz"
+        rows.append((f"disk margin of {label}", text if margin.alpha > 0.0 else "none: the loop is unstable"))
+    width = max(len(name) for name, _ in rows)
+    return [f"{name:<{width}}  {text}" for name, text in rows]
+
+
+def design_controllers(
+    parameters: StageParameters,
+    request: DesignRequest,
+    known: ResponseUncertainty | None = None,
+    chosen: str | None = None,
+) -> dict[str, AxisDesign]:
+    """Design the controllers of all axes, or of one, each for the model of its own axis."""
+    names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
+    return {name: design_axis(parameters.axes[parameters.place(name)], request, known) for name in names}
+
+
+def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign], words: str) -> str:
+    """Return the text of the parameter file with designed controllers, after a check that the stage can be built."""
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    reached = ", ".join(f"{name} {design.margins.bandwidth:.4g} Hz" for name, design in designs.items())
+    header = (
+        f"Controller designed by `hysteresis design {source} {words}`\n"
+        f"on the model in motion_controller: bandwidth {reached}."
+    )
+    return _with_sections(
+        configuration,
+        designs,
+        header,
+        lambda one, design, head, space: design_text(one, design.parameters, space, head),
+    )
+
+
+def _with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
+    """Return the text of a file with what was designed for each axis; the header is there once."""
+    text, source = configuration.text, configuration.source
+    for number, (name, design) in enumerate(designs.items(), start=1):
+        now = parse_configuration(text, source)
+        head = header if number == len(designs) else ""
+        text = written(now, design, head, f"{configuration.stage}/{name}")
+    Stage(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
+    return text
+
+
+@dataclass(frozen=True, eq=False)
+class StageLearning:
+    """Designed corrections of the axes of a stage that follows a scan."""
+
+    designs: dict[str, LearningDesign]  #: By the names of axes.
+    corrections: dict[str, Learned]  #: Those with which the model of the stage follows the scan.
+    left: dict[str, str]  #: Axes without learning, and why.
+
+
+def scanned_paths(parameters: StageParameters) -> np.ndarray:
+    """Return what the axes add to their setpoints at the samples of a period of the scan, shape (n, N) [m]."""
+    scan = parameters.scan
+    if scan is None:
+        raise ConfigurationError(
+            "the stage follows no scan: give --scan raster with its parameters, or scan.kind in the section stage"
+        )
+    count = repetition(scan.period, 1.0 / parameters.sample_rate)
+    paths = np.zeros((len(parameters.names), count))
+    moved = scan.samples(count, 1.0 / parameters.sample_rate)
+    paths[[parameters.names.index(name) for name in parameters.scanning_axes]] = moved
+    return paths
+
+
+def shortest_period(path: np.ndarray) -> int:
+    """Return the least number of samples after which a periodic path repeats; the path is one period of it."""
+    count = len(path)
+    for period in range(2, count):
+        if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:
+            return period
+    return count
+
+
+def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
+    """Return the corrections with which the linear model of a stage follows periodic paths, shape (n, N) [m]."""
+    for axis in parameters.axes:
+        given = axis.motion_controller.feedforward.type
+        if given != "none":
+            raise ConfigurationError(
+                f"{axis.namespace}/motion_controller: feedforward.type = {given}: must be none, because the correction "
+                "inverts the loops of all axes itself"
+            )
+    count = paths.shape[1]
+    lines = np.fft.rfft(paths, axis=1)
+    size = np.max(np.abs(lines), axis=0)
+    places = np.flatnonzero(size > SMALLEST * np.max(size[1:]))
+    places = places[(places > 0) & (2 * places < count)]
+    closed = stage_response(parameters, 2.0 * np.pi * places / count)
+    corrected = np.zeros_like(lines)
+    wanted = lines[:, places].T[:, :, np.newaxis]
+    corrected[:, places] = (np.linalg.solve(closed, wanted) - wanted)[:, :, 0].T
+    return np.fft.irfft(corrected, count, axis=1)
+
+
+def design_stage_learning(
+    parameters: StageParameters, request: LearningRequest, known: ResponseUncertainty | None = None
+) -> StageLearning:
+    """Design the learning of every axis that scans, for the period of its own path, and where it begins."""
+    paths, rate = scanned_paths(parameters), parameters.sample_rate
+    corrections = decoupled(parameters, paths)
+    found = StageLearning({}, {}, {})
+    for name in parameters.scanning_axes:
+        place = parameters.names.index(name)
+        axis, period = parameters.axes[place], shortest_period(paths[place])
+        if period > LONGEST:
+            found.left[name] = f"its path repeats after {period} samples, learning takes up to {LONGEST}"
+            continue
+        design = design_learning(axis, replace(request, period=period / rate), known)
+        low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
+        # what another axis adds once in its longer period is no part of this period
+        own = corrections[place].reshape(-1, period).mean(axis=0)
+        own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
+        largest = float(np.max(np.abs(own)))
+        if largest > design.parameters.maximum:
+            found.left[name] = (
+                f"its model needs corrections of {1e6 * largest:.4g} µm, allowed are "
+                f"{1e6 * design.parameters.maximum:.4g} µm: give a larger --maximum, or scan more slowly"
+            )
+            continue
+        setpoint = axis.generator.initial_setpoint
+        found.designs[name] = design
+        found.corrections[name] = Learned(period / rate, 1.0 / rate, own, setpoint + paths[place][:period])
+    if not found.designs:
+        raise ConfigurationError("; ".join(f"{name}: {why}" for name, why in found.left.items()))
+    return found
+
+
+def stage_learning_file(configuration: Configuration, result: StageLearning, files: dict[str, str]) -> str:
+    """Return the text of the parameter file with designed learning, which begins with the corrections in the files."""
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    kind = next(iter(result.designs.values())).parameters.type
+    reached = ", ".join(
+        f"{name} {design.filters.bandwidth / design.sample_time:.4g} Hz" for name, design in result.designs.items()
+    )
+    header = (
+        f"Learning designed by `hysteresis design {source} --learning {kind}`\n"
+        f"over the controller of this file: bandwidth {reached}; begins with the corrections of the coupled model."
+    )
+    chosen = {name: replace(design.parameters, file=files[name]) for name, design in result.designs.items()}
+    return _with_sections(
+        configuration, chosen, header, lambda one, given, head, space: learning_text(one, given, space, head)
+    )

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 import hysteresis_ros as hr
+from hysteresis_ros.analysis.scan_report import scan_figures
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
@@ -79,7 +80,6 @@ def test_the_setpoints_of_a_run_of_a_stage_are_replayed(tmp_path):
     [
         ("up", "xy_scanner"),
         ("up", "xy_scanner", "--namespace", "x"),
-        ("design", "xy_scanner", "--controller", "pid", "-o", "never.yaml"),
         ("frf", "xy_scanner"),
         ("commission", "xy_scanner"),
         ("urdf", "xy_scanner"),
@@ -228,3 +228,43 @@ def test_a_scan_that_a_stage_cannot_follow_is_refused(words, message, tmp_path):
     assert message in hysteresis("simulate", "xy_scanner", "-o", tmp_path / "never.npz", *words, code=2)
     assert "couples them" in hysteresis("simulate", "kim2009", "-o", tmp_path / "never.npz", *SCAN, code=2)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_design_of_a_stage_prints_how_its_axes_interact():
+    said = hysteresis("design", "xy_scanner")
+    assert "relative gains of x         1.002, -0.001603" in said
+    assert "disk margin of all at once  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
+    assert "Missing option '-o'" in hysteresis("design", "kim2009", "--controller", "pid", code=2)
+    assert "Missing option '-o'" in hysteresis("design", "xy_scanner", "--controller", "pid", code=2)
+    assert "the design is missing" in hysteresis("design", "xy_scanner", "-o", "never.yaml", code=2)
+    assert "follows no scan" in hysteresis("design", "xy_scanner", "--learning", "inversion", "-o", "a.yaml", code=2)
+
+
+def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_scan_away(tmp_path):
+    source, learns = tmp_path / "scan.yaml", tmp_path / "learns.yaml"
+    text = load_configuration("xy_scanner").text
+    scan = (
+        "    scan:\n      kind: lissajous\n      values: [width=16um, depth=16um, lines=5, frame_rate=10Hz]\n"
+        "      periods: 10\n"
+    )
+    source.write_text(text.replace("    decoupling: [1.0016", f"{scan}    decoupling: [1.0016"), encoding="utf-8")
+    said = hysteresis("design", source, "--learning", "inversion", "-o", learns)
+    assert "axis x" in said and "axis y" in said and "learns_x.yaml" in said
+    errors = {}
+    for name, path in (("before", source), ("after", learns)):
+        run = hr.simulate(path)
+        errors[name] = [scan_figures(hr.scan_run(run, *part))["rms_error_percent"] for part in ((0.2, 0.4), (1.8, 2.0))]
+    assert errors["before"][0] > 1.0
+    # the model's inverse takes most of it at once, and learning what hysteresis and creep leave
+    assert errors["after"][0] < 0.2 * errors["before"][0]
+    assert errors["after"][1] < 0.5 * errors["after"][0]
+
+
+def test_controllers_of_all_axes_are_designed_and_written(tmp_path):
+    path = tmp_path / "designed.yaml"
+    said = hysteresis("design", "xy_scanner", "--controller", "pid", "--noise", "5nm", "-o", path)
+    assert said.index("axis x") < said.index("axis y") < said.index("\nstage\n") < said.index("written, type pid")
+    text = path.read_text(encoding="utf-8")
+    assert text.count("# Controller designed by") == 1
+    run = hr.simulate(path, duration=0.05)
+    assert np.max(np.abs(run["y/reference"] - run["y/displacement"])[400:]) < 50e-9

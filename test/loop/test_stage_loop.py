@@ -20,7 +20,6 @@ from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import margins_of
 from hysteresis_ros.designs.coupled import stage_loop, stage_plant
-from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -95,8 +94,14 @@ def test_the_running_stage_is_stable_up_to_the_gain_that_its_loop_tolerates():
         assert np.max(np.abs(error)) < 1e-5
 
 
-def test_a_stage_with_hysteresis_inside_has_no_such_loop():
-    values = {f"structure__{name}": value for name, value in internal_structure().to_mapping().items()}
-    stage = read(plant_simulator=LINEAR["plant_simulator"], stage={**values, "type": "internal"})
-    with pytest.raises(ConfigurationError, match="type = internal: the loop of a stage is known for hammerstein"):
-        stage_loop(stage)
+def test_with_hysteresis_inside_the_loop_is_that_of_motions_too_small_for_any_play():
+    structure = internal_structure()
+    values = {f"structure__{name}": value for name, value in structure.to_mapping().items()}
+    inside = read(plant_simulator=LINEAR["plant_simulator"], stage={**values, "type": "internal"})
+    small = structure.small
+    kept = {name: () for name in ("B_w", "C_z", "input_gains", "radii", "weights")}
+    kept |= {name: tuple(getattr(small, name).ravel()) for name in "ABCD"}
+    prompt = {"dynamics__delay": 0.0}
+    outside = read(plant_simulator=prompt, stage={f"structure__{name}": value for name, value in kept.items()})
+    z = np.exp(1j * np.array([1e-3, 0.1, 0.44, 2.0]))
+    np.testing.assert_allclose(stage_loop(inside).response(z), stage_loop(outside).response(z), rtol=1e-9)

@@ -1,0 +1,196 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Designs of a stage: interaction and margins, dynamic decoupling of a scan, learning for the periods of its axes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.coupling import disk_margins
+from hysteresis_ros.control.learning import LearningParameters, write_learned
+from hysteresis_ros.designs.coupled import (
+    decoupled,
+    design_stage_learning,
+    scanned_paths,
+    shortest_period,
+    stage_lines,
+    stage_loop,
+    stage_response,
+)
+from hysteresis_ros.designs.learning import LearningRequest
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage, with_scan
+
+SAMPLE_TIME = 1e-4
+#: A plant without hysteresis, creep and noise, so that its linear model is all there is.
+PROPORTIONAL = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": 0.4e-6, "creep__type": "none"}
+EXACT = {"limits__bits": 0, "limits__slew_rate": 0.0}
+SPIRAL = "spiral", ("diameter=16um", "turns=4", "frame_rate=16Hz")
+
+
+def stage(kind="", values=(), structure=None, **overrides) -> StageParameters:
+    """Return xy_scanner without hysteresis, creep and noise, that follows a scan."""
+    made = load_configuration("xy_scanner")
+    quiet = {"sensor__noise": 0.0, "sensor__resolution": 0.0, "overtravel": -1.0}
+    nodes = {"plant_simulator": PROPORTIONAL | EXACT | quiet, "hysteresis_compensator": PROPORTIONAL | EXACT}
+    for node, given in {**nodes, "stage": {"scan__periods": 0} | (structure or {}), **overrides}.items():
+        made = made.override(node, **given)
+    if not kind:
+        made = made.override("reference_generator", waveform__type="hold")
+    return StageParameters.from_configuration(with_scan(made, kind, values) if kind else made)
+
+
+def late_structure() -> dict:
+    """Return a structure whose sensor x leads its mode the wrong way: a zero outside the unit circle."""
+    C = np.reshape(load_configuration("xy_scanner").node("stage")["structure.C"], (2, 4)).copy()
+    C[0, 1] = -0.3
+    return {"structure__C": tuple(C.ravel())}
+
+
+def zeros(model) -> np.ndarray:
+    """Return the finite transmission zeros of a square system."""
+    count, order = len(model.C), model.order
+    pencil = np.block([[model.A, model.B], [model.C, model.D]])
+    identity = np.zeros_like(pencil)
+    identity[:order, :order] = np.eye(order)
+    found = scipy.linalg.eigvals(pencil, identity)
+    assert count == model.B.shape[1]
+    return found[np.isfinite(found) & (np.abs(found) < 1e6)]
+
+
+def corrected(parameters: StageParameters, corrections: dict, folder, active=False) -> StageParameters:
+    """Return a stage whose references have corrections, which are not learned further."""
+    axes = []
+    for name, axis in zip(parameters.names, parameters.axes, strict=True):
+        path = folder / f"{name}.yaml"
+        write_learned(path, corrections[name])
+        given = LearningParameters(
+            type="inversion",
+            period=corrections[name].period,
+            error_filter=(0.0,),
+            robustness_filter=(1.0,),
+            maximum=1e-4,
+            active=active,
+            file=str(path),
+        )
+        axes.append(replace(axis, motion_controller=replace(axis.motion_controller, learning=given)))
+    return replace(parameters, axes=tuple(axes))
+
+
+def learned(parameters: StageParameters, paths, corrections) -> dict:
+    from hysteresis_ros.control.learning import Learned
+
+    middle = [axis.generator.initial_setpoint for axis in parameters.axes]
+    return {
+        name: Learned(paths.shape[1] * SAMPLE_TIME, SAMPLE_TIME, corrections[i], middle[i] + paths[i])
+        for i, name in enumerate(parameters.names)
+    }
+
+
+def errors(parameters: StageParameters, periods: int = 4) -> np.ndarray:
+    """Return the errors of all axes in the last period of a scan, shape (n, N) [m]."""
+    period = round(parameters.scan.period / SAMPLE_TIME)
+    run = simulate_stage(parameters, duration=periods * parameters.scan.period)
+    found = [run[f"{name}/reference"] - run[f"{name}/displacement"] for name in parameters.names]
+    return np.array(found)[:, -period:]
+
+
+@pytest.mark.parametrize("structure", [None, late_structure()], ids=["as it is", "zero outside"])
+def test_the_inverse_of_the_coupled_loop_follows_the_path_at_all_samples(structure, tmp_path):
+    parameters = stage(*SPIRAL, structure=structure)
+    outside = np.abs(zeros(parameters.stage.structure.linear.held())) > 1.05
+    assert np.any(outside) == (structure is not None)
+    paths = scanned_paths(parameters)
+    corrections = decoupled(parameters, paths)
+    plain = errors(parameters)
+    found = errors(corrected(parameters, learned(parameters, paths, corrections), tmp_path))
+    assert np.max(np.abs(plain)) > 1e-6
+    assert np.max(np.abs(found)) < 2e-4 * np.max(np.abs(plain))
+
+
+def test_decoupling_each_axis_alone_leaves_the_coupling_between_them(tmp_path):
+    """The inverse has a part of each axis in the other: without it the error is that of the cross-talk."""
+    crossed = stage(
+        "lissajous", ("width=16um", "depth=8um", "lines=5", "frame_rate=40Hz"), structure={"decoupling": []}
+    )
+    paths = scanned_paths(crossed)
+    whole = decoupled(crossed, paths)
+    alone = np.array([decoupled(crossed, np.where(np.arange(2)[:, None] == i, paths, 0.0))[i] for i in range(2)])
+    both = errors(corrected(crossed, learned(crossed, paths, whole), tmp_path))
+    apart = errors(corrected(crossed, learned(crossed, paths, alone), tmp_path))
+    assert np.max(np.abs(both)) < 1e-2 * np.max(np.abs(apart))
+
+
+def test_a_wrong_model_is_seen_by_what_its_inverse_leaves(tmp_path):
+    parameters = stage(*SPIRAL)
+    paths = scanned_paths(parameters)
+    wrong = stage(*SPIRAL, structure={"structure__C": tuple(1.1 * np.array(parameters.stage.structure.C))})
+    corrections = learned(parameters, paths, decoupled(wrong, paths))
+    good = learned(parameters, paths, decoupled(parameters, paths))
+    found = [np.max(np.abs(errors(corrected(parameters, some, tmp_path)))) for some in (corrections, good)]
+    assert found[0] > 50.0 * found[1]
+
+
+def test_the_closed_loop_of_a_stage_is_that_of_its_loop_transfer():
+    parameters = stage()
+    angles = np.array([1e-3, 0.05, 0.3, 1.0])
+    closed = stage_response(parameters, angles)
+    loop = stage_loop(parameters).response(np.exp(1j * angles))
+    # at rest the references are followed, without coupling
+    np.testing.assert_allclose(closed[0], np.eye(2), atol=0.05)
+    # of a PID without weights on the reference 1 - T is the sensitivity, but for the damping behind it
+    sensitivity = np.linalg.inv(np.eye(2) + loop)
+    without = stage(motion_controller={"damping__type": "none", "pid__Ki": 20.0, "pid__Kp": 0.0, "pid__Kd": 0.0})
+    closed, loop = stage_response(without, angles), stage_loop(without).response(np.exp(1j * angles))
+    np.testing.assert_allclose(np.eye(2) - closed, np.linalg.inv(np.eye(2) + loop), atol=1e-9)
+    assert np.all(np.isfinite(sensitivity))
+
+
+def test_the_period_of_an_axis_is_that_of_its_own_path():
+    line = np.tile(np.sin(np.arange(40) * np.pi / 20.0), 6)
+    assert shortest_period(line) == 40
+    assert shortest_period(np.concatenate([line, line[:40] * 1.001])) == 280
+    assert shortest_period(line * 1e-6 + np.repeat([0.0, 1e-12], 120)) == 40, "less than learning notices"
+
+
+def test_each_axis_learns_over_the_period_of_its_own_path():
+    values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
+    found = design_stage_learning(stage("raster", values), LearningRequest("inversion"))
+    assert found.designs["x"].parameters.period == pytest.approx(0.05), "a line"
+    assert found.designs["y"].parameters.period == pytest.approx(0.4), "a frame"
+    assert len(found.corrections["x"].correction) == 500 and len(found.corrections["y"].correction) == 4000
+
+
+def test_what_cannot_learn_is_said():
+    with pytest.raises(ConfigurationError, match="the stage follows no scan: give --scan"):
+        design_stage_learning(stage(), LearningRequest("inversion"))
+    with pytest.raises(ConfigurationError, match="x: its model needs corrections of .* give a larger --maximum"):
+        design_stage_learning(stage(*SPIRAL), LearningRequest("inversion", maximum=1e-9))
+    fed = stage(*SPIRAL, motion_controller={"feedforward__type": "static"})
+    with pytest.raises(ConfigurationError, match=r"feedforward.type = static: must be none"):
+        decoupled(fed, scanned_paths(fed))
+
+
+def test_the_table_of_a_stage_is_what_its_parts_are():
+    text = "\n".join(stage_lines(stage()))
+    margins = disk_margins(stage_loop(stage()), SAMPLE_TIME)
+    gain = np.array([[1.0, 0.04], [0.04, 1.0]])
+    share = 1.0 / (1.0 - 0.04**2)
+    assert f"relative gains of x         {share:.4g}, {1.0 - share:.4g}" in text, gain
+    assert f"disk margin of all at once  {margins.together.gain_margin:.1f} dB" in text
+    assert "% of x in y" in text or "% of y in x" in text
+    apart = "\n".join(stage_lines(stage(structure={"decoupling": []})))
+    assert "coupling at 10 Hz" in apart and apart != text
