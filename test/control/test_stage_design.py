@@ -194,3 +194,9 @@ def test_the_table_of_a_stage_is_what_its_parts_are():
     assert "% of x in y" in text or "% of y in x" in text
     apart = "\n".join(stage_lines(stage(structure={"decoupling": []})))
     assert "coupling at 10 Hz" in apart and apart != text
+
+
+def test_the_steering_mirror_keeps_six_decibels_in_all_loops_at_once():
+    parameters = StageParameters.from_configuration(load_configuration("steering_mirror"))
+    together = disk_margins(stage_loop(parameters), 1.0 / 6400.0).together
+    assert together.gain_margin > 6.0

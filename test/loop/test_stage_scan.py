@@ -20,6 +20,7 @@ from coupled_stages import LINEAR, SAMPLE_TIME, configured, modes
 
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
+from hysteresis_ros.api import configuration_of
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.stage import Stage
@@ -174,6 +175,16 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     other = replace(run, signals=run.signals | shifted, metadata=run.metadata | {"source": "bag"})
     assert scan_figures(hr.scan_run(other))["rms_error_m"] == pytest.approx(np.sqrt(2.0) * 10e-9, rel=1e-6)
     assert hr.scan_run(hr.simulate("kim2009", duration=0.02)) is None
+
+
+def test_a_stage_with_hysteresis_inside_is_judged_at_its_samples():
+    configuration = with_scan(
+        configured("steering_mirror"), "lissajous", ("width=0.4um", "depth=0.4um", "lines=3", "frame_rate=4Hz")
+    )
+    run = hr.simulate(configuration, duration=0.3)
+    judged = hr.scan_run(run, 0.0)
+    assert judged.time.size == run.time.size and np.max(judged.size) < 0.4e-6
+    assert StageParameters.from_configuration(configuration_of(run)).scanning_axes == ("s1", "s2")
 
 
 def test_the_reference_is_one_of_the_stage_and_not_of_a_copy():

@@ -34,7 +34,7 @@ CONFIGURATIONS = sorted(path.stem for path in (pathlib.Path(__file__).resolve().
 #: Motors that walk: a sequencer gives their references.
 WALKING = ("inchworm_travel",)
 #: Stages of coupled axes, which are no single axis.
-COUPLED = ("xy_scanner",)
+COUPLED = ("steering_mirror", "xy_scanner")
 #: A stage in a flexure, 380 Hz with 1.5 % of damping, 100 µm over 150 V, which states no limit of motion.
 A, B = zero_order_hold(
     [[0.0, 1.0], [-((2 * np.pi * 380.0) ** 2), -2 * 0.015 * 2 * np.pi * 380.0]],
