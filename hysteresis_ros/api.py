@@ -1079,7 +1079,7 @@ def scan_run(
     displacement = displacement[[parameters.names.index(name) for name in names]]
     ends = parameters.stage.scan.periods * scan.period or np.inf
     begins = judged_from(scan, time) if first is None else first
-    there = (time >= begins) & (time < min(last, ends))
+    there = (time >= begins - 1e-9) & (time <= last + 1e-9) & (time < ends - 1e-9)
     return ScanRun(scan, time[there], reference[:, there], displacement[:, there])
 
 

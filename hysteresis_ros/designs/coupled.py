@@ -195,7 +195,7 @@ def scanned_paths(parameters: StageParameters) -> np.ndarray:
     scan = parameters.scan
     if scan is None:
         raise ConfigurationError(
-            "the stage follows no scan: give --scan raster with its parameters, or scan.kind in the section stage"
+            "the stage follows no scan: give scan.kind and scan.values in its section, e.g. kind: raster"
         )
     count = repetition(scan.period, 1.0 / parameters.sample_rate)
     paths = np.zeros((len(parameters.names), count))

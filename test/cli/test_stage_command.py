@@ -188,7 +188,7 @@ def test_a_recording_of_one_axis_has_no_axes():
         one.axis("x")
 
 
-SCAN = ("--scan", "raster", "width=20um", "depth=20um", "lines=4", "flyback=2", "line_rate=50Hz")
+SCAN = ("--scan", "raster", "width=20um", "depth=20um", "lines=4", "flyback=2", "line_rate=50Hz", "slow=ramped")
 
 
 def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):

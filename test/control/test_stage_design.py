@@ -175,7 +175,7 @@ def test_each_axis_learns_over_the_period_of_its_own_path():
 
 
 def test_what_cannot_learn_is_said():
-    with pytest.raises(ConfigurationError, match="the stage follows no scan: give --scan"):
+    with pytest.raises(ConfigurationError, match="the stage follows no scan: give scan.kind"):
         design_stage_learning(stage(), LearningRequest("inversion"))
     with pytest.raises(ConfigurationError, match="x: its model needs corrections of .* give a larger --maximum"):
         design_stage_learning(stage(*SPIRAL), LearningRequest("inversion", maximum=1e-9))
