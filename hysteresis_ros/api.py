@@ -628,6 +628,7 @@ def simulate(
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
+    scan: Scan | None = None,
     namespace: str | None = None,
     axes: int | None = None,
     each: Mapping[str, Sequence | np.ndarray] | None = None,
@@ -689,9 +690,9 @@ def simulate(
     """
     configuration = configuration_of(config)
     if axes is not None:
-        if requests is not None or speeds is not None or isinstance(setpoints, Mapping):
+        if requests is not None or speeds is not None or scan is not None or isinstance(setpoints, Mapping):
             raise ConfigurationError(
-                "axes: requests, speeds and setpoints by names are not for many axes: leave them out"
+                "axes: requests, speeds, a scan and setpoints by names are not for many axes: leave them out"
             )
         array = AxisArray(_parameters_of_array(configuration, axes, each, faults, namespace), threads)
         samples = None
