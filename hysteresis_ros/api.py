@@ -1012,17 +1012,12 @@ def report(
         if path is not None:
             write_scan_report(path, scanned, heading)
         return {"scan": scan_figures(scanned), **report_several(axes)[0]}
-    from hysteresis_ros.analysis.inchworm import is_inchworm
+    from hysteresis_ros.analysis.side_by_side import report_of
 
-    if is_inchworm(run):
-        from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
-        from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
-    else:
-        from hysteresis_ros.analysis.metrics import compute_metrics as judge
-        from hysteresis_ros.analysis.report import write_report as write
-    figures = judge(run)
+    report = report_of(run)
+    figures = report.figures(run)
     if path is not None:
-        write(run, path, heading, figures)
+        report.write(run, path, heading, figures)
     return figures
 
 

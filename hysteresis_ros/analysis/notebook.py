@@ -16,10 +16,9 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from hysteresis_ros.analysis.identification_report import loops_figure
-from hysteresis_ros.analysis.inchworm import inchworm_figures, is_inchworm
-from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.plots import chart_figure, data_uri
 from hysteresis_ros.analysis.run_charts import judged, traces_chart
+from hysteresis_ros.analysis.side_by_side import report_of
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.workflow import Compared
@@ -45,16 +44,11 @@ MODEL_ROWS = (
 MOST_WARNINGS = 3
 
 
-def metrics_of(run: Recording) -> dict[str, Any]:
-    """Return the figures of merit of a run; those of an inchworm motor are of its moves and steps."""
-    return inchworm_figures(run) if is_inchworm(run) else compute_metrics(run)
-
-
 def run_cell(run: Recording) -> str:
     """Return the HTML of a run."""
     rows = [("samples", f"{len(run)}, every {readable(run.sample_time, 's')}")]
     try:
-        judged_rows = _rows(metrics_of(run), RUN_ROWS)
+        judged_rows = _rows(report_of(run).figures(run), RUN_ROWS)
     except HysteresisError:  # signals that are not a run of an axis
         judged_rows = []
     rows += judged_rows or [("signals", ", ".join(f"{name} [{unit}]" for name, unit in run.units.items()))]

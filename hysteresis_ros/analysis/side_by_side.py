@@ -20,14 +20,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.analysis.inchworm import COMMON_FIGURES, RUN_FIGURES, inchworm_figures, inchworm_run, is_inchworm
-from hysteresis_ros.analysis.inchworm_report import inchworm_charts
+from hysteresis_ros.analysis.inchworm import (
+    COMMON_FIGURES,
+    RUN_FIGURES,
+    format_inchworm,
+    inchworm_figures,
+    inchworm_run,
+    is_inchworm,
+)
+from hysteresis_ros.analysis.inchworm_report import inchworm_charts, write_inchworm_report
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import origin, write_page
 from hysteresis_ros.analysis.plots import SIDE_BY_SIDE, Chart, Line, length_unit
-from hysteresis_ros.analysis.report import ADDED, BLOCKS, charts_of, packed_sums, render_interactive, sampling_text
+from hysteresis_ros.analysis.report import (
+    ADDED,
+    BLOCKS,
+    charts_of,
+    packed_sums,
+    render_interactive,
+    sampling_text,
+    write_report,
+)
 from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
-from hysteresis_ros.analysis.tables import aligned, format_parts, leading, part_rows, table_of
+from hysteresis_ros.analysis.tables import aligned, format_parts, format_table, leading, part_rows, table_of
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -270,12 +285,26 @@ def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dic
     return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
 
 
-class Kind(NamedTuple):
-    """The functions that compare runs of one kind."""
+class Report(NamedTuple):
+    """The figures, the table and the page of one run, and of several runs side by side, of one kind of axis."""
 
-    judge: Callable[..., dict[str, dict]]  #: ``judge(runs)`` returns the figures of each run.
-    table: Callable[..., str]  #: ``table(figures)`` returns lines for a terminal.
-    render: Callable[..., str]  #: ``render(runs, title, figures)`` returns a page.
+    figures: Callable[[Recording], dict]
+    table: Callable[[dict], str]  #: ``table(figures)`` returns lines for a terminal.
+    write: Callable[..., None]  #: ``write(run, path, title, figures)`` writes a page.
+    compare: Callable[[dict[str, Recording]], dict[str, dict]]  #: ``compare(runs)`` returns the figures of each run.
+    compared_table: Callable[[dict[str, dict]], str]  #: ``compared_table(figures)`` returns lines for a terminal.
+    render_compared: Callable[..., str]  #: ``render_compared(runs, title, figures)`` returns a page.
+
+
+REPORT = Report(compute_metrics, format_table, write_report, compare_runs, format_runs, render_side_by_side)
+INCHWORM_REPORT = Report(
+    inchworm_figures, format_inchworm, write_inchworm_report, compare_motors, format_motors, render_motors
+)
+
+
+def report_of(run: Recording) -> Report:
+    """Return the report of the kind of axis of a run."""
+    return INCHWORM_REPORT if is_inchworm(run) else REPORT
 
 
 def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
@@ -291,27 +320,24 @@ def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path
     return dict(zip(labels, map(pathlib.Path, paths), strict=True))
 
 
-def kind_of(runs: dict[str, Recording]) -> Kind:
-    """Return the functions that compare the runs, by their kind."""
-    motors = [name for name, run in runs.items() if is_inchworm(run)]
-    others = [name for name in runs if name not in motors]
-    if motors and others:
+def common_report(runs: dict[str, Recording]) -> Report:
+    """Return the report of runs of one kind of axis."""
+    names = {report_of(run): name for name, run in reversed(runs.items())}
+    if len(names) > 1:
         raise RecordingError(
-            f"{motors[0]} is a run of an inchworm motor, whose figures are of its moves, and {others[0]} is of an "
-            "actuator: "
-            "report runs of one kind together"
+            f"{names[INCHWORM_REPORT]} is a run of an inchworm motor, whose figures are of its moves, and "
+            f"{names[REPORT]} is of an actuator: report runs of one kind together"
         )
-    if motors:
-        return Kind(compare_motors, format_motors, render_motors)
-    return Kind(compare_runs, format_runs, render_side_by_side)
+    (report,) = names
+    return report
 
 
 def report_several(runs: dict[str, Recording], path=None, title: str | None = None) -> tuple[dict[str, dict], str]:
     """Compare runs and write a page; return the figures of each run, and lines for a terminal."""
     if not runs:
         raise RecordingError("no run to report: give at least one")
-    kind = kind_of(runs)
-    figures = kind.judge(runs)
+    report = common_report(runs)
+    figures = report.compare(runs)
     if path is not None:
-        write_page(path, kind.render(runs, title or " · ".join(runs), figures))
-    return figures, kind.table(figures)
+        write_page(path, report.render_compared(runs, title or " · ".join(runs), figures))
+    return figures, report.compared_table(figures)

@@ -100,26 +100,18 @@ def _scanned(run, axes, output, title: str, json_path: str | None, part) -> bool
 
 
 def _single(run, output, title: str, json_path: str | None) -> None:
-    """Evaluate one run; that of an inchworm motor by its moves."""
-    from hysteresis_ros.analysis.inchworm import is_inchworm
+    """Evaluate one run."""
     from hysteresis_ros.analysis.metrics import limited_text
+    from hysteresis_ros.analysis.side_by_side import report_of
 
-    if is_inchworm(run):
-        from hysteresis_ros.analysis.inchworm import format_inchworm as table
-        from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
-        from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
-    else:
-        from hysteresis_ros.analysis.metrics import compute_metrics as judge
-        from hysteresis_ros.analysis.report import write_report as write
-        from hysteresis_ros.analysis.tables import format_table as table
-    limited = limited_text(run)
+    report, limited = report_of(run), limited_text(run)
     if limited:
         click.echo(f"hysteresis: warning: {limited}", err=True)
     with shown(f"evaluating {len(run)} samples"):
-        figures = judge(run)
+        figures = report.figures(run)
         if output is not None:
-            write(run, output, title, figures)
-    write_json(figures, json_path, table(figures))
+            report.write(run, output, title, figures)
+    write_json(figures, json_path, report.table(figures))
 
 
 def _bounds(range_: str | None, skip: str | None) -> tuple[float, float]:
