@@ -31,7 +31,6 @@ from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.loop.pacing import Lateness, Samples
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import single_axis
-from hysteresis_ros.signals import row_signals
 
 #: Axes in real time, and the stroke [m] in which setpoints are given meanwhile.
 AXES = {"kim2009": 5e-6, "inchworm_travel": 2e-4}
@@ -93,9 +92,9 @@ def fused(axis: AxisParameters, samples: int, stroke: float) -> tuple[FusedLoop,
 
 def different_samples(loop: FusedLoop, taken: list[Samples], axis: AxisParameters) -> int:
     """Return in how many samples the run and its offline twin are not the same bits."""
-    names = [signal.name for signal in row_signals(loop.axis.motor)]
+    names = [signal.name for signal in loop.axis.kind.row]
     made = dict(zip(names, np.concatenate([piece.table for piece in taken], axis=1), strict=True))
-    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.motor else {}
+    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.kind.motor else {}
     twin = Axis(axis).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
     unlike = [np.ascontiguousarray(made[name]).view(np.int64) != twin[name].view(np.int64) for name in names]
     return int(np.count_nonzero(np.any(unlike, axis=0)))

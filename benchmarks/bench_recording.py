@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import common
 import numpy as np
 
-from hysteresis_ros import signals
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
@@ -55,14 +54,14 @@ class Run:
         parameters = single_axis(load_configuration(name))
         rate = parameters.plant_simulator.sample_rate
         run = simulate(parameters, duration=SAMPLES / rate)
-        motor = parameters.inchworm_sequencer is not None
-        names = [signal.name for signal in signals.row_signals(motor)]
-        joints = (parameters.plant_simulator.joint, *(JOINT_NAMES[1:] if motor else ()))
+        kind = parameters.kind
+        names = [signal.name for signal in kind.row]
+        joints = (parameters.plant_simulator.joint, *(JOINT_NAMES[1:] if kind.motor else ()))
         return cls(
-            AxisTopics(joints=joints, sample_rate=rate, motor=motor),
+            AxisTopics(joints=joints, sample_rate=rate, kind=kind),
             np.rint(run.time * 1e9).astype(np.int64),
             np.array([run[name] for name in names]),
-            np.zeros((3 * len(joints), SAMPLES)) if motor else None,
+            np.zeros((3 * len(joints), SAMPLES)) if kind.motor else None,
         )
 
 

@@ -357,11 +357,6 @@ OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 STAGE = "stage"
 
 
-def node_names(inchworm: bool) -> tuple[str, ...]:
-    """Return the names of the nodes of an axis; the sequencer of an inchworm replaces the reference generator."""
-    return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
-
-
 class _Loader(yaml.SafeLoader):
     """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``).
 

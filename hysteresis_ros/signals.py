@@ -16,6 +16,7 @@ comparison with the offline twin come from the same table.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 
 SOURCE, MOTOR_SOURCE = "reference_generator", "inchworm_sequencer"
@@ -238,9 +239,45 @@ STATE_FIRST = {
 REQUESTS = ("request", "speed")
 
 
-def row_signals(motor: bool) -> tuple[Signal, ...]:
-    """Return the signals of a row of an axis, in order."""
-    return SIGNALS[: MOTOR_ROW if motor else ACTUATOR_ROW]
+@dataclass(frozen=True)
+class AxisKind:
+    """What differs between the axes of an actuator and of an inchworm motor: nodes, row, topics and inputs."""
+
+    source: str  #: Node that writes the reference.
+    row: tuple[Signal, ...]  #: Signals of a row, in order.
+    given: tuple[int, ...]  #: Places of the inputs of a run in a row.
+    motor: bool  #: Whether it is an inchworm motor, which walks and takes requests besides setpoints.
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """The nodes that write signals, in the order in which a sample passes through them."""
+        return tuple(name for name in WRITERS if name == self.source or name not in (SOURCE, MOTOR_SOURCE))
+
+    @property
+    def voltages(self) -> tuple[tuple[str, int, str], ...]:
+        """Topic, place in a row and writer of each voltage that the plant receives."""
+        found = [signal for signal in self.row if signal.unit == "V" and signal.topic]
+        return tuple((signal.topic, place(signal.name), signal.writer) for signal in found)
+
+    @property
+    def own_topics(self) -> tuple[str, ...]:
+        """Float64 topics that other axes do not have; its source publishes them."""
+        return tuple(signal.topic for signal in self.row if signal.motor and signal.topic)
+
+    def state(self, node: str) -> dict[str, str]:
+        """Return the content of a node's ``~/state``: name in the message → signal, in the order of the message."""
+        found = {name: signal.name for signal in self.row for where, name in signal.state if where == node}
+        first = {name: found.pop(name) for name in STATE_FIRST.get(node, ()) if name in found}
+        return first | found
+
+
+ACTUATOR = AxisKind(SOURCE, SIGNALS[:ACTUATOR_ROW], GIVEN[:ACTUATOR_GIVEN], motor=False)
+INCHWORM = AxisKind(MOTOR_SOURCE, SIGNALS, GIVEN, motor=True)
+
+
+def kind_of(nodes: Container[str]) -> AxisKind:
+    """Return the kind of the axis with these nodes."""
+    return INCHWORM if MOTOR_SOURCE in nodes else ACTUATOR
 
 
 def place(name: str) -> int:
@@ -262,11 +299,9 @@ LEAST_DIFFERENCE = 1e-9
 _PLACES = {signal.name: index for index, signal in enumerate(SIGNALS)}
 
 
-def state_signals(node: str, motor: bool = True) -> dict[str, str]:
-    """Return the content of a node's ``~/state``: name in the message → signal, in the order of the message."""
-    found = {name: signal.name for signal in row_signals(motor) for where, name in signal.state if where == node}
-    first = {name: found.pop(name) for name in STATE_FIRST.get(node, ()) if name in found}
-    return first | found
+def state_signals(node: str) -> dict[str, str]:
+    """Return the content of a node's ``~/state`` on any axis; that of an actuator lacks the signals of a motor."""
+    return INCHWORM.state(node)
 
 
 def float_topics() -> dict[str, str]:

@@ -87,9 +87,7 @@ def urdf(config, namespace):
     from hysteresis_ros.loop.parameters import AxisParameters
 
     axis = AxisParameters.from_configuration(load_configuration(config), namespace)
-    source = axis.inchworm_sequencer or axis.reference_generator
-    assert source is not None  # every axis has a source
-    click.echo(robot_description(source), nl=False)
+    click.echo(robot_description(axis.source), nl=False)
 
 
 @click.command(short_help="Write the SROS 2 policy of the nodes of a configuration.")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis with an actuator or an inchworm motor: its parts, built from their parameters and run without ROS."""
+"""An axis: its parts, built from their parameters and run without ROS."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import PLANTS, CameraPart, Plant, SeenPlant
-from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
+from hysteresis_ros.loop.source import SOURCES, GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
 from hysteresis_ros.models.block import specialised
 
@@ -61,20 +61,21 @@ class Axis:
 
     def __init__(self, parameters: AxisParameters, plant: Plant | None = None):
         self.parameters = parameters
-        self.motor = parameters.inchworm_sequencer is not None
         self.plant = plant or PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
         self.camera = None
         if isinstance(self.plant, SeenPlant):
             self.camera = self.plant.eye.part = CameraPart(parameters.camera)
-        if self.motor:
-            self.source: SequencerSource | GeneratorSource = SequencerSource(parameters.sequencer)
-        else:
-            self.source = GeneratorSource(parameters.generator)
+        self.source: SequencerSource | GeneratorSource = SOURCES[parameters.kind.source](parameters.source)
         self.controller = ControllerPart(parameters.motion_controller)
         self.compensator = CompensatorPart(parameters.hysteresis_compensator)
         if self.plant.begins_safe or parameters.plant_simulator.time_mode == "fused":
             self.compensator.follow_plant(self.plant.rounding, self.plant.begins_safe)
         self.sample = 0
+
+    @property
+    def kind(self) -> signals.AxisKind:
+        """What an actuator or an inchworm motor makes of the axis."""
+        return self.parameters.kind
 
     @property
     def sample_rate(self) -> float:
@@ -86,7 +87,7 @@ class Axis:
         """The parts by the names of their nodes."""
         return {
             "plant_simulator": self.plant,
-            "inchworm_sequencer" if self.motor else "reference_generator": self.source,
+            self.kind.source: self.source,
             "motion_controller": self.controller,
             "hysteresis_compensator": self.compensator,
             **({"displacement_camera": self.camera} if self.camera is not None else {}),
@@ -116,24 +117,25 @@ class Axis:
     @property
     def given(self) -> np.ndarray:
         """Places in the row of the inputs of a run, for the loop."""
-        places = signals.GIVEN if self.motor else signals.GIVEN[: signals.ACTUATOR_GIVEN]
-        return np.array([*places, *self.plant.given], dtype=float)
+        return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(
         self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None, answers=None
     ) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples with these setpoints [m]."""
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
-        row = signals.row_signals(self.motor)
         count = len(setpoints)
-        columns = np.empty((len(row), count))
-        columns[signals.SETPOINT] = setpoints
-        columns[signals.SKIPPED] = 0.0 if skipped is None else skipped
+        columns = np.empty((len(self.kind.row), count))
+        given = {
+            signals.SETPOINT: setpoints,
+            signals.SKIPPED: 0.0 if skipped is None else skipped,
+            signals.REQUEST: 0.0 if requests is None else requests,
+            signals.SPEED: math.nan if speeds is None else speeds,
+        }
+        for place in self.kind.given:
+            columns[place] = given[place]
         for place in self.plant.given:
             columns[place] = 0.0 if answers is None else answers.get(signals.SIGNALS[place].name, math.nan)
-        if self.motor:
-            columns[signals.REQUEST] = 0.0 if requests is None else requests
-            columns[signals.SPEED] = math.nan if speeds is None else speeds
         begin = self.sample
         first = 0
         waiting = sorted(changes, key=lambda change: (change.sample, STEPS[change.after]))
@@ -151,7 +153,7 @@ class Axis:
             waiting = waiting[len(now) :]
         self._run(columns[:, first:])
         self.sample = begin + count
-        named = {signal.name: columns[index] for index, signal in enumerate(row)}
+        named = {signal.name: columns[index] for index, signal in enumerate(self.kind.row)}
         return {"time": sample_times(begin, count, self.sample_rate), **named}
 
     def _run(self, columns: np.ndarray, what: int = WHOLE, row: np.ndarray | None = None) -> None:

@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
+from hysteresis_ros.loop.parameters import SourceParameters
 
 #: Name of the link that does not move.
 BASE = "base"
 
 
-def robot_description(
-    parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters, name: str = "hysteresis_axis"
-) -> str:
+def robot_description(parameters: SourceParameters, name: str = "hysteresis_axis") -> str:
     """Return a URDF of an axis: a base, and a link that a prismatic joint moves along z.
 
     The position limits are those of the reference source, the velocity limit is its largest velocity; when steps are
@@ -36,15 +34,7 @@ def robot_description(
     ET.SubElement(joint, "child", link=moved)
     ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
     ET.SubElement(joint, "axis", xyz="0 0 1")
-    limits = {"lower": parameters.minimum, "upper": parameters.maximum, "velocity": _fastest(parameters), "effort": 0.0}
+    limits = {"lower": parameters.minimum, "upper": parameters.maximum, "velocity": parameters.fastest, "effort": 0.0}
     ET.SubElement(joint, "limit", {key: repr(value) for key, value in limits.items()})
     ET.indent(robot)
     return f'<?xml version="1.0"?>\n{ET.tostring(robot, encoding="unicode")}\n'
-
-
-def _fastest(parameters) -> float:
-    """Return the largest velocity [m/s] of a reference source."""
-    if isinstance(parameters, InchwormSequencerNodeParameters):
-        gait, walk = parameters.gait, parameters.walk
-        return walk.fastest(gait) if walk.continuous else gait.speed
-    return parameters.approach.maximum_velocity or (parameters.maximum - parameters.minimum) * parameters.sample_rate

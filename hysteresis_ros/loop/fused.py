@@ -38,7 +38,6 @@ from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.pacing import CODES, Lateness, Pace, Reader, Samples, lateness, latest, pace, switched
 from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters
-from hysteresis_ros.loop.plant import JOINT_NUMBERS
 from hysteresis_ros.loop.tick import WHOLE, ticks
 from hysteresis_ros.models.block import COMPILED, specialised
 
@@ -134,7 +133,7 @@ HASTE = 2e-3
 
 def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
     """Return the arrays of a loop that continues with the next sample of an axis."""
-    size = len(signals.row_signals(axis.motor))
+    size = len(axis.kind.row)
     rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
     kept = min(max(math.ceil(KEPT * rate), LEAST_KEPT), MOST_KEPT)
     state = np.zeros(at.STATES, dtype=np.int64)
@@ -153,7 +152,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
         np.zeros(at.BINS, dtype=np.int64),
         np.full((kept, size), math.nan),  # written, so that the memory is allocated
         np.full(kept, -1, dtype=np.int64),
-        np.full((kept, JOINT_NUMBERS if axis.motor else 0), math.nan),
+        np.full((kept, axis.plant.joint_numbers), math.nan),
         np.zeros(2, dtype=np.int64),
     )
 
@@ -162,7 +161,7 @@ def machine(axis: Axis, own: Pace):
     """Return the compiled loop of an axis and its arguments."""
     laws, parts = axis.laws, axis.parts
     step = specialised(ticks, laws, parts, own.given, own.column, own.row, WHOLE)
-    arguments = step, laws, parts, own, int(axis.motor)
+    arguments = step, laws, parts, own, int(axis.kind.motor)
     return specialised(pace, *arguments, nogil=True), arguments
 
 
@@ -276,7 +275,7 @@ class FusedLoop:
 
         Of several requests in one sample the last one counts.
         """
-        if not self.axis.motor and (request is not None or speed is not None):
+        if not self.axis.kind.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor takes them")
         places = at.POST_SETPOINT, at.POST_REQUEST, at.POST_SPEED
         self._post(dict(zip(places, (setpoint, request, speed), strict=True)))
@@ -415,7 +414,7 @@ class FusedLoop:
             count = int(self._state[at.EVENT_COUNT])
             for index in range(self._events_read, count):
                 sample, code = map(int, self._own.events[index % at.EVENTS])
-                for node, action in switched(code, self.axis.motor):
+                for node, action in switched(code, self.axis.kind.nodes):
                     self._log.append((sample, 1, Change(sample, node, action)))
             self._events_read = count
 

@@ -55,12 +55,10 @@ SWITCHES = {
 CODES = {what: code for code, what in SWITCHES.items()}
 
 
-def switched(code: int, motor: bool) -> list[tuple[str, str]]:
+def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
     """Return node and action of everything that a code switches; a motor's sequencer gets a stop request instead."""
-    if code != HALT:
-        return [SWITCHES[code]]
-    stopped = [HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, *([] if motor else [STOP_GENERATOR])]
-    return [SWITCHES[one] for one in stopped]
+    codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
+    return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 
 
 @nested
@@ -330,7 +328,7 @@ class Samples(NamedTuple):
 
     first: int  #: Number of the first sample, counted from the start of the axis.
     #: Shape (row length, N): a column for each sample, a row for each signal, see
-    #: :func:`hysteresis_ros.signals.row_signals`.
+    #: :class:`hysteresis_ros.signals.AxisKind`.
     table: np.ndarray
     times: np.ndarray  #: Start of each sample [ns since 1970], whole numbers, shape (N,).
     #: Positions [m], velocities [m/s] and efforts [N] of a motor's joints, shape (JOINT_NUMBERS, N).

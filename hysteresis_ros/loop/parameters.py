@@ -24,7 +24,6 @@ from hysteresis_ros.configuration import (
     Parameters,
     dump_configuration,
     group,
-    node_names,
     normalised_namespace,
     parameter,
     variants,
@@ -48,6 +47,7 @@ from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed
 from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.moves import SettlingParameters
+from hysteresis_ros.signals import ACTUATOR, INCHWORM, MOTOR_SOURCE, SOURCE, AxisKind, kind_of
 
 
 @dataclass(frozen=True)
@@ -293,6 +293,11 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         except DriverError:
             return True  # a missing driver is reported elsewhere
 
+    @property
+    def resting_effort(self) -> float:
+        """Effort of the first joint before anything is measured [N]: the preload of an actuator."""
+        return 0.0 if self.type == "inchworm" else self.preload.force
+
     def _driver_problems(self):
         if self.driver in DRIVERS and self.driver_options:
             remedy = f"belong to a driver given by its path; {self.driver} has its own parameters"
@@ -406,6 +411,11 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
         False, read_only=True, description="external_plant: begin when a recorder is running"
     )
 
+    @property
+    def fastest(self) -> float:
+        """Largest velocity of the reference [m/s]; when steps are passed on unchanged, the whole range in a sample."""
+        return self.approach.maximum_velocity or (self.maximum - self.minimum) * self.sample_rate
+
 
 @dataclass(frozen=True)
 class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
@@ -426,6 +436,15 @@ class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameter
         high=3600.0,
         description="realtime: time without joint_states after which both clamps close",
     )
+
+    @property
+    def fastest(self) -> float:
+        """Largest velocity of the slider [m/s]."""
+        return self.walk.fastest(self.gait) if self.walk.continuous else self.gait.speed
+
+
+#: Parameters of the node that writes the reference.
+SourceParameters = ReferenceNodeParameters | InchwormSequencerNodeParameters
 
 
 @dataclass(frozen=True)
@@ -671,11 +690,11 @@ def _short_timeouts(parts):
             yield Problem(f"{name}: {timeout}", getattr(node, timeout), least)
 
 
-def _fault_problems(plant, inchworm: bool):
+def _fault_problems(plant, motor: bool):
     """Yield a Problem for each unknown fault, and for each that this axis cannot have."""
     for text in plant.faults:
         try:
-            parse_fault(text, plant.sample_rate, inchworm)
+            parse_fault(text, plant.sample_rate, motor)
         except ConfigurationError as error:
             yield Problem("faults", text, str(error).partition(": ")[2])
 
@@ -717,13 +736,13 @@ class AxisParameters:
         namespace = normalised_namespace(namespace)
         if not coupled:
             configuration.require_independent()
-        inchworm = configuration.describes("inchworm_sequencer", namespace)
-        if inchworm and configuration.describes("reference_generator", namespace):
+        sources = [name for name in (SOURCE, MOTOR_SOURCE) if configuration.describes(name, namespace)]
+        if len(sources) > 1:
             raise ConfigurationError(
                 f"{configuration.source}: two reference generators: reference_generator and inchworm_sequencer; keep "
                 "the sequencer for an inchworm motor, the generator for any other axis"
             )
-        absent = {"reference_generator" if inchworm else "inchworm_sequencer"}
+        absent = {SOURCE, MOTOR_SOURCE} - {kind_of(sources).source}
         if not configuration.describes("displacement_camera", namespace):
             absent.add("displacement_camera")
         parts: dict[str, NodeParameters | None] = dict.fromkeys(absent)
@@ -746,10 +765,10 @@ class AxisParameters:
         absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
         found: dict[str, Any] = {**absent, **parts}  # for each node an instance of its class in NODE_PARAMETERS
         problems: list[Problem] = []
-        inchworm = found["inchworm_sequencer"] is not None
+        kind = kind_of({name for name, node in found.items() if node is not None})
         plant, controller = found["plant_simulator"], found["motion_controller"]
         camera, compensator = found["displacement_camera"], found["hysteresis_compensator"]
-        for name in (*node_names(inchworm), *(["displacement_camera"] if camera is not None else [])):
+        for name in (*kind.nodes, *(["displacement_camera"] if camera is not None else [])):
             for shared in ("sample_rate", "time_mode", "joint", "force_joint", "faults", "external_plant"):
                 value, awaited = getattr(found[name], shared), getattr(plant, shared)
                 if value != awaited:
@@ -765,7 +784,7 @@ class AxisParameters:
                 dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
             except ParameterError as error:
                 problems += error.problems
-        problems += _fault_problems(plant, inchworm)
+        problems += _fault_problems(plant, kind.motor)
         problems += _short_timeouts(found)
         problems += _inchworm_mismatches(plant, found)
         problems += _camera_mismatches(plant, camera)
@@ -793,6 +812,17 @@ class AxisParameters:
         return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
 
     @property
+    def kind(self) -> AxisKind:
+        """What an actuator or an inchworm motor makes of the axis."""
+        return ACTUATOR if self.inchworm_sequencer is None else INCHWORM
+
+    @property
+    def source(self) -> SourceParameters:
+        """Parameters of the node that writes the reference."""
+        found: SourceParameters = getattr(self, self.kind.source)
+        return found
+
+    @property
     def generator(self) -> ReferenceNodeParameters:
         """Parameters of the reference generator; raises ConfigurationError without one."""
         if self.reference_generator is None:
@@ -800,13 +830,6 @@ class AxisParameters:
                 "an inchworm motor has no reference_generator: its sequencer generates the reference"
             )
         return self.reference_generator
-
-    @property
-    def sequencer(self) -> InchwormSequencerNodeParameters:
-        """Parameters of the sequencer; raises ConfigurationError without one."""
-        if self.inchworm_sequencer is None:
-            raise ConfigurationError("the axis has no inchworm_sequencer: it is not an inchworm motor")
-        return self.inchworm_sequencer
 
     @property
     def camera(self) -> DisplacementCameraNodeParameters:
@@ -854,7 +877,7 @@ class AxisParameters:
     def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:
         """Return the same axis with these faults, each ``NAME:START:DURATION[:VALUE]``."""
         for text in faults:
-            parse_fault(text, self.plant_simulator.sample_rate, self.inchworm_sequencer is not None)
+            parse_fault(text, self.plant_simulator.sample_rate, self.kind.motor)
         nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
         return replace(self, **{name: replace(node, faults=tuple(faults)) for name, node in nodes.items()})
 

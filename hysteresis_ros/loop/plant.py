@@ -294,6 +294,8 @@ class Plant:
 
     arrays: Any  #: All arrays of the plant in the loop, of the class by which :data:`sense` finds its kernel.
     kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
+    kind = at.ACTUATOR  #: Kind of its axis.
+    joint_numbers = 0  #: Numbers of ``joint_states`` that are not in the row.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -332,6 +334,12 @@ class Plant:
     def travel(self) -> tuple[float, float]:
         """Allowed range of the measurement [m]; an inchworm's slider is monitored by its sequencer."""
         return -math.inf, math.inf
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in ``joint_states``."""
+        own = self.parameters.joint
+        return (own, self.parameters.force_joint) if self.measures_force else (own,)
 
     #: Error of a device that has stopped the axis, and error of the last reading of its sensor.
     failure = complaint = ""
@@ -513,6 +521,9 @@ class ActuatorPlant(Plant):
 class MotorPlant(Plant):
     """An inchworm motor: three voltages, four joints."""
 
+    kind = at.INCHWORM
+    joint_numbers = JOINT_NUMBERS
+
     def __init__(self, parameters: PlantNodeParameters):
         self.motor = Inchworm(part(parameters, InchwormPlantParameters), 1.0 / parameters.sample_rate)
         super().__init__(parameters)
@@ -537,6 +548,11 @@ class MotorPlant(Plant):
         """Voltages [V] without commands; a clamp keeps its voltage when that is higher."""
         motor = self.parameters.inchworm
         return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in ``joint_states``."""
+        return (self.parameters.joint, *motors.JOINT_NAMES[1:])
 
     @property
     def saturated(self) -> bool:

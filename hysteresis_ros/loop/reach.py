@@ -186,8 +186,7 @@ def axes(configuration: Configuration, namespace: str | None = None) -> list[Axi
     spaces = configuration.namespaces() if namespace is None else (namespace,)
     found = [AxisParameters.from_configuration(configuration, space) for space in spaces]
     for axis in found:
-        if axis.inchworm_sequencer is None:
-            check_reach(axis)
+        check_reach(axis)
     clocks = [axis.namespace or "/" for axis in found if axis.plant_simulator.publish_clock]
     if len(clocks) > 1:
         raise ConfigurationError(

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -278,3 +278,7 @@ class SequencerSource:
         """Apply new time-outs; changes of the gait are refused while the motor walks."""
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters
+
+
+#: Source of each node.
+SOURCES: dict[str, type[Any]] = {at.SOURCE: GeneratorSource, at.MOTOR_SOURCE: SequencerSource}

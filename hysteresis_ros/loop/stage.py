@@ -340,7 +340,7 @@ class Stage:
         self._run(columns, first, count, given, rows)
         self.sample = begin + count
         time = sample_times(begin, count, self.sample_rate)
-        listed = at.row_signals(motor=False)
+        listed = at.ACTUATOR.row
         return {
             name: {"time": time, **{signal.name: columns[i, j] for j, signal in enumerate(listed)}}
             for i, name in enumerate(self.names)

@@ -36,25 +36,18 @@ def main(arguments=None) -> int:
     """Run all nodes; returns the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     fused = FusedAxis()
-    motor = []
-
-    def plant():
-        node = fused.join(PlantSimulatorNode())
-        motor.append(node.get_parameter("type").value == "inchworm")
-        return node
-
-    def controller():
-        node = fused.join(MotionControllerNode())
-        motor.append(node.get_parameter("use_origin").value)
-        return node
-
-    def reference():
-        return fused.join(InchwormSequencerNode() if motor[0] else ReferenceGeneratorNode())
 
     def joined(kind):
         return lambda: fused.join(kind())
 
-    factories = [plant, joined(HysteresisCompensatorNode), controller, reference]
+    def reference():
+        if "plant_simulator" in fused.nodes:
+            motor = fused.plant.get_parameter("type").value == "inchworm"
+        else:
+            motor = fused.nodes["motion_controller"].get_parameter("use_origin").value
+        return fused.join(InchwormSequencerNode() if motor else ReferenceGeneratorNode())
+
+    factories = [*map(joined, (PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode)), reference]
     if EXTERNAL_PLANT in arguments:
         arguments.remove(EXTERNAL_PLANT)
         del factories[0]

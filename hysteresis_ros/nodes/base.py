@@ -442,13 +442,13 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     real_time_runner: Any = RealTime
 
     @property
-    def is_motor(self) -> bool:
-        """Whether the axis is that of an inchworm motor."""
-        return False
+    def axis_kind(self) -> signals.AxisKind:
+        """Kind of the axis, as far as it matters to this node."""
+        return signals.ACTUATOR
 
     def state_signals(self) -> dict[str, str]:
         """Return the content of ``~/state``: name in the message → signal."""
-        return signals.state_signals(self.kind, self.is_motor)
+        return self.axis_kind.state(self.kind)
 
     @property
     def holds_time(self) -> bool:

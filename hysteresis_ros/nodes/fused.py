@@ -20,7 +20,6 @@ import sys
 import time
 
 from hysteresis_ros import signals
-from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import BLOCKED, FusedLoop, require_speed
@@ -111,7 +110,7 @@ class FusedAxis:
     @property
     def source(self):
         """The node of the reference source."""
-        return self.nodes.get("inchworm_sequencer") or self.nodes["reference_generator"]
+        return self.nodes[signals.kind_of(self.nodes).source]
 
     # -- beginning and end ---------------------------------------------------------------------------------------
 
@@ -168,7 +167,7 @@ class FusedAxis:
 
     def _parameters(self) -> AxisParameters:
         plant = self.plant
-        parts = {name: self.nodes[name].parameters for name in node_names(plant.is_motor)}
+        parts = {name: self.nodes[name].parameters for name in plant.axis_kind.nodes}
         recorder = self.nodes["recorder"].parameters if "recorder" in self.nodes else RecorderNodeParameters()
         return AxisParameters.of_nodes(plant.get_namespace().rstrip("/"), {**parts, "recorder": recorder})
 
@@ -226,7 +225,7 @@ class FusedAxis:
         whole = node.kind == "plant_simulator"
         if whole:
             self._make_safe()  # a part at rest has no voltage: from any other state that would be a step
-        for name in reversed(node_names(self.plant.is_motor)) if whole else (node.kind,):
+        for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
             if name in self.axis.by_node:
                 self.apply(name, "reset")
         if node in (self.source, self.plant):
@@ -259,7 +258,7 @@ class FusedAxis:
         for name in STOPPABLE:
             if self.nodes[name].running:
                 self.apply(name, "start")
-        if self.plant.is_motor:
+        if self.plant.axis_kind.motor:
             self.loop.set(request=float(gait.START_REQUEST))
         elif self.source.running:
             self.apply(self.source.kind, "start")
@@ -303,12 +302,12 @@ class FusedAxis:
         for node in self.nodes.values():
             node.pace.tick()
             node.sample = number + 1
-        for name in node_names(self.plant.is_motor):
+        for name in self.plant.axis_kind.nodes:
             row = self.nodes[name].row
             row[: len(values)] = values
         self.source.look_at(samples.table.T.tolist())
         stamp = self.plant.show(number, before, self._leaving)
-        for name in node_names(self.plant.is_motor):
+        for name in self.plant.axis_kind.nodes:
             if name != "plant_simulator":
                 self.nodes[name].show(stamp, self._leaving)
 

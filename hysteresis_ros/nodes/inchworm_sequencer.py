@@ -73,9 +73,9 @@ class InchwormSequencerNode(ReferenceSource):
         super().__init__("inchworm_sequencer", **options)
 
     @property
-    def is_motor(self) -> bool:
+    def axis_kind(self) -> signals.AxisKind:
         """The axis of a sequencer is that of an inchworm motor."""
-        return True
+        return signals.INCHWORM
 
     @property
     def sequencer(self):

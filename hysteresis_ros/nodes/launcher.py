@@ -27,7 +27,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.security.policy import enclave_of
@@ -190,7 +189,7 @@ class Graph:
             axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
             path.write_text(axis.configuration_text(), encoding="utf-8")
             fused, external = axis.plant_simulator.time_mode == "fused", axis.plant_simulator.external_plant
-            names = list(node_names(axis.inchworm_sequencer is not None))
+            names = list(axis.kind.nodes)
             more = []
             if self.composed or fused:
                 names = ["hysteresis_axis"]

@@ -32,11 +32,11 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.device import fused_plant_of, plant_of
 from hysteresis_ros.loop.parameters import PlantNodeParameters
-from hysteresis_ros.loop.plant import actuate, sense
+from hysteresis_ros.loop.plant import PLANTS, actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.loop.watch import RUNNING
 from hysteresis_ros.models.block import interpreted
-from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
+from hysteresis_ros.models.inchworm import EFFORT, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import ERROR, OK, WARN, AxisNode
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
@@ -97,14 +97,6 @@ class Stamps:
         """Return whether stamps of the wall clock deviate from it, because it was set; False if it cannot be read."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
-
-
-#: Voltages of an axis, and the nodes that publish them; an actuator has the first only.
-VOLTAGES = (
-    ("voltage", signals.VOLTAGE, "hysteresis_compensator"),
-    ("front_clamp/voltage", signals.FRONT_VOLTAGE, "inchworm_sequencer"),
-    ("rear_clamp/voltage", signals.REAR_VOLTAGE, "inchworm_sequencer"),
-)
 
 
 class VoltageInput:
@@ -204,9 +196,9 @@ class PlantSimulatorNode(AxisNode):
     real_time_runner = RealTimePlant
 
     @property
-    def is_motor(self) -> bool:
-        """Whether the plant is an inchworm motor."""
-        return self.parameters.type == "inchworm"
+    def axis_kind(self) -> signals.AxisKind:
+        """Kind of the axis of this plant."""
+        return PLANTS[self.parameters.type].kind
 
     @property
     def is_seen(self) -> bool:
@@ -228,7 +220,7 @@ class PlantSimulatorNode(AxisNode):
         self.parameters = parameters
         self.part = fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
         self.stamps = Stamps(parameters)
-        self.inputs = [VoltageInput(*given) for given in VOLTAGES[: 3 if self.is_motor else 1]]
+        self.inputs = [VoltageInput(*given) for given in self.axis_kind.voltages]
         self.row = [0.0] * signals.MOTOR_ROW
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
         if parameters.driver:
@@ -297,18 +289,15 @@ class PlantSimulatorNode(AxisNode):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names in ``joint_states``."""
-        own = self.parameters.joint
-        if self.is_motor:
-            return (own, *JOINT_NAMES[1:])
-        return (own, self.parameters.force_joint) if self.part.measures_force else (own,)
+        names: tuple[str, ...] = self.part.joint_names
+        return names
 
     def _joint_states_message(self) -> JointState:
         names = self.joint_names
         message = JointState()
         message.name = list(names)
         message.position, message.velocity, message.effort = (array("d", bytes(8 * len(names))) for _ in range(3))
-        if not self.is_motor:
-            message.effort[0] = self.parameters.preload.force
+        message.effort[0] = self.parameters.resting_effort
         return message
 
     # -- the part of the loop ------------------------------------------------------------------------------------
@@ -335,7 +324,8 @@ class PlantSimulatorNode(AxisNode):
 
     def retuned(self, parameters) -> None:
         """Set the present preload in ``joint_states``."""
-        self._message.effort[0] = parameters.preload.force if not self.is_motor else self._message.effort[0]
+        if not self.axis_kind.motor:
+            self._message.effort[0] = parameters.preload.force
 
     def change_details(self) -> dict:
         """Return a field that marks an already measured sample: a change then affects what follows."""
@@ -432,7 +422,7 @@ class PlantSimulatorNode(AxisNode):
     def _publish_measured(self, stamp: int, before: float, quiet: bool = False) -> None:
         message, row, self.stamps.last = self._message, self.row, stamp
         message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
-        if self.is_motor:
+        if self.axis_kind.motor:
             joints = self.part.arrays.x.joints
             message.position[:] = array("d", joints[POSITION : POSITION + 4].tobytes())
             message.velocity[:] = array("d", joints[VELOCITY : VELOCITY + 4].tobytes())
@@ -506,7 +496,8 @@ class PlantSimulatorNode(AxisNode):
 
     def _limited_counts(self) -> dict[str, int]:
         """Return in how many samples the output was limited, by what; of a motor three amplifiers count together."""
-        return {"safe_slew_rate": self.held_back} | ({} if self.is_motor else {AMPLIFIER: self.part.limited_samples})
+        counts = {"safe_slew_rate": self.held_back}
+        return counts if self.axis_kind.motor else counts | {AMPLIFIER: self.part.limited_samples}
 
     def health(self):
         """Report the voltage, late commands and saturation."""

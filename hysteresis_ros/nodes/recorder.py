@@ -34,7 +34,7 @@ from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
 from hysteresis_ros.recordings.provenance import FILES, RECORD, packed_files, provenance
 from hysteresis_ros.recordings.run_bag import CHUNK_TIME, AxisTopics, SampleWriter
-from hysteresis_ros.signals import ENDED, MOTOR_SOURCE, PLANT, SOURCE, WRITERS
+from hysteresis_ros.signals import ACTUATOR, ENDED, INCHWORM, PLANT, AxisKind
 
 #: Topic of the change log.
 CHANGES = "changes"
@@ -49,13 +49,12 @@ PATIENCE_AT_START = 20.0
 SILENCE = 0.3
 
 
-def sampled_topics(inchworm: bool, external: bool = False):
+def sampled_topics(kind: AxisKind, external: bool = False):
     """Return the topics with exactly one message per sample, their types, and their publishers.
 
     A plant of somebody else need not publish its state.
     """
-    source = "inchworm_sequencer" if inchworm else "reference_generator"
-    more = ("origin", "front_clamp/voltage", "rear_clamp/voltage") if inchworm else ()
+    source = kind.source
     return (
         ("joint_states", JointState, "plant_simulator"),
         ("reference", Float64, source),
@@ -66,7 +65,7 @@ def sampled_topics(inchworm: bool, external: bool = False):
         (f"{source}/state", JointState, ""),
         ("motion_controller/state", JointState, ""),
         ("hysteresis_compensator/state", JointState, ""),
-        *((topic, Float64, source) for topic in more),
+        *((topic, Float64, source) for topic in kind.own_topics),
     )
 
 
@@ -98,9 +97,10 @@ class RecorderNode(AxisNode):
                 raise ConfigurationError(
                     f"configuration = '{parameters.configuration}' cannot be read: {error}"
                 ) from None
-        self._is_inchworm = parameters.inchworm or self._describes_inchworm(parameters.configuration)
-        self._topics = sampled_topics(self._is_inchworm, parameters.external_plant)
-        loggers = {*WRITERS} - {SOURCE if self._is_inchworm else MOTOR_SOURCE}
+        motor = parameters.inchworm or self._describes_inchworm(parameters.configuration)
+        self._axis_kind = INCHWORM if motor else ACTUATOR
+        self._topics = sampled_topics(self._axis_kind, parameters.external_plant)
+        loggers = {*self._axis_kind.nodes}
         self._loggers = loggers - {PLANT} if parameters.external_plant else loggers
         self._further = [_topic_and_type(entry) for entry in parameters.topics]
         require_space(parameters.path, parameters.min_space)
@@ -171,13 +171,11 @@ class RecorderNode(AxisNode):
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
         # from the node that takes them: a publisher that leaves at once may be discovered here too late
-        source = MOTOR_SOURCE if self._is_inchworm else SOURCE
-        self._taken = self._record(
-            "setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=f"{source}/taken"
-        )
+        heard = f"{self._axis_kind.source}/taken"
+        self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
         self._record(CHANGES, String, self.changes_qos(), "transient_local")
-        if self._is_inchworm:
+        if self._axis_kind.motor:
             self._record("speed", Float64, setpoint_qos(), "volatile")
         self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
         for topic, message_type in self._further:
@@ -270,14 +268,14 @@ class RecorderNode(AxisNode):
     def record_loop(self, fused) -> None:
         """Read all samples of a loop from its ring instead of messages, from its next sample on."""
         plant = fused.plant
-        parameters, motor = plant.parameters, plant.is_motor
+        parameters = plant.parameters
         if self._samples is None and self.bag is not None:
             topics = AxisTopics(
                 self.get_namespace().rstrip("/"),
                 plant.joint_names,
                 parameters.sample_rate,
-                motor,
-                0.0 if motor else parameters.preload.force,
+                plant.axis_kind,
+                parameters.resting_effort,
                 not parameters.driver,
             )
             self._samples = SampleWriter(self.bag, topics, chunk_time=min(CHUNK_TIME, self.parameters.chunk_time))

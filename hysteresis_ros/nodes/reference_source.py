@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 
 from hysteresis_ros.loop.description import robot_description
-from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
+from hysteresis_ros.loop.parameters import SourceParameters
 from hysteresis_ros.nodes.qos import chosen_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
 
@@ -37,7 +37,7 @@ class ReferenceSource(Responder):
     ``~/refused``, because a topic has no answer.
     """
 
-    parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters
+    parameters: SourceParameters
     #: Number of refusals so far.
     refused = 0
     #: Setpoint in force [m].

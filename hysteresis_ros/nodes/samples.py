@@ -48,7 +48,7 @@ class Block(NamedTuple):
 
     stamps: np.ndarray  #: shape (N,) [ns since 1970], int64.
     numbers: np.ndarray  #: shape (N,); Numbers of the samples, int64.
-    table: np.ndarray  #: shape (signals, N); A row for each signal (:func:`hysteresis_ros.signals.row_signals`).
+    table: np.ndarray  #: shape (signals, N); A row for each signal (:class:`hysteresis_ros.signals.AxisKind`).
     #: shape (3 × joints, N); Of a motor: positions [m], velocities [m/s], efforts [N] of its joints.
     joints: np.ndarray | None
 
@@ -58,10 +58,10 @@ def samples_qos() -> QoSProfile:
     return QoSProfile(depth=DEPTH)
 
 
-def labels(motor: bool, joints) -> tuple[str, ...]:
+def labels(kind: signals.AxisKind, joints) -> tuple[str, ...]:
     """Return the names of the rows of a block."""
-    row = tuple(signal.name for signal in signals.row_signals(motor))
-    return (*STAMPED, *row, *(f"{what} {name}" for what in OF_JOINTS for name in (joints if motor else ())))
+    row = tuple(signal.name for signal in kind.row)
+    return (*STAMPED, *row, *(f"{what} {name}" for what in OF_JOINTS for name in (joints if kind.motor else ())))
 
 
 def message_of(names: tuple[str, ...], block: Block) -> Float64MultiArray:
@@ -82,17 +82,17 @@ def message_of(names: tuple[str, ...], block: Block) -> Float64MultiArray:
 def block_of(message: Float64MultiArray) -> Block:
     """Return the block of a message."""
     names = tuple(message.layout.dim[0].label.split(",")) if message.layout.dim else ()
-    motor = len(names) > len(STAMPED) + signals.ACTUATOR_ROW
-    row = len(signals.row_signals(motor))
+    kind = signals.INCHWORM if len(names) > len(STAMPED) + len(signals.ACTUATOR.row) else signals.ACTUATOR
+    row = len(kind.row)
     begin = len(STAMPED)
     count = len(message.data) // max(len(names), 1)
-    if names[: begin + row] != labels(motor, ())[: begin + row] or count * len(names) != len(message.data):
+    if names[: begin + row] != labels(kind, ())[: begin + row] or count * len(names) != len(message.data):
         raise HysteresisError("samples: the rows are not of this version; run the page in the version of the axis")
     table = np.frombuffer(message.data, float).reshape(len(names), count)
     if count > MOST or not np.isfinite(table[:begin]).all():
         raise HysteresisError(f"samples: a block has at most {MOST} samples, whose times and numbers are finite")
     stamps = table[0].astype(np.int64) * SECOND + table[1].astype(np.int64)
-    joints = table[begin + row :] if motor else None
+    joints = table[begin + row :] if kind.motor else None
     return Block(stamps, table[2].astype(np.int64), table[begin : begin + row], joints)
 
 
@@ -119,7 +119,7 @@ class SampleStream:
         numbers = np.arange(taken.first, taken.first + taken.table.shape[1])
         if numbers.size:
             block = Block(self._plant.stamps.of_all(numbers), numbers, taken.table, taken.joints)
-            self._publisher.publish(message_of(labels(self._plant.is_motor, self._plant.joint_names), block))
+            self._publisher.publish(message_of(labels(self._plant.axis_kind, self._plant.joint_names), block))
 
 
 #: Topic of the frames.

@@ -30,7 +30,7 @@ from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_writer import BagWriter, Frames
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import RECORD, configured, provenance
-from hysteresis_ros.signals import ASKED_VOLTAGE, MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
+from hysteresis_ros.signals import ASKED_VOLTAGE, float_topics, state_signals
 
 #: Bytes of samples after which a chunk is written.
 BLOCK_BYTES = 1024 * 1024
@@ -50,7 +50,7 @@ class AxisTopics:
     #: Names in ``joint_states``: one, two with a measured force, or four for a motor.
     joints: tuple[str, ...] = ("piezo",)
     sample_rate: float = 1000.0  #: Sample rate [Hz], for velocities.
-    motor: bool = False  #: An inchworm motor with its sequencer, not an actuator with a reference generator.
+    kind: signals.AxisKind = signals.ACTUATOR  #: Kind of the axis: its nodes and their signals.
     force: float = 0.0  #: Preload of an actuator [N], the effort of the joint.
     #: Whether the plant is simulated; for a device the true displacement is unknown, and its state has none.
     simulated: bool = True
@@ -64,20 +64,18 @@ class AxisTopics:
 
     def floats(self) -> dict[str, int]:
         """Return the Float64 topics in the order of a sample, and the rows of their signals."""
-        row = {signal.name for signal in signals.row_signals(self.motor)}
+        row = {signal.name for signal in self.kind.row}
         found = signals.float_topics().items()
         return {f"{self.prefix}/{topic}": signals.place(name) for topic, name in found if name in row}
 
     def states(self) -> dict[str, dict[str, int]]:
         """Return the names in ``~/state`` of each node with the rows of their signals, by topic."""
-        absent = signals.SOURCE if self.motor else signals.MOTOR_SOURCE
         found = {}
-        for node in signals.WRITERS:
-            if node != absent:
-                names = signals.state_signals(node, self.motor)
-                if node == signals.PLANT and not self.simulated:
-                    del names["displacement"]
-                found[f"{self.prefix}/{node}/state"] = {name: signals.place(own) for name, own in names.items()}
+        for node in self.kind.nodes:
+            names = self.kind.state(node)
+            if node == signals.PLANT and not self.simulated:
+                del names["displacement"]
+            found[f"{self.prefix}/{node}/state"] = {name: signals.place(own) for name, own in names.items()}
         return found
 
 
@@ -94,7 +92,7 @@ class SampleWriter:
         self, bag: BagWriter, axis: AxisTopics, *, block_bytes: int = BLOCK_BYTES, chunk_time: float = CHUNK_TIME
     ):
         """Add the topics."""
-        if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.motor):
+        if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.kind.motor):
             allowed = "an actuator has one joint, or two with that of its force, a motor at least one"
             raise RecordingError(f"joints = {axis.joints}: {allowed}")
         self.bag = bag
@@ -103,7 +101,7 @@ class SampleWriter:
         self.force = axis.force
         self.sample_count = 0
         self._block_bytes, self._chunk_time = int(block_bytes), float(chunk_time)
-        self._rows = len(signals.row_signals(axis.motor))
+        self._rows = len(axis.kind.row)
         bag.add_topic(self._joint_topic, cdr.JOINT_STATE, axis.durability)
         for topic in axis.floats():
             bag.add_topic(topic, cdr.FLOAT64, axis.durability)
@@ -192,7 +190,7 @@ class SampleWriter:
 
     def _joint_groups(self, table: np.ndarray, joints: np.ndarray) -> list[np.ndarray]:
         """Return positions, velocities and efforts of the joints."""
-        if self.axis.motor:
+        if self.axis.kind.motor:
             return np.split(joints, NUMBERS)
         measured = table[signals.MEASURED]
         before = np.concatenate([[self._measured], measured[:-1]])
@@ -211,7 +209,7 @@ class SampleWriter:
         stamps = _instants("stamps", stamps, None)
         times = stamps if times is None else _instants("times", times, stamps.size)
         table = _table("table", table, (self._rows, stamps.size), "a row for each signal and a column for each sample")
-        if self.axis.motor:
+        if self.axis.kind.motor:
             if joints is None:
                 raise RecordingError("joints: missing; a motor needs positions, velocities and efforts")
             shape = NUMBERS * len(self.axis.joints), stamps.size
@@ -287,10 +285,7 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
     if ASKED_VOLTAGE in values:
         values["voltage"] = values[ASKED_VOLTAGE]
     states = []
-    absent = SOURCE if "phase" in values else MOTOR_SOURCE
-    for node in WRITERS:
-        if node == absent:
-            continue
+    for node in (signals.INCHWORM if "phase" in values else signals.ACTUATOR).nodes:
         names = state_signals(node)
         there = {name: values[signal] for name, signal in names.items() if values.get(signal) is not None}
         if there:

@@ -105,7 +105,7 @@ def test_a_fused_axis_runs_it_against_the_clock_and_its_twin_is_the_same_bit_for
         twin = Axis(given, fused_plant_of(given.plant_simulator, linked=False))
         answers = {"measured": table[at.MEASURED], "tripped": table[at.TRIPPED]}
         again = twin.run(table[at.SETPOINT], skipped=table[at.SKIPPED], answers=answers)
-        for place, signal_ in enumerate(at.row_signals(motor=False)):
+        for place, signal_ in enumerate(at.ACTUATOR.row):
             np.testing.assert_array_equal(again[signal_.name], table[place], err_msg=signal_.name)
         axis.plant.make_safe()
         axis.plant.close()

@@ -101,7 +101,7 @@ def test_fused_and_in_python_it_is_told_and_understood_by_the_same_formula(libra
     voltage, measured = table[at.PLANT_VOLTAGE], table[at.MEASURED]
     assert np.ptp(voltage) > 50.0 and voltage.min() >= 0.0, "the recording is not in volts at the actuator"
     np.testing.assert_allclose(measured[1:], displacement(1e-7 * told(voltage[:-1])), rtol=1e-12)
-    signals = {signal.name: table[place] for place, signal in enumerate(at.row_signals(motor=False))}
+    signals = {signal.name: table[place] for place, signal in enumerate(at.ACTUATOR.row)}
     assert differences(Recording(sample_times(0, 3000, 3000.0), signals, {}, {}), given) == {}
     plant = DrivenPlant(given.plant_simulator)
     plant.reset()  # as a fused axis does before it begins
@@ -183,7 +183,7 @@ def test_homing_a_fused_axis_is_logged_and_its_twin_agrees(library):
     assert np.flatnonzero(table[at.TRIPPED] == FINDING_HOME).tolist() == [*range(9), *range(1200, 1209)]
     assert table[at.PLANT_VOLTAGE, :9].tolist() == [5.0] * 9 and np.ptp(table[at.PLANT_VOLTAGE, 1210:]) > 20.0
     assert [entry["action"] for entry in log] == ["halt", "home", "start"]
-    signals = {signal.name: table[place] for place, signal in enumerate(at.row_signals(motor=False))}
+    signals = {signal.name: table[place] for place, signal in enumerate(at.ACTUATOR.row)}
     assert differences(Recording(sample_times(0, 1800, 3000.0), signals, {}, {"changes": log}), given) == {}
     axis.plant.close()
 

@@ -188,7 +188,7 @@ def test_the_fused_loop_reads_and_writes_once_a_sample_and_its_twin_is_the_same_
     np.testing.assert_array_equal(table[at.MEASURED, 1:], 1e-7 * table[at.PLANT_VOLTAGE, :-1])
     assert np.ptp(table[at.MEASURED]) > 5e-6
     assert_equal_to_twin(given, loop, table)
-    signals = {signal.name: table[place] for place, signal in enumerate(at.row_signals(motor=False))}
+    signals = {signal.name: table[place] for place, signal in enumerate(at.ACTUATOR.row)}
     recorded = Recording(sample_times(0, 3000, 3000.0), signals, {}, {})
     assert differences(recorded, given) == {}
     signals["measured"][1500] += 1e-9  # what follows from it is another answer
@@ -240,7 +240,7 @@ def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarr
     answers = {name: table[place] for name, place in (("measured", at.MEASURED), ("tripped", at.TRIPPED))}
     options = {"changes": loop.changes, "skipped": table[at.SKIPPED], "answers": answers}
     again = twin.run(table[at.SETPOINT], **options)
-    for place, signal in enumerate(at.row_signals(motor=False)):
+    for place, signal in enumerate(at.ACTUATOR.row):
         np.testing.assert_array_equal(again[signal.name], table[place], err_msg=signal.name)
 
 

@@ -16,7 +16,6 @@ from loop_support import HOLD, assert_same_bits, parameters
 
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.signals import row_signals
 
 #: Real time that is easy to hold, also interpreted: 150 samples a second.
 SLOWLY = 0.05
@@ -39,7 +38,7 @@ def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
 
 def named(loop: FusedLoop, table) -> dict[str, np.ndarray]:
     """Return the signals of a table by their names."""
-    names = (signal.name for signal in row_signals(loop.axis.motor))
+    names = (signal.name for signal in loop.axis.kind.row)
     return {name: np.ascontiguousarray(values) for name, values in zip(names, table, strict=True)}
 
 
@@ -57,7 +56,7 @@ def whole(loop: FusedLoop, *taken) -> dict[str, np.ndarray]:
 
 def assert_twin(loop: FusedLoop, made: dict[str, np.ndarray], parameters) -> dict[str, np.ndarray]:
     """Refuse a run that is not, bit for bit, that of its offline twin; return the twin's."""
-    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.motor else {}
+    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.kind.motor else {}
     twin = Axis(parameters).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
     assert_same_bits(made, twin)
     return twin

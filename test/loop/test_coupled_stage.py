@@ -419,5 +419,5 @@ def test_a_stage_whose_range_is_not_around_zero_begins_at_rest(build):
 
 def test_rows_are_those_of_a_single_axis():
     found = stage().run({name: np.zeros(2) for name in "xy"})
-    assert list(found["x"]) == ["time", *(signal.name for signal in at.row_signals(motor=False))]
+    assert list(found["x"]) == ["time", *(signal.name for signal in at.ACTUATOR.row)]
     assert as_values(internal_structure())["structure__inputs"] == 2

@@ -21,7 +21,7 @@ from waiting import until
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop import watch
 from hysteresis_ros.loop.axis import Change
-from hysteresis_ros.signals import row_signals
+from hysteresis_ros.signals import ACTUATOR
 
 SETPOINTS = np.repeat([2e-6, 6e-6], 800)
 
@@ -123,4 +123,4 @@ def test_resonances_off_by_ten_per_cent_are_damped_as_well():
         made = stage(plant).run(np.full(1600, 4e-6))
         assert made["tripped"][-1] == 0.0
         assert np.abs(made["displacement"][-100:] - 4e-6).max() < 1e-9
-    assert row_signals(False)[-1].name == "force"
+    assert ACTUATOR.row[-1].name == "force"

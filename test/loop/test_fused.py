@@ -36,7 +36,7 @@ def test_without_deadlines_it_makes_the_run_of_the_axis(name):
     assert loop.join()
     made = whole(loop)
     twin = axis(name, **late)
-    asked = {"speeds": made["speed"]} if twin.motor else {}
+    asked = {"speeds": made["speed"]} if twin.kind.motor else {}
     assert_same_bits(made, twin.run(twin.default_setpoints(1500), **asked))
     assert loop.axis.sample == 1500 and loop.changes == [] and loop.missed == 0
 

@@ -125,7 +125,7 @@ def test_a_plant_that_was_measured_takes_new_parameters_only_for_what_follows():
     made._run(column, ANSWER, row)
     made._run(column, CONFIRM, row)
     made.sample += 1
-    tables.append({signal.name: column[k] for k, signal in enumerate(signals.row_signals(motor=False))})
+    tables.append({signal.name: column[k] for k, signal in enumerate(signals.ACTUATOR.row)})
     tables.append(made.run(SETPOINTS[301:]))
     whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[1]}
     assert_same_bits(whole, after)
@@ -155,7 +155,7 @@ def test_a_controller_that_has_answered_takes_new_gains_before_it_hears_what_was
     other.apply(change)
     other._run(column, CONFIRM, row)
     other.sample += 1
-    tables.append({signal.name: column[k] for k, signal in enumerate(signals.row_signals(motor=False))})
+    tables.append({signal.name: column[k] for k, signal in enumerate(signals.ACTUATOR.row)})
     tables.append(other.run(SETPOINTS[201:]))
     assert_same_bits({name: np.concatenate([table[name] for table in tables]) for name in tables[1]}, whole)
 

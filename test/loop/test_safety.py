@@ -265,7 +265,7 @@ def test_late_voltages_of_any_part_never_lead_beyond_the_stroke(name, part):
     made.inject((f"late_voltage:0.1:9:{part}",))
     high = 9e-6 if name == "kim2009" else 1e-3
     table = made.run(np.where(np.arange(12000) // 1000 % 2 == 0, high, 0.0))
-    moved = table["extender_displacement"] if made.motor else table["displacement"]
+    moved = table["extender_displacement"] if made.kind.motor else table["displacement"]
     assert np.min(moved) > -0.5 * STROKE and np.max(moved) < OVERSHOOT[name] * STROKE
     if part >= 0.1:
         assert table["tripped"].any()
@@ -283,10 +283,10 @@ def test_commands_that_nobody_answers_follow_the_displacement_without_running_aw
     assert 0.9 < np.count_nonzero(following) / (0.4 * made.sample_rate) <= 1.0
     step = made.controller.parameters.safe_slew_rate / made.sample_rate
     assert np.max(steps(table["command"])[following[1:]]) <= step * (1 + 1e-9)
-    moved = table["extender_displacement"] if made.motor else table["displacement"]
+    moved = table["extender_displacement"] if made.kind.motor else table["displacement"]
     assert np.max(moved) < 1.2 * STROKE and np.min(moved) > -1e-6
     assert table["displacement"][-1] == pytest.approx(setpoint, abs=3e-8)
-    assert made.motor is False or not table["error"].any()
+    assert not made.kind.motor or not table["error"].any()
 
 
 def test_commands_that_are_not_carried_out_end_where_the_displacement_is():

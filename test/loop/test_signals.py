@@ -18,6 +18,7 @@ import pytest
 from loop_support import assert_same_bits, axis, parameters
 
 from hysteresis_ros import signals
+from hysteresis_ros.configuration import NODE_NAMES
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings import load_run, save_run
 from hysteresis_ros.recordings.run_bag import write_recording
@@ -35,13 +36,29 @@ def test_every_place_has_the_name_of_its_signal():
 def test_what_only_a_motor_has_stands_behind_what_every_axis_has():
     motor = [signal.motor for signal in signals.SIGNALS]
     assert motor == sorted(motor)
-    assert signals.ACTUATOR_ROW == motor.index(True) == len(signals.row_signals(motor=False))
-    assert signals.MOTOR_ROW == len(signals.SIGNALS) == len(signals.row_signals(motor=True))
+    assert signals.ACTUATOR_ROW == motor.index(True) == len(signals.ACTUATOR.row)
+    assert signals.MOTOR_ROW == len(signals.SIGNALS) == len(signals.INCHWORM.row)
     # of an actuator's axis only the first of what people ask for is in the row
     assert signals.ASKED[0] < signals.ACTUATOR_ROW <= min(signals.ASKED[1:])
     assert {signals.SIGNALS[place].name for place in signals.ASKED} == {
         signal.name for signal in signals.SIGNALS if signal.writer == signals.USER
     }
+
+
+def test_a_kind_of_axis_is_found_by_its_nodes_and_those_write_what_it_has():
+    actuator, inchworm = signals.ACTUATOR, signals.INCHWORM
+    assert actuator.nodes == NODE_NAMES
+    assert inchworm.nodes == tuple(signals.MOTOR_SOURCE if n == signals.SOURCE else n for n in NODE_NAMES)
+    for kind in (actuator, inchworm):
+        assert signals.kind_of(kind.nodes) is kind and kind.source in kind.nodes
+        assert {writer for *_, writer in kind.voltages} <= {*kind.nodes}
+        assert all(place < len(kind.row) for place in kind.given)
+        assert {signal.name for signal in kind.row} >= {
+            name for node in kind.nodes for name in kind.state(node).values()
+        }
+    assert [topic for topic, *_ in inchworm.voltages] == ["voltage", "front_clamp/voltage", "rear_clamp/voltage"]
+    assert [topic for topic, *_ in actuator.voltages] == ["voltage"]
+    assert inchworm.own_topics == ("origin", "front_clamp/voltage", "rear_clamp/voltage") and not actuator.own_topics
 
 
 def test_names_topics_and_entries_of_states_are_unique():
@@ -55,11 +72,9 @@ def test_names_topics_and_entries_of_states_are_unique():
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_state_has_every_signal_that_says_so_once_and_its_first_entries_first(node):
-    for motor in (False, True):
-        state = signals.state_signals(node, motor)
-        expected = {
-            name: signal.name for signal in signals.row_signals(motor) for where, name in signal.state if where == node
-        }
+    for kind in (signals.ACTUATOR, signals.INCHWORM):
+        state = kind.state(node)
+        expected = {name: signal.name for signal in kind.row for where, name in signal.state if where == node}
         assert state == expected
         first = [name for name in signals.STATE_FIRST.get(node, ()) if name in state]
         assert list(state)[: len(first)] == first
@@ -94,12 +109,12 @@ def test_a_signal_is_found_where_it_was_written_and_in_its_substitute_after_that
     assert signals.sources("phase") == ((signals.MOTOR_SOURCE, "phase"),)
 
 
-@pytest.mark.parametrize(("name", "motor"), [("kim2009", False), ("inchworm_travel", True)])
+@pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
 @pytest.mark.parametrize("kind", ["bag", "run.mcap", "run.npz"])
-def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, name, motor, kind):
+def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, name, kind):
     given = parameters(name, every={"faults": ["stale:0.01:0.01", "late_voltage:0.0:1.0:0.3"]})
     run = simulate(given, duration=300 / given.plant_simulator.sample_rate)
-    row = tuple(signal.name for signal in signals.row_signals(motor))
+    row = tuple(signal.name for signal in given.kind.row)
     assert tuple(run.signals) == (*row, signals.ASKED_VOLTAGE)  # a late voltage is not what left
     (write_recording if kind == "bag" else save_run)(run, tmp_path / kind)
     back = load_run(tmp_path / kind, further=True)
@@ -112,9 +127,9 @@ def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, na
 def test_a_run_fills_every_place_of_the_row(name):
     """Whatever stood in a row before, a sample overwrites: nothing depends on what a runner left there."""
     one, other = axis(name), axis(name)
-    size = len(signals.row_signals(one.motor))
+    size = len(one.kind.row)
     columns = np.zeros((size, 1))
-    if one.motor:
+    if one.kind.motor:
         columns[signals.SPEED] = np.nan
     dirty = columns.copy()
     for _ in range(5):
@@ -122,5 +137,5 @@ def test_a_run_fills_every_place_of_the_row(name):
         rubbish = np.full(size, 17.0)
         other._run(dirty, row=rubbish)
         np.testing.assert_array_equal(columns, dirty)
-        columns[list(signals.ASKED[: 3 if one.motor else 1])] = 0.0
-        dirty[list(signals.ASKED[: 3 if one.motor else 1])] = 0.0
+        columns[list(signals.ASKED[: 3 if one.kind.motor else 1])] = 0.0
+        dirty[list(signals.ASKED[: 3 if one.kind.motor else 1])] = 0.0

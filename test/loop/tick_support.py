@@ -89,7 +89,7 @@ class CheckedAxis:
         if name == "kim2009":
             overrides |= HOLD
         self.axis = Axis(parameters(name, **overrides))
-        self.motor = self.axis.motor
+        self.motor = self.axis.kind.motor
         self.last = None
         self.samples = 0
         self.setpoint = 0.0

@@ -48,7 +48,7 @@ class Pretended:
 
     def put(self, **values: float) -> None:
         """Make a sample with these signals."""
-        table = np.zeros((len(signals.row_signals(self.memory.motor)), 1))
+        table = np.zeros((len((signals.INCHWORM if self.memory.motor else signals.ACTUATOR).row), 1))
         for name, value in values.items():
             table[signals.place(name)] = value
         numbers = np.array([self.sample])

@@ -50,12 +50,12 @@ def samples_of(axis):
     from hysteresis_ros.loop.axis import Axis
 
     run = Axis(axis)
-    names = [signal.name for signal in signals.row_signals(run.motor)]
+    names = [signal.name for signal in run.kind.row]
     columns, joints = [], []
     for setpoint in run.default_setpoints(SAMPLES):
         made = run.run([setpoint])
         columns.append([made[name][0] for name in names])
-        if run.motor:
+        if run.kind.motor:
             joints.append(run.plant.arrays.x.joints[:TRUE_POSITION].copy())
     stamps = [round(k * 1e9 / run.sample_rate) for k in range(SAMPLES)]
     return np.array(stamps), np.transpose(columns), np.transpose(joints) if joints else None
@@ -73,12 +73,12 @@ def test_batches_give_the_bytes_that_the_nodes_publish(processes, tmp_path, axis
     )
     assert run.wait() == 0, run.output
     plant = given.plant_simulator
-    is_motor = given.inchworm_sequencer is not None
+    is_motor = given.kind.motor
     topics = AxisTopics(
         namespace=namespace,
         joints=(plant.joint, *JOINT_NAMES[1:]) if is_motor else (plant.joint,),
         sample_rate=plant.sample_rate,
-        motor=is_motor,
+        kind=given.kind,
         force=plant.preload.force,
         durability="transient_local",
     )

@@ -20,7 +20,7 @@ from nodes_support import REAL, ROOT, SINE, RecordedRun, axis_parameters, shorte
 
 from hysteresis_ros.loop.faults import FAULTS  # noqa: E402
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STALE, STOPPED, TRIPPED  # noqa: E402
-from hysteresis_ros.signals import state_signals  # noqa: E402
+from hysteresis_ros.signals import ACTUATOR  # noqa: E402
 
 RATE = 3000.0
 NODES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
@@ -61,7 +61,7 @@ def test_faults_of_a_shipped_configuration_are_verified_bit_for_bit(processes, t
     assert run.wait() == 0, run.output
     assert "240 samples equal the offline twin bit for bit, none missing" in run.output
     table = recorded()
-    names = {signal for node in NODES for signal in state_signals(node, motor=False).values()}
+    names = {signal for node in NODES for signal in ACTUATOR.state(node).values()}
     assert {"seen", "controller_mode", "plant_mode", "late", "tripped"} <= names <= set(table.signals)
     assert np.all(np.isnan(table["seen"][30:60])) and not np.any(np.isnan(table["seen"][60:105]))
     assert {HOLDING, STOPPED} <= set(table["controller_mode"][30:])

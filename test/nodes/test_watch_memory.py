@@ -39,7 +39,7 @@ NODES = ("plant_simulator", "reference_generator", "motion_controller", "hystere
 def block(first: int, **columns) -> Block:
     """Return samples from a number on, of which these signals are known."""
     count = len(next(iter(columns.values())))
-    table = np.zeros((len(signals.row_signals(False)), count))
+    table = np.zeros((len(signals.ACTUATOR.row), count))
     for name, values in columns.items():
         table[signals.place(name)] = values
     numbers = np.arange(first, first + count)
@@ -79,7 +79,7 @@ def test_under_a_preview_the_error_is_against_the_reference_of_so_many_samples_b
 
 
 def said(number: int, stamp: int, node: str) -> JointState:
-    names = list(signals.state_signals(node, motor=False))
+    names = list(signals.ACTUATOR.state(node))
     message = JointState(name=names, position=[float(number)] * len(names))
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
     return message
@@ -87,7 +87,7 @@ def said(number: int, stamp: int, node: str) -> JointState:
 
 def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_younger():
     """A node that has gone does not hold back what the others say."""
-    collector = Collector(NODES, motor=False)
+    collector = Collector(signals.ACTUATOR)
     for number, stamp in enumerate((1_000, 2_000)):
         for node in NODES[:-1]:
             collector.add(node, said(number, stamp, node))

@@ -176,12 +176,12 @@ def test_garbage_is_answered_and_the_page_goes_on():
 
 def test_samples_of_nodes_that_exchange_messages_are_put_together_by_their_stamps():
     nodes = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
-    collector = Collector(nodes, motor=False)
+    collector = Collector(signals.ACTUATOR)
     # a plant that is late moves its schedule: stamps come closer, and no sample is taken twice
     stamps = [0, 5_000_000, 12_000_000, 13_000_000, 18_000_000]
     for number, stamp in enumerate(stamps):
         for node in nodes:
-            names = list(signals.state_signals(node, motor=False))
+            names = list(signals.ACTUATOR.state(node))
             message = JointState(name=names, position=[float(number)] * len(names))
             message.header.stamp.nanosec = stamp
             if (node, number) != (nodes[-1], 1):  # who says nothing of a sample is missing in it, and the rest is there

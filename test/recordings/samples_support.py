@@ -23,18 +23,18 @@ from hysteresis_ros.recordings.run_bag import AxisTopics
 RATE = 10_000.0
 BEGIN = 1_700_000_000_123_456_789
 ACTUATOR = AxisTopics(namespace="left", joints=("extender",), sample_rate=RATE, force=5.88)
-MOTOR = AxisTopics(joints=("slider", "extender", "front_clamp", "rear_clamp"), sample_rate=RATE, motor=True)
+MOTOR = AxisTopics(joints=("slider", "extender", "front_clamp", "rear_clamp"), sample_rate=RATE, kind=signals.INCHWORM)
 AXES = [pytest.param(ACTUATOR, id="actuator"), pytest.param(MOTOR, id="motor")]
 
 
 def make_samples(axis, count, seed=1):
     """Return stamps, table and joints of some samples; the plant stops the axis now and then."""
     random = np.random.default_rng(seed)
-    table = random.normal(size=(len(signals.row_signals(axis.motor)), count)) * 1e-6
+    table = random.normal(size=(len(axis.kind.row), count)) * 1e-6
     table[random.integers(len(table), size=count // 7), random.integers(count, size=count // 7)] = np.nan
     table[signals.TRIPPED] = np.cumsum(random.random(count) < 0.02) % 2
     stamps = BEGIN + np.rint(np.arange(count) * 1e9 / RATE).astype(np.int64)
-    return stamps, table, random.normal(size=(12, count)) if axis.motor else None
+    return stamps, table, random.normal(size=(12, count)) if axis.kind.motor else None
 
 
 def write_batches(writer, samples, cuts=(), **further):

@@ -43,15 +43,15 @@ def test_every_topic_has_the_signals_of_the_table(tmp_path, axis):
         write_batches(writer, samples)
     assert set(topics_of(tmp_path / "bag")) == set(writer.topics)
     for topic, name in signals.float_topics().items():
-        if name in {signal.name for signal in signals.row_signals(axis.motor)}:
+        if name in {signal.name for signal in axis.kind.row}:
             values = [message.data for message in decoded(tmp_path / "bag", f"{axis.prefix}/{topic}")]
             np.testing.assert_array_equal(values, table[signals.place(name)], err_msg=topic)
     for node in signals.WRITERS:
         topic = f"{axis.prefix}/{node}/state"
         if topic not in writer.topics:
-            assert node == (signals.SOURCE if axis.motor else signals.MOTOR_SOURCE)
+            assert node == (signals.SOURCE if axis.kind.motor else signals.MOTOR_SOURCE)
             continue
-        names = signals.state_signals(node, axis.motor)
+        names = axis.kind.state(node)
         for k, message in enumerate(decoded(tmp_path / "bag", topic)):
             assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamps[k]
             assert message.name == list(names) and not message.velocity.size and not message.effort.size
@@ -68,7 +68,7 @@ def test_joint_states_have_position_velocity_and_effort(tmp_path, axis):
     for k, message in enumerate(decoded(tmp_path / "bag", f"{axis.prefix}/joint_states")):
         assert message.name == list(axis.joints)
         assert message.header.frame_id == ("tripped" if table[signals.TRIPPED, k] else "")
-        if axis.motor:
+        if axis.kind.motor:
             found = np.concatenate([message.position, message.velocity, message.effort])
             np.testing.assert_array_equal(found, joints[:, k])
         else:
@@ -98,7 +98,7 @@ def test_nobody_knows_the_true_displacement_of_a_device(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         write_batches(SampleWriter(bag, axis), make_samples(axis, 3))
     names = decoded(tmp_path / "bag", "/plant_simulator/state")[0].name
-    assert names == [name for name in signals.state_signals(signals.PLANT, False) if name != "displacement"]
+    assert names == [name for name in signals.ACTUATOR.state(signals.PLANT) if name != "displacement"]
 
 
 @pytest.mark.slow
@@ -229,7 +229,7 @@ def test_a_run_is_read_back_and_its_timing_comes_from_the_times(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         SampleWriter(bag, ACTUATOR).write(stamps, table, times=stamps + 40_000 * (np.arange(3000) % 2))
     back = read_recording(tmp_path / "bag", further=True)
-    for place, one in enumerate(signals.row_signals(motor=False)):
+    for place, one in enumerate(signals.ACTUATOR.row):
         np.testing.assert_array_equal(back[one.name], table[place], err_msg=one.name)
     assert back.metadata["missing_samples"] == 0 and back.metadata["complete"]
     assert back.metadata["timing"]["rate_hz"] == pytest.approx(RATE, rel=1e-3)

@@ -42,7 +42,7 @@ def record(loop, bag, writer):
             start = int(made.times[0])
         if count:
             stamps = start + np.rint(np.arange(first, first + count) * 1e9 / axis.sample_rate).astype(np.int64)
-            joints = np.zeros((3 * len(axis.joints), count)) if axis.motor else None
+            joints = np.zeros((3 * len(axis.joints), count)) if axis.kind.motor else None
             writer.write(stamps, made.table, joints=joints, times=made.times)
             first += count
         if not running:
@@ -58,9 +58,9 @@ def test_a_fused_run_is_recorded_whole_and_repeated_offline(tmp_path, name, fact
     if name == "kim2009":
         configuration = configuration.override("plant_simulator", late_limit=0)  # a busy machine may be late
     parameters = single_axis(configuration)
-    plant, motor = parameters.plant_simulator, parameters.inchworm_sequencer is not None
-    joints = (plant.joint, "extender", "front_clamp", "rear_clamp") if motor else (plant.joint,)
-    topics = AxisTopics(joints=joints, sample_rate=plant.sample_rate, motor=motor, force=plant.preload.force)
+    plant, kind = parameters.plant_simulator, parameters.kind
+    joints = (plant.joint, "extender", "front_clamp", "rear_clamp") if kind.motor else (plant.joint,)
+    topics = AxisTopics(joints=joints, sample_rate=plant.sample_rate, kind=kind, force=plant.preload.force)
     loop = FusedLoop(Axis(parameters), factor=factor, samples=SAMPLES)
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_string("/configuration", parameters.configuration_text(), time.time_ns())
@@ -71,7 +71,7 @@ def test_a_fused_run_is_recorded_whole_and_repeated_offline(tmp_path, name, fact
     assert len(recorded) == SAMPLES and recorded.metadata["missing_samples"] == 0
     assert differences(recorded, parameters) == {}
     assert np.count_nonzero(recorded.signals.get("skipped", 0)) == loop.missed
-    columns = {signal.name for signal in signals.row_signals(motor)}
+    columns = {signal.name for signal in kind.row}
     # where a deadline was missed the device kept its voltage: what was asked then is a column of its own
     assert set(recorded.signals) - columns <= ({signals.ASKED_VOLTAGE} if loop.missed else set())
     assert columns <= set(recorded.signals)

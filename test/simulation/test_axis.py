@@ -19,7 +19,7 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.reach import axes, single_axis
 from hysteresis_ros.loop.simulation import differences, simulate
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.signals import row_signals
+from hysteresis_ros.signals import ACTUATOR
 
 NOISY = {"sensor__noise": 5e-9, "preload__force": 5.88, "limits__slew_rate": 2.0e4}
 
@@ -74,7 +74,7 @@ def test_signals_stay_within_the_limits_of_the_amplifier():
 def test_a_recording_of_a_run_is_complete_and_finds_its_differences():
     run = simulate(single_axis(load_configuration("kim2009")))
     assert isinstance(run, Recording) and run.time.size == 4800
-    assert tuple(run.signals) == tuple(signal.name for signal in row_signals(motor=False))
+    assert tuple(run.signals) == tuple(signal.name for signal in ACTUATOR.row)
     parameters = single_axis(load_configuration("kim2009"))
     assert differences(run, parameters) == {}
     changed = run.signals["voltage"].copy()

@@ -33,7 +33,6 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
-from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.laboratory.watch.access import SERVICES
 from hysteresis_ros.laboratory.watch.memory import Collector, Memory, motor_facts
@@ -69,9 +68,7 @@ class PageRecording:
         for topic in ("configuration", "changes", MARKER):
             bag.add_topic(f"{prefix}/{topic}", "std_msgs/msg/String", "transient_local")
         bag.write_string(f"{prefix}/configuration", axis.configuration_text(), time.time_ns())
-        motor = axis.inchworm_sequencer is not None
-        force = 0.0 if motor else plant.preload.force
-        topics = AxisTopics(prefix, joints, plant.sample_rate, motor, force, not plant.driver)
+        topics = AxisTopics(prefix, joints, plant.sample_rate, axis.kind, plant.resting_effort, not plant.driver)
         self._samples = SampleWriter(bag, topics, chunk_time=FLUSH)
         self._prefix = prefix
 
@@ -241,7 +238,7 @@ class AxisLink:
             except AbsentError:
                 return  # the node is starting or exiting: the next check decides
             self.version += 1
-        if self._axis is None and len(self.values) >= len(node_names(signals.MOTOR_SOURCE in self.values)):
+        if self._axis is None and len(self.values) >= len(signals.kind_of(self.values).nodes):
             self._introduce()
 
     def _introduce(self) -> None:
@@ -256,19 +253,18 @@ class AxisLink:
 
     def connect_to(self, axis: AxisParameters) -> None:
         """Create all subscriptions, publishers and clients of an axis."""
-        motor = axis.inchworm_sequencer is not None
-        nodes = node_names(motor)
+        nodes = axis.kind.nodes
         for subscription in self._states:
             self.node.destroy_subscription(subscription)
         self._states, self._collector = [], None
         if axis.plant_simulator.time_mode != "fused":
-            self._collector = Collector(nodes, motor)
+            self._collector = Collector(axis.kind)
             self._states = [self._hear_state(node) for node in nodes]
         for full in map(self._client.full_name, nodes):
             for kind, service in PARAMETER_SERVICES.items():
                 self._client.make_client(service, f"{full}/{kind}")
             self._client.make_client(Trigger, f"{full}/start")
-        for service in SERVICES if motor else ():
+        for service in SERVICES if axis.kind.motor else ():
             self._client.make_client(Trigger, self._client.full_name(f"{signals.MOTOR_SOURCE}/{service}"))
 
     def _hear_state(self, node: str):
@@ -282,8 +278,7 @@ class AxisLink:
         axis = self._axis
         if axis is not None:
             preview = axis.motion_controller.feedforward.preview
-            motor = axis.inchworm_sequencer is not None
-            self.memory.restart(axis.plant_simulator.sample_rate, preview, motor)
+            self.memory.restart(axis.plant_simulator.sample_rate, preview, axis.kind.motor)
 
     # -- subscriptions ---------------------------------------------------------------------------------------------
 
@@ -357,8 +352,7 @@ class AxisLink:
     @property
     def source(self) -> str:
         """Full name of the node that takes setpoints."""
-        motor = signals.MOTOR_SOURCE in self.values
-        return self._client.full_name(signals.MOTOR_SOURCE if motor else signals.SOURCE)
+        return self._client.full_name(signals.kind_of(self.values).source)
 
     # -- requests, in the thread -------------------------------------------------------------------------------------
 
@@ -415,8 +409,7 @@ class AxisLink:
         if self._axis is None:
             raise AbsentError("nodes of the axis are missing: nothing to record")
         axis = axis_of(self.namespace, self.values)
-        motor = axis.inchworm_sequencer is not None
-        if motor and self._collector is not None:
+        if axis.kind.motor and self._collector is not None:
             raise HysteresisError("this page records a motor only on a fused axis; start the axis with `up --record`")
         self.recording = PageRecording(self.folder, axis, self._joints())
         return f"recording into {self.recording.path}"

@@ -37,10 +37,10 @@ MOST_PENDING = 20_000
 class Collector:
     """Assembles samples from the ``~/state`` messages of the nodes by their stamps."""
 
-    def __init__(self, nodes, motor: bool):
-        self._row = len(signals.row_signals(motor))
-        self._bits = {node: 1 << index for index, node in enumerate(nodes)}
-        self._names = {node: signals.state_signals(node, motor) for node in nodes}
+    def __init__(self, kind: signals.AxisKind):
+        self._row = len(kind.row)
+        self._bits = {node: 1 << index for index, node in enumerate(kind.nodes)}
+        self._names = {node: kind.state(node) for node in kind.nodes}
         self._places: dict[tuple, list] = {}
         self._pending: dict[int, tuple[np.ndarray, int]] = {}
         self._done, self._count = -1, 0

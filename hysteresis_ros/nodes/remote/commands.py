@@ -31,13 +31,13 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
-from hysteresis_ros.configuration import ARRAY_TYPES, NODE_NAMES, ParameterRow, node_names, parse_value
+from hysteresis_ros.configuration import ARRAY_TYPES, NODE_NAMES, ParameterRow, parse_value
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import diagnostics_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.timing import LIMITED
-from hysteresis_ros.signals import MOTOR_SOURCE, PLANT
+from hysteresis_ros.signals import MOTOR_SOURCE, PLANT, kind_of
 from hysteresis_ros.units import quantity_in, readable
 
 #: Lifecycle transitions that the user can request.
@@ -202,7 +202,7 @@ def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict
     since = time.monotonic()
 
     def lacks(space: str, names: list[str]) -> bool:
-        lacking = {*node_names(MOTOR_SOURCE in names)} - {*names}
+        lacking = {*kind_of(names).nodes} - {*names}
         if lacking == {PLANT}:  # an external plant
             return not client.node.count_publishers(f"{space}/joint_states")
         return bool(lacking)
@@ -222,7 +222,7 @@ def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict
 def _axis(client: Client, space: str, names: list[str], states: dict, reports: dict, last: dict) -> AxisStatus:
     nodes = []
     plant = ""
-    for name in [*node_names("inchworm_sequencer" in names), *(["recorder"] if "recorder" in names else [])]:
+    for name in [*kind_of(names).nodes, *(["recorder"] if "recorder" in names else [])]:
         full = f"{space}/{name}"
         level, message, values = reports.get(full, (None, "", {}))
         word = "" if level is None else LEVELS[min(level, 3)]

@@ -31,7 +31,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from hysteresis_ros.configuration import load_configuration, node_names
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.loop.parameters import AxisParameters, in_time
@@ -116,7 +116,7 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
     """Return the enclaves of one axis."""
     composed, record = how
     fused, namespace = axis.plant_simulator.time_mode == "fused", axis.namespace
-    names = [name for name in node_names(axis.inchworm_sequencer is not None) if _is_ours(name, axis)]
+    names = [name for name in axis.kind.nodes if _is_ours(name, axis)]
     names += ["displacement_camera"] * (axis.displacement_camera is not None) + ["recorder"] * record
     arguments = ["--ros-args", *(word for rule in remap for word in ("-r", rule))] if remap else []
     found = {}
@@ -156,7 +156,7 @@ def _configured(name: str, axis: AxisParameters, context, arguments, folder: pat
     if name == "plant_simulator":
         given = replace(given, driver="", driver_options=())
     if name == "recorder":
-        given = replace(given, path=str(folder), configuration="", inchworm=axis.inchworm_sequencer is not None)
+        given = replace(given, path=str(folder), configuration="", inchworm=axis.kind.motor)
     values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.to_mapping().items()}
     overrides = [Parameter(key, value=value) for key, value in values.items() if value != []]
     try:

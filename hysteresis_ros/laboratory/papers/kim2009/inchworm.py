@@ -114,7 +114,7 @@ def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
 
 def speed(axis: Axis, samples: int = 20000) -> float:
     """Return the mean speed [m/s] of walking to a far setpoint."""
-    far = axis.parameters.sequencer.maximum
+    far = axis.parameters.source.maximum
     axis.run(np.full(2000, far))
     before = _place(axis)
     period = int(sequencer_of(axis).p[at.CYCLE_SAMPLES])
