@@ -78,12 +78,10 @@ def excite(
     if plant == "external":
         configuration = configuration.override("", external_plant=True)
     given = single_axis(configuration, namespace)
-    if given.inchworm_sequencer is not None:
-        raise ConfigurationError(
-            f"{configuration.source}: the recipes need a reference generator, and this file has an "
-            "inchworm_sequencer instead; excite the extender alone, in a file with a plant_simulator of type "
-            "actuator and no sequencer"
-        )
+    given.require_generator(
+        f"{configuration.source}: the recipes need a reference generator, and this file has an inchworm_sequencer "
+        "instead; excite the extender alone, in a file with a plant_simulator of type actuator and no sequencer"
+    )
     limits, sample_rate = given.hysteresis_compensator.limits, given.plant_simulator.sample_rate
     gain = hysteresis_block(given.hysteresis_compensator.hysteresis, 1.0 / sample_rate).gain
     if name:

@@ -359,8 +359,8 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
         raise ConfigurationError(f"--criterion tunes a {tunable}, not {request.controller}; omit it")
     if request.criterion and request.bandwidth is not None:
         raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
-    if request.criterion and axis.reference_generator is None:
-        raise ConfigurationError(
+    if request.criterion:
+        axis.require_generator(
             "--criterion tunes on the waveform of a reference generator, and the file has a sequencer instead; omit it"
         )
     if "kalman" not in law.groups and request.q is not None:

@@ -82,11 +82,10 @@ def response_run(
 ) -> tuple[AxisParameters, Plan]:
     """Return the excited axis, and the plan of the excitation in its recording."""
     axis, place = single_axis(configuration, namespace), asked.place
-    if axis.inchworm_sequencer is not None:
-        raise ConfigurationError(
-            f"{configuration.source}: an inchworm motor walks; measure its extender alone, in a file without "
-            "inchworm_sequencer"
-        )
+    generator = axis.require_generator(
+        f"{configuration.source}: an inchworm motor walks; measure its extender alone, in a file without "
+        "inchworm_sequencer"
+    )
     if asked.loop == "closed" and not axis.motion_controller.law.feedback:
         raise ConfigurationError(
             f"{configuration.source}: motion_controller of type {axis.motion_controller.type} closes no loop; design "
@@ -94,7 +93,6 @@ def response_run(
         )
     rate, limits = axis.plant_simulator.sample_rate, axis.hysteresis_compensator.limits
     gain = hysteresis_block(axis.hysteresis_compensator.hysteresis, 1.0 / rate).gain if place == "voltage" else 1.0
-    generator = axis.generator
     ends = (limits.minimum, limits.maximum) if place == "voltage" else (generator.minimum, generator.maximum)
     shape = _prefilter(axis, 1.0 / rate) if (asked.loop, place) == ("closed", "command") else None
     unit = "V" if place == "voltage" else "m"

@@ -254,10 +254,10 @@ def knocked(loop: Response) -> int:
 
 def waveform_period(axis: AxisParameters) -> float:
     """Return the period of the configured waveform [s]."""
-    waveform = axis.reference_generator.waveform if axis.reference_generator is not None else None
-    if waveform is None or waveform.type not in PERIODIC or not waveform.frequency > 0.0:
-        kind = "a sequencer" if waveform is None else f"waveform.type {waveform.type}"
-        raise ConfigurationError(f"--period is missing: {kind} has no period; give that of the reference [s]")
+    missing = "--period is missing: {} has no period; give that of the reference [s]"
+    waveform = axis.require_generator(missing.format("a sequencer")).waveform
+    if waveform.type not in PERIODIC or not waveform.frequency > 0.0:
+        raise ConfigurationError(missing.format(f"waveform.type {waveform.type}"))
     return 1.0 / waveform.frequency
 
 

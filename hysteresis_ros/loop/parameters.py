@@ -805,11 +805,10 @@ class AxisParameters:
         changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
         if not self.plant_simulator.external_plant:
             return changed
-        if self.reference_generator is None:
-            raise ConfigurationError(
-                "duration: only plant_simulator ends the run of an inchworm motor; leave it out and end with Ctrl-C"
-            )
-        return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
+        source = self.require_generator(
+            "duration: only plant_simulator ends the run of an inchworm motor; leave it out and end with Ctrl-C"
+        )
+        return replace(changed, reference_generator=replace(source, samples=samples))
 
     @property
     def kind(self) -> AxisKind:
@@ -822,14 +821,18 @@ class AxisParameters:
         found: SourceParameters = getattr(self, self.kind.source)
         return found
 
+    def require_generator(self, refusal: str) -> ReferenceNodeParameters:
+        """Return the parameters of the reference generator; raise a ConfigurationError for an inchworm motor."""
+        if self.reference_generator is None:
+            raise ConfigurationError(refusal)
+        return self.reference_generator
+
     @property
     def generator(self) -> ReferenceNodeParameters:
         """Parameters of the reference generator; raises ConfigurationError without one."""
-        if self.reference_generator is None:
-            raise ConfigurationError(
-                "an inchworm motor has no reference_generator: its sequencer generates the reference"
-            )
-        return self.reference_generator
+        return self.require_generator(
+            "an inchworm motor has no reference_generator: its sequencer generates the reference"
+        )
 
     @property
     def camera(self) -> DisplacementCameraNodeParameters:

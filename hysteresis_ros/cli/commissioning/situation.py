@@ -134,11 +134,10 @@ class Plan(Parameters):
 
 def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
     """Return the plan of a parameter file, or one from the limits and the model of the compensator."""
-    if axis.inchworm_sequencer is not None:
-        raise ConfigurationError(
-            f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
-            "inchworm_sequencer"
-        )
+    axis.require_generator(
+        f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
+        "inchworm_sequencer"
+    )
     compensator = axis.hysteresis_compensator
     low, high = compensator.limits.minimum, compensator.limits.maximum
     gain = hysteresis_block(compensator.hysteresis, 1.0 / axis.plant_simulator.sample_rate).gain

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
-from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.laboratory.campaign.mishaps import COMMAND, DEVICE, FUSED, MEASUREMENT, VOLTAGE, Mishap
 from hysteresis_ros.loop.parameters import MESSAGE_RATE, AxisParameters
 from hysteresis_ros.loop.reach import single_axis
@@ -74,8 +73,7 @@ def prepared(configuration: Configuration, way: str, namespace: str) -> AxisPara
     simulated = configuration.override("", time_mode=mode, autostart=True, exit_at_end=True, external_plant=False)
     simulated = simulated.override("plant_simulator", driver="", real_time_factor=1.0)
     axis = single_axis(simulated.override("reference_generator", waveform__type="hold"))
-    if axis.reference_generator is None:
-        raise ConfigurationError(f"{configuration.source}: an inchworm motor; a campaign is for axes of one actuator")
+    axis.require_generator(f"{configuration.source}: an inchworm motor; a campaign is for axes of one actuator")
     plant = axis.plant_simulator
     span = plant.limits.maximum - plant.limits.minimum
     slew = plant.limits.slew_rate or span / CROSSING

@@ -301,11 +301,10 @@ def compare(
     """Run every candidate on every plant and rank them."""
     conditions = conditions or Conditions()
     axis = single_axis(configuration, namespace)
-    if axis.reference_generator is None:
-        raise ConfigurationError(
-            f"{configuration.source}: it has an inchworm's sequencer, and the comparison needs a reference "
-            "generator; give the configuration of a single actuator"
-        )
+    axis.require_generator(
+        f"{configuration.source}: it has an inchworm's sequencer, and the comparison needs a reference generator; give "
+        "the configuration of a single actuator"
+    )
     if namespace is not None:
         configuration = parse_configuration(axis.configuration_text(), configuration.source)
     conditions.require_slow(axis.plant_simulator.sample_rate)
