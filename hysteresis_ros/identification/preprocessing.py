@@ -269,7 +269,7 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     last = first + count * factor
     if (count, factor) == (size, 1):
         return data
-    columns = {name: averaged(getattr(data, name)[first:last], factor) for name in ("time", "input", "output")}
+    columns = {name: block_means(getattr(data, name)[first:last], factor) for name in ("time", "input", "output")}
     words = [f"{size} samples condensed to {count}"]
     if last - first < size - factor:
         begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
@@ -281,7 +281,7 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     return replace(data, **columns, first=data.first + first, factor=factor, notes=(*data.notes, note))
 
 
-def averaged(values: np.ndarray, factor: int) -> np.ndarray:
+def block_means(values: np.ndarray, factor: int) -> np.ndarray:
     """Return the means of ``factor`` neighbouring values each, shape (N // factor,)."""
     count = values.size // factor
     return values[: count * factor].reshape(count, factor).mean(axis=1)
@@ -290,7 +290,7 @@ def averaged(values: np.ndarray, factor: int) -> np.ndarray:
 def _telling_stretch(voltage, averaged: int):
     """Return first and last sample of the most informative interval, and the number of full strokes in all data."""
     block = math.ceil(voltage.size / OVERVIEW)
-    coarse = averaged(voltage, block)
+    coarse = block_means(voltage, block)
     turns = turning_points(coarse)
     span = np.ptp(coarse)
     strokes = np.append(0.0, np.cumsum(np.abs(np.diff(coarse[turns])))) / span

@@ -27,7 +27,7 @@ from hysteresis_ros.designs.setpoint_step import require_gentle, setpoint_step
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import SECTION, write_file
-from hysteresis_ros.identification.preprocessing import averaged
+from hysteresis_ros.identification.preprocessing import block_means
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.workflow import Fast, Identified, identify
@@ -62,9 +62,9 @@ def slow_data(situation: Situation) -> IdentificationData:
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
     factor = max(int(situation.rate / (SAMPLES_A_CYCLE * situation.plan.cycle_frequency)), 1)
-    voltage = np.concatenate([averaged(part["voltage"], factor) for part in parts])
+    voltage = np.concatenate([block_means(part["voltage"], factor) for part in parts])
     measured = np.concatenate(
-        [averaged(np.interp(part.time + late, part.time, part["measured"]), factor) for part in parts]
+        [block_means(np.interp(part.time + late, part.time, part["measured"]), factor) for part in parts]
     )
     time = np.arange(voltage.size) * factor / situation.rate
     return IdentificationData(time, voltage, measured, source="hysteresis.npz, creep.npz", factor=factor)
