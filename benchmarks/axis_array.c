@@ -588,8 +588,8 @@ static inline void actuate(Hysteresis hysteresis, double *m, const int64_t *at, 
 
 /* ---- loop/source.py, loop/tick.py and loop/axis_array.py --------------------------------------------------------- */
 
-/* The models are handed over, as the compiled loop takes them. */
-int64_t run_axes(double *memory, const int64_t *at, int64_t stride, int64_t axes, int64_t samples, double *rows,
+/* The models are handed over, as the compiled loop takes them: not known to the compiler. */
+__attribute__((noipa)) int64_t run_axes(double *memory, const int64_t *at, int64_t stride, int64_t axes, int64_t samples, double *rows,
                  const double *setpoints, Hysteresis plant, Hysteresis model, Inverse inverse, Law law,
                  double (*waveform)(const double *, double *))
 {

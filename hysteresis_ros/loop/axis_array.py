@@ -31,7 +31,7 @@ from hysteresis_ros.loop.parameters import COUNTABLE, NODE_PARAMETERS, AxisParam
 from hysteresis_ros.loop.reach import check_reach
 from hysteresis_ros.loop.simulation import run_metadata
 from hysteresis_ros.loop.tick import WHOLE, Parts, tick
-from hysteresis_ros.models.block import direct, displaced, specialised
+from hysteresis_ros.models.block import Stored, contents, direct, displaced, specialised
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 
 #: Most axes of an array, and most threads that share them.
@@ -55,12 +55,14 @@ NODES = {
 OF_PART = {"plant": slice(0, 3), "source": slice(3, 4), "controller": slice(4, 5), "compensator": slice(5, 7)}
 
 
-def ticks_of_all(laws, parts, stride, first, rows, setpoints, kept, found):
+def ticks_of_all(stored, stride, first, rows, setpoints, kept, found):
     """Compute ``setpoints.shape[1]`` samples of each axis; all states and rows are updated in place.
 
-    ``parts`` are those of axis 0; those of axis i lie ``stride`` i numbers behind. ``rows``, ``setpoints`` and
-    ``found`` begin with axis ``first``, ``kept`` has the places of the signals that go into ``found``.
+    ``stored`` has the kernels, and the arrays of axis 0; those of axis i lie ``stride`` i numbers behind. ``rows``,
+    ``setpoints`` and ``found`` begin with axis ``first``, ``kept`` has the places of the signals that go into
+    ``found``.
     """
+    laws, parts = contents(stored)
     for i in range(rows.shape[0]):
         own, row = displaced(parts, (first + i) * stride), rows[i]
         for k in range(setpoints.shape[1]):
@@ -178,17 +180,17 @@ class AxisArray:
         self.parameters = tuple(parameters)
         self._threads = min(whole_number("threads", threads, MOST_THREADS), count)
         axis = _axis_of(self.parameters[0], 0)
-        self._laws, self._axis = axis.laws, axis
+        self._axis = axis
         self.places, self.stride = _places(axis.parts)
         self.memory = np.zeros(count * self.stride)
-        self._parts = _at_places(axis.parts, self.memory, iter(self.places))
         self._settle(axis)
         self.rows = np.zeros((count, at.ACTUATOR_ROW))
         self._bounds = np.linspace(0, count, self._threads + 1).astype(int).tolist()
         self._pool = ThreadPoolExecutor(self._threads - 1, "axes") if self._threads > 1 else None
         nothing = np.zeros((1, 1)), np.zeros(0), np.zeros((1, 0, 1))
-        fixed = self._laws, self._parts, self.stride, 0, self.rows
-        self._compute = direct(specialised(ticks_of_all, *fixed, *nothing, nogil=True))
+        self._stored = Stored(axis.laws, _at_places(axis.parts, self.memory, iter(self.places)))
+        compute = specialised(ticks_of_all, self._stored, self.stride, 0, self.rows, *nothing, nogil=True)
+        self._compute = direct(compute)
         self.sample = 0
 
     def _settle(self, axis: Axis) -> None:
@@ -311,7 +313,7 @@ class AxisArray:
         """Compute the samples of all axes, each thread those of a slice of them."""
 
         slices = [slice(*ends) for ends in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
-        fixed = self._laws, self._parts, self.stride
+        fixed = self._stored, self.stride
         calls = [(*fixed, own.start, self.rows[own], setpoints[own], kept, found[own]) for own in slices]
         others = [self._pool.submit(self._compute, *call) for call in calls[1:]] if self._pool is not None else []
         try:

@@ -38,7 +38,9 @@ import numpy as np
 numba: Any
 try:
     import numba
+    from numba.core import cgutils
     from numba.extending import (
+        NativeValue,
         lower_builtin,
         models,
         overload,
@@ -46,6 +48,7 @@ try:
         register_model,
         type_callable,
         typeof_impl,
+        unbox,
     )
 except ImportError:  # the optional extra `fast` is not installed
     numba = None
@@ -253,6 +256,96 @@ def each(function):
     return all_axes
 
 
+class Stored:
+    """Arguments of compiled code, taken apart once instead of at every call; :func:`contents` gives them.
+
+    Parameters
+    ----------
+    *arguments
+        Arrays, named tuples of arrays, and named tuples marked by :func:`kernels_of`.
+    """
+
+    def __init__(self, *arguments):
+        self.arguments = arguments
+        if COMPILED:
+            self._memory = np.zeros(_WORDS * _leaves(arguments))
+            self.address = self._memory.ctypes.data
+            specialised(_store, self._memory, arguments)(self._memory, arguments)
+
+
+#: Most words of an array or a function in compiled code.
+_WORDS = 16
+
+
+def _leaves(argument) -> int:
+    return sum(map(_leaves, argument)) if isinstance(argument, tuple) else 1
+
+
+def contents(stored):
+    """Return the arguments of :class:`Stored`."""
+    return stored.arguments
+
+
+def _written(memory, arguments):
+    """Write arguments into the memory of :class:`Stored`, in compiled code only."""
+
+
+def _store(memory, arguments):
+    _written(memory, arguments)
+
+
+if COMPILED:
+
+    class _StoredType(numba.types.Type):
+        """Type of stored arguments."""
+
+        def __init__(self, kind):
+            self.kind = kind
+            super().__init__(name=f"stored({kind})")
+
+    register_model(_StoredType)(models.OpaqueModel)
+    typeof_impl.register(Stored)(lambda value, context: _StoredType(numba.typeof(value.arguments)))
+
+    @unbox(_StoredType)
+    def _unbox_stored(kind, value, c):
+        address = c.pyapi.object_getattr_string(value, "address")
+        pointer = c.pyapi.long_as_voidptr(address)
+        c.pyapi.decref(address)
+        return NativeValue(pointer)
+
+    @type_callable(_written)
+    def _type_of_written(context):
+        return lambda memory, arguments: numba.types.none
+
+    @lower_builtin(_written, numba.types.Array, numba.types.BaseTuple)
+    def _write(context, builder, signature, arguments):
+        memory = context.make_array(signature.args[0])(context, builder, arguments[0])
+        builder.store(arguments[1], builder.bitcast(memory.data, arguments[1].type.as_pointer()))
+        return context.get_dummy_value()
+
+    @type_callable(contents)
+    def _type_of_contents(context):
+        return lambda stored: stored.kind
+
+    @lower_builtin(contents, _StoredType)
+    def _read(context, builder, signature, arguments):
+        """Read every word by itself, so that words without a use are not read."""
+        zero = context.get_constant(numba.types.int32, 0)
+
+        def read(pointer):
+            kind = pointer.type.pointee
+            if not hasattr(kind, "elements") and not hasattr(kind, "count"):
+                return builder.load(pointer)
+            found = cgutils.get_null_value(kind)
+            for i in range(len(kind)):
+                inner = read(builder.gep(pointer, [zero, context.get_constant(numba.types.int32, i)]))
+                found = builder.insert_value(found, inner, i)
+            return found
+
+        kind = context.get_value_type(signature.return_type)
+        return read(builder.bitcast(arguments[0], kind.as_pointer()))
+
+
 def displaced(arrays, distance):
     """Return nested named tuples of arrays that lie ``distance`` numbers behind these in the same block of memory.
 
@@ -348,6 +441,8 @@ def _type_of(argument):
 
 def _structure(argument):
     """Return a key of the type of an argument: classes of tuples and dimensions of arrays."""
+    if isinstance(argument, Stored):
+        return Stored, _structure(argument.arguments)
     if isinstance(argument, tuple):
         return type(argument), tuple(map(_structure, argument))
     return getattr(argument, "ndim", None) or type(argument)
