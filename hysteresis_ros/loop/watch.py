@@ -108,7 +108,7 @@ def accept(p, x, value, stamp):
 def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
     """Begin a sample; return its input ``value``, after fault injection, when it is accepted, NaN otherwise."""
     faulty.begin_sample(faults_x)
-    given = faulty.corrupt(faults_p, faults_x, target, value)
+    given = faulty.given_instead(faults_p, faults_x, target, value)
     if missing != 0.0:
         given = math.nan
     return accept(guard_p, guard_x, given, faults_x[faulty.STAMP])

@@ -97,7 +97,8 @@ def actuator_measure(ps, xs):
 @nested
 def actuator_force(ps, xs):
     """Return the reading of the force sensor [N], NaN without one; call it once per sample."""
-    return force_reading(ps.force, xs.force, linear_output(ps.dynamics, xs.dynamics))
+    displacement = linear_output(ps.dynamics, xs.dynamics) if ps.force.shape[0] > 0 else 0.0
+    return force_reading(ps.force, xs.force, displacement)
 
 
 @nested

@@ -97,8 +97,8 @@ def test_every_controller_too(name):
 
 def test_an_adapting_compensator_too():
     one = adapting()
-    run = assert_each_is_the_axis_alone(differing(one, 3), setpoints_within(one, 3, 400))
-    assert len(np.unique(run["adapted_gain"])) > 3
+    run = assert_each_is_the_axis_alone(differing(one, 3), np.full((3, 900), one.generator.initial_setpoint))
+    assert np.all(run["adapted_gain"][:, -1] < 0.95) and not np.array_equal(*run["adapted_gain"][:2])
 
 
 def test_plants_and_controllers_that_differ_in_any_value_too():
