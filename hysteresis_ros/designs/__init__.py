@@ -9,8 +9,8 @@
 
 """Designs: from a model or a measured response to the parameters of a controller.
 
-Read :mod:`.controller` (what ``hysteresis design`` does), which uses :mod:`.gains` and :mod:`.damping`;
-:mod:`.learning` with :mod:`.learning_filters` for periodic references. :mod:`.frequency_response` measures an axis,
+Start with :mod:`.controller` (``hysteresis design``), which uses :mod:`.gains` and :mod:`.damping`. :mod:`.learning`
+with :mod:`.learning_filters` designs the learning for periodic references. :mod:`.frequency_response` measures an axis;
 :mod:`.measured` and :mod:`.setpoint_step` verify a design. Designs of a single control law are in the module of that
 law.
 """

@@ -36,7 +36,7 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 
 NODE = "motion_controller"
-#: Beginnings of the comments of earlier designs, of the learning alone and of all, which a new design replaces.
+#: Beginnings of the comments that a new design replaces: those of a design of the learning, and those of any design.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:", *LEARNING)
 
@@ -61,13 +61,13 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
 
 
 def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
-    """Return the group of the damping, if there is one or the file has its section."""
+    """Return the group of the damping; empty if there is no damping and the file has no such group."""
     named = any(name.startswith("damping.") for name in before)
     return ("damping",) if named or parameters.damping.type != NONE else ()
 
 
 def design_text(configuration: Configuration, parameters: ControllerParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with the design; everything but the controller's section stays unchanged."""
+    """Return the text of the file with the design; only the controller's section changes."""
     return _text(configuration, lambda before: designed_values(before, parameters), namespace, header, HEADERS)
 
 
@@ -112,9 +112,9 @@ def _belongs(pattern: str, full: str) -> bool:
     return pattern.rsplit("/", 1)[-1] == NODE and matches(pattern, full)
 
 
-#: Most halvings of the bandwidth, and steps of the following refinement.
+#: Maximum number of halvings of the bandwidth, and number of steps of the refinement that follows.
 HALVINGS, RAISED = 18, 3
-#: Tried variances of the input's noise for a slower observer, over that of the measurement.
+#: Variances of the input noise that are tried for a slower observer, relative to the measurement noise.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
@@ -142,7 +142,7 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return the limits that the known response sets to the loop of a design.
+    """Return how far the known response limits the loop of a design.
 
     Units: ``sample_time`` [s].
     """
@@ -154,7 +154,8 @@ def certain_design(
 ) -> Designed:
     """Return a design that is stable for all plants that the identification leaves possible.
 
-    Parts that the user has not specified are slowed down: first the observer, then the response to the reference.
+    To get there, parts that the user has not specified are made slower: first the observer, then the response to the
+    reference.
 
     Units: ``sample_time`` [s].
     """
@@ -169,7 +170,7 @@ def certain_design(
 
     def found_with(bandwidth: float | None) -> Designed | None:
         if observes and not _bears_unknown(design, bandwidth, observers[-1], response, sample_time):
-            return None  # a faster observer has more gain at that frequency
+            return None  # a faster observer would have still more gain at this frequency
         for q in observers:
             with contextlib.suppress(ParameterError):  # the law cannot achieve this bandwidth
                 found = design(bandwidth, q)
@@ -188,8 +189,9 @@ def certain_design(
     if certain.frequency <= response.known_to or not known:
         known = f"the response is known there only to {100.0 * certain.uncertainty:.0f} %"
     raise ConfigurationError(
-        f"the model is not fit for this feedback at {certain.frequency:.4g} Hz: {known}; ask for a lower bandwidth or "
-        "none, take another controller (pid), or identify from a recording with content there (hysteresis excite "
+        f"the model is not accurate enough for this feedback at {certain.frequency:.4g} Hz: "
+        f"{known}; ask for a lower bandwidth or none, take another controller (pid), or identify "
+        "from a recording with content at this frequency (hysteresis excite "
         "--recipe multisine)"
     )
 
@@ -217,11 +219,11 @@ def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Desi
     return None
 
 
-#: Poles below this are delays and not printed; several poles at 0 are computed only this accurately.
+#: Poles with a smaller modulus are delays and not printed; several poles at 0 are computed with about this error.
 AT_ZERO = 1e-3
 
 
-#: Assumed RMS noise of an unknown sensor, and largest noise of the command, as parts of the stroke.
+#: Assumed RMS noise of an unknown sensor, and largest noise of the command, as fractions of the stroke.
 ASSUMED_NOISE = 1e-4
 NOISY_COMMAND = 2e-3
 
@@ -243,7 +245,7 @@ class DesignRequest:
 
     controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
     bandwidth: float | None = None  #: [Hz]
-    q: float | None = None  #: Variance of the input's noise over that of the measurement in the Kalman filter.
+    q: float | None = None  #: Ratio of the input noise variance to the measurement noise variance in the Kalman filter.
     #: ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, if the law supports it.
     criterion: str | None = None
     duration: float | None = None  #: Length of the run for the tuning [s].
@@ -267,7 +269,7 @@ class AxisDesign:
     parameters: ControllerParameters
     margins: Margins
     sample_time: float  #: [s]
-    tuned: Tuned | None = None  #: Result of the tuning.
+    tuned: Tuned | None = None  #: Result of the tuning, if any.
     robustness: Robustness | None = None  #: Margins on the plants of a robust design.
     limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
@@ -324,7 +326,7 @@ def design_axis(
         with contextlib.suppress(ParameterError, ConfigurationError):
             bandwidth = design_axis(axis, plain, response).margins.bandwidth
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
-    # after slowing down, the result of the search no longer applies
+    # the result of the search does not apply to a design that was made slower
     kept = {"robustness": robust} if found is first else {"limited": response}
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, **kept)
 
@@ -369,7 +371,9 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
         raise ConfigurationError(f"--q {request.q:g}: must be above 0")
     for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
         if request.robust is not None and given is not None:
-            raise ConfigurationError(f"--robust and {name} exclude each other: the plants decide; give one of them")
+            raise ConfigurationError(
+                f"--robust and {name} exclude each other, because the plants determine it; give one of them"
+            )
     if request.preview is not None and not request.feedforward:
         raise ConfigurationError("--preview belongs to --feedforward; give both")
 
@@ -495,19 +499,22 @@ def doubts(result: AxisDesign) -> list[str]:
     parameters = result.parameters
     found = list(parameters.warnings())
     if not parameters.model.dynamics.order:
-        found.append("model.dynamics.A is empty: designed for an axis that answers within a sample; identify its model")
+        found.append(
+            "model.dynamics.A is empty: the design assumes that the axis responds within a sample; "
+            "identify a model of its dynamics"
+        )
     misses = result.misses()
     if misses:
         found.append(
-            f"requirements not met, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong "
-            "model or delay, choose another bandwidth or q"
+            f"requirements not met: {'; '.join(misses)}; the loop tolerates little error of the model "
+            "or the delay, and hysteresis compare does not rank it; choose another bandwidth or q"
         )
     if result.limited is not None:
         rests = result.limited.assumption(result.sample_time) or "the recording leaves the response open"
         found.append(
-            f"bandwidth reduced to {_hertz(result.margins.bandwidth)}, for stability with every plant that the "
-            f"recording allows: {rests}; a recording with content there (hysteresis excite --recipe multisine) may "
-            "allow a faster one"
+            f"bandwidth reduced to {_hertz(result.margins.bandwidth)}, so that the loop is stable "
+            f"with every plant that is consistent with the recording: {rests}; a recording with "
+            "content at these frequencies (hysteresis excite --recipe multisine) may allow more"
         )
     if result.damped is not None:
         found += result.damped.doubts()

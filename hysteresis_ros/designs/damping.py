@@ -7,13 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of a damping from a model: the filter that permits the fastest loop around it, and its performance.
+"""Design of a damping from a model: the filter that permits the fastest outer loop, and its performance.
 
-For every filter the zeros of a PID are put on the slowest poles of the damped model, as its own design does, and its
-largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g, |1 + g X| ≥ 1/M_s at one
-frequency is a quadratic in g. The worst of several plants counts (the model, resonances off to both sides). The inner
-loop alone and the loop cut at the plant, with both feedbacks, must also have M_s ≤ 2 and, if possible, tolerate one
-more sample of delay. Filters are tried on a grid that is refined around the best one; the result has four digits.
+For every filter a PID is designed on the damped model: its zeros cancel the slowest poles, as in the design of ``pid``,
+and its largest gain g follows in closed form on a grid of frequencies. With X the loop per unit of g, |1 + g X| ≥ 1/M_s
+at one frequency is a quadratic inequality in g. The worst of several plants counts: the model, and plants with lower
+and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the plant, must also have M_s ≤ 2
+and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is refined around the best one;
+the result has four digits.
 
 References
 ----------
@@ -51,16 +52,17 @@ from hysteresis_ros.models.sensor import ForceParameters
 
 #: Target M_s of a search, for the loop of the law and for the loop cut at the plant.
 SENSITIVITY = 1.9
-#: Default uncertainty of resonances.
+#: Default relative uncertainty of the frequencies of resonances.
 RESONANCE = 0.1
-#: Points of the grid in each direction, by the number of directions, and number of refinements.
+#: Number of points of the grid in each direction, by the number of directions; number of refinements.
 POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
-#: Frequencies of the grid, in both scales, and around each resonance.
+#: Number of frequencies of the grid on a linear and on a logarithmic scale, and around each resonance.
 GRID, AROUND = 120, 41
-#: Smallest damping of any mode of the inner loop, or its smallest ratio to that of the plant.
+#: Smallest damping ratio of any mode of the inner loop; a mode may have less if its ratio to the plant's is at least
+#: the second number.
 WELL, MUCH = 0.02, 5.0
-#: Damping above which a mode needs no damping filter.
+#: Damping ratio above which a mode needs no damping filter.
 DAMPED = 0.7
 
 
@@ -80,7 +82,7 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForcePar
 def damping_plants(
     dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
-    """Return the plants for the evaluation of a damping: the model, and those with all times shorter and longer.
+    """Return the plants for the evaluation of a damping: the model, and plants with all times shorter and longer.
 
     Units: ``sample_time`` [s].
     """
@@ -103,15 +105,15 @@ def design_damping(
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
     search = _Search(kind, mode, dynamics, sample_time, plants, force)
-    # first filters that tolerate one more sample of delay; without any, filters that work as modelled
+    # first seek filters that tolerate one more sample of delay; if there are none, those that work without it
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
             return found
     found_at = f"{mode.frequency:.4g} Hz"
     remedy = (
-        f"no {kind} damps the resonance at {found_at} on all plants such that a PID around it keeps M_s ≤ 2; "
-        "choose another kind, a higher sample rate or less delay"
+        f"no {kind} damps the resonance at {found_at} on all plants so well that a PID around it "
+        "keeps M_s ≤ 2; choose another kind, a higher sample rate or less delay"
     )
     return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
 
@@ -157,9 +159,9 @@ class _Search:
         return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
 
     def _gain(self, loop: InnerLoop, outer) -> float:
-        """Return the largest gain of an outer controller on all plants, less if the combined loop would be too lively.
+        """Return the largest gain of an outer controller on all plants; smaller if the combined loop would exceed M_s.
 
-        No gain of the outer controller compensates an inner loop with too large an M_s.
+        If the M_s of the inner loop is too large, no gain of the outer controller helps.
         """
         filtered = loop.feedback.response(self.z)[:, 0, 0]
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
@@ -193,7 +195,7 @@ class _Search:
         return True
 
     def _damps(self, poles) -> bool:
-        """Return whether every mode of an inner loop is well damped, or much better damped than that of the plant."""
+        """Return whether every mode of an inner loop is well damped, or much better than the mode of the plant."""
         left = modes(poles, self.sample_time)
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
@@ -259,9 +261,9 @@ def _around(box, point):
     return tuple(found)
 
 
-#: Smallest useful increase of the bandwidth by a damping.
+#: Factor on the bandwidth below which a damping counts as of little use.
 LITTLE = 1.2
-#: A law that passes the reference through, which leaves the inner loop.
+#: A law that passes on the reference: with it the loop is the inner loop alone.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
 
 
@@ -270,7 +272,7 @@ class PlantsAround:
     """Plants for the evaluation of a damping."""
 
     plants: tuple[PossiblePlant, ...]  #: Plants without damping, the model first.
-    resonance: float  #: Relative deviation of the resonances of the others.
+    resonance: float  #: Relative deviation of the resonances of the other plants.
 
     def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
         """Return the plants with the damping of a controller around each.
@@ -288,8 +290,8 @@ class DampedDesign:
     damping: DampingParameters
     before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
     reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop, on each plant, the model first.
-    #: inner, outer, whole: On each plant: of the inner loop alone, of the law on the damped plant, of both cut at the
-    #: plant.
+    #: inner, outer, whole: On each plant: margins of the inner loop alone, of the law on the damped plant, of both cut
+    #: at the plant.
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
@@ -308,7 +310,7 @@ class DampedDesign:
 
     @property
     def times(self) -> float:
-        """Bandwidth over that of the same design without damping; infinite without such a design."""
+        """Ratio of the bandwidth to that of the same design without damping; infinite if that design does not exist."""
         return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
 
     def doubts(self) -> tuple[str, ...]:
@@ -316,12 +318,13 @@ class DampedDesign:
         if self.times >= LITTLE:
             return ()
         return (
-            f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without damping; take "
-            "another kind or none; a delay that is not stated (model.dynamics.delay) hides the sign that damps",
+            f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without "
+            "damping; take another kind or none, or state the delay (model.dynamics.delay) if it is "
+            "missing, because the sign of the gain depends on it",
         )
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return (name, text) of its printed rows."""
+        """Return (name, text) of the printed rows."""
         kind = self.damping.type
         values = getattr(self.damping, kind).to_mapping()
         given = ", ".join(f"{name} {_numbers(value)}" for name, value in values.items())
@@ -346,7 +349,7 @@ class DampedDesign:
 
 
 def around_model(control: ControllerParameters, sample_time: float, request) -> PlantsAround:
-    """Return the model, and plants with resonances off to both sides.
+    """Return the model, and plants with lower and with higher resonances.
 
     Units: ``sample_time`` [s].
     """
@@ -357,7 +360,7 @@ def around_model(control: ControllerParameters, sample_time: float, request) -> 
 
 
 def _require(name: str) -> None:
-    """Refuse an unknown name of a damping."""
+    """Refuse an unknown kind of damping."""
     if name not in (NONE, *KINDS):
         there = ", ".join((NONE, *KINDS))
         raise ConfigurationError(f"--damping {name}: unknown damping; there are {there}{did_you_mean(name, KINDS)}")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The frequency response of an axis: measurement runs, and plant, loop and margins from a run or a recording."""
+"""The frequency response of an axis: runs that measure it, and plant, loop and margins from a run or a recording."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ from hysteresis_ros.references.recipes import (
 )
 from hysteresis_ros.units import quantity, readable
 
-#: Peak of the excitation by default, as a part of the range.
+#: Default peak of the excitation, as a fraction of the range.
 AMPLITUDE = 0.05
-#: Rest at the operating point before and after the excitation, in which creep fades [s].
+#: Rest at the operating point before and after the excitation, in which creep decays [s].
 WAIT = 1.0
 
 
@@ -63,8 +63,8 @@ class ResponseRequest:
     experiment: Experiment
     loop: str = "open"  #: ``open`` or ``closed``.
     at: str | None = None  #: Point of excitation: ``voltage``, ``command`` or ``reference``.
-    #: amplitude, offset: Peak of the excitation and operating point, with units, or as parts of the range without a
-    #: unit. By default :data:`AMPLITUDE`, and the middle.
+    #: amplitude, offset: Peak of the excitation and operating point, with a unit, or without one as a fraction of the
+    #: range. By default :data:`AMPLITUDE`, and the middle.
     amplitude: str | None = None
     offset: str | None = None
 
@@ -83,8 +83,8 @@ def response_run(
     """Return the excited axis, and the plan of the excitation in its recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     generator = axis.require_generator(
-        f"{configuration.source}: an inchworm motor walks; measure its extender alone, in a file without "
-        "inchworm_sequencer"
+        f"{configuration.source}: the response of a walking motor cannot be measured; measure its extender alone, in a "
+        "file without inchworm_sequencer"
     )
     if asked.loop == "closed" and not axis.motion_controller.law.feedback:
         raise ConfigurationError(
@@ -106,7 +106,8 @@ def response_run(
         raise ConfigurationError(
             f"--amplitude {readable(peak, unit)} around {readable(middle, unit)}: the {what} would go to "
             f"{readable(low, unit)} … {readable(high, unit)}, beyond {readable(ends[0], unit)} … "
-            f"{readable(ends[1], unit)}; it must be above 0 and stay within: lower it, or move --offset"
+            f"{readable(ends[1], unit)}; the amplitude must be above 0 and stay within this range: "
+            "lower it, or move --offset"
         )
     _require_loud(axis, plan, peak * abs(gain) * samples)
     rest = axis.hysteresis_compensator.safe_voltage if place == "voltage" else min(max(0.0, ends[0]), ends[1])
@@ -118,7 +119,7 @@ def response_run(
 
 
 def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
-    """Return an excitation around an operating point with ramps from and to rest, and its plan.
+    """Return an excitation around an operating point, with ramps at its beginning and end, and its plan.
 
     Units: ``peak`` [V], ``middle`` [V], ``rest`` [V], ``rate`` [Hz].
     """
@@ -146,14 +147,16 @@ def _prefilter(axis: AxisParameters, sample_time: float):
 
 
 def _size(option: str, text: str | None, unit: str, gain: float, ends, part_of_range: float, begin: float) -> float:
-    """Return an option in the unit of the excitation; without a unit it is a part of the range."""
+    """Return an option's value in the unit of the excitation; a number without unit is a fraction of the range."""
     span = ends[1] - ends[0]
     if text is None:
         return begin + part_of_range * span
     try:
         value, given = quantity(text)
         if given not in ("", unit, "m"):
-            raise ValueError(f"must be in {unit}, in m, or a part of the range such as {part_of_range:g}")
+            raise ValueError(
+                f"must be in {unit}, in m, or without unit a fraction of the range, such as {part_of_range:g}"
+            )
     except ValueError as error:
         raise ConfigurationError(f"{option} {text!r}: {error}") from None
     if given == "":
@@ -178,9 +181,10 @@ def _require_loud(axis: AxisParameters, plan: Plan, moved) -> None:
     ratio = 10.0 * np.log10(np.mean(moved**2) / lines / (noise**2 / noise_lines / averages))
     if ratio < LEAST_RATIO:
         raise ConfigurationError(
-            f"--amplitude: {readable(float(np.max(np.abs(moved))), 'm')} are too weak an excitation for the "
-            f"{readable(noise, 'm')} RMS of the sensor's noise: signal-to-noise ratio of the response {ratio:.1f} dB "
-            f"at most, at least {LEAST_RATIO:g} dB are needed; raise it by a factor of "
+            f"--amplitude: a motion of {readable(float(np.max(np.abs(moved))), 'm')} is too small for "
+            f"the sensor's noise of {readable(noise, 'm')} RMS: the signal-to-noise ratio of the "
+            f"response is at most {ratio:.1f} dB, and at least {LEAST_RATIO:g} dB are needed; raise "
+            "the amplitude by a factor of "
             f"{10.0 ** ((LEAST_RATIO - ratio) / 20.0):.2g}, or --periods"
         )
 
@@ -194,12 +198,12 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if loop == "open":
         configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
-        # the reference was shaped for the law without feedforward
+        # the shape of the reference assumes the law without feedforward
         configuration = configuration.override("motion_controller", **UNFED)
     return configuration
 
 
-#: Levels that are printed in dB of the response.
+#: Levels that are printed in dB relative to the response.
 LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
 
@@ -218,7 +222,7 @@ class AxisResponse:
 
     @property
     def figures(self) -> dict:
-        """Figures with a value, by names with units."""
+        """The figures that have a value, by names that contain their units."""
         response = self.plant.response
         found: dict = {
             "excitation": self.plan.kind,
@@ -251,7 +255,7 @@ class AxisResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Further columns at the lines besides the plant's response, by names with units."""
+        """Columns at the lines besides the plant's response, by names that contain their units."""
         found = {}
         if self.loop is not None:
             responses = {"loop": self.loop.loop, "sensitivity": self.loop.sensitivity}
@@ -289,7 +293,7 @@ class AxisResponse:
         return [f"{name:<{width}}  {text}" for name, text in rows] + [f"note: {text}" for text in response.warnings]
 
     def _levels(self) -> dict[str, float]:
-        """Return noise and distortion over the response [dB], median of the lines."""
+        """Return noise and distortion relative to the response [dB], medians over the lines."""
         levels, size = self.plant.distortion, np.abs(self.plant.response.single)
         if levels is None:
             return {}
@@ -310,7 +314,7 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
     else:
         reference = recording["reference"]
         if recording.has("seen"):
-            # the loop is closed over the controller's input, which may be later than the measurement
+            # the loop is closed through the controller's input, which may be later than the measurement
             y = np.where(np.isfinite(recording["seen"]), recording["seen"], y)
         u = recording["command"] if axis is not None else reference - y
         plant = analyse(plan, sample_time, u, y, reference, "m")
@@ -335,12 +339,12 @@ def _require_finite(plant: Analysis) -> None:
 
 
 def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
-    """Return the response with the values of the axis' own model."""
+    """Return the response together with that of the model of the axis."""
     controller, plant = measured_loop_parts(axis)
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # the reverse: the model with the measured gain
+    # the other way round: the model with the measured gain
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
@@ -350,7 +354,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the path of the plan of the excitation beside a recording."""
+    """Return the path of the file, beside a recording, that contains the plan of its excitation."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
@@ -361,7 +365,7 @@ def read_plan(path) -> Plan:
         return Plan.from_text(str(read_arrays(path)["plan"]))
     except (OSError, ValueError, KeyError):
         raise RecordingError(
-            f"{path}: holds no plan of an excitation; give the file that hysteresis frf wrote"
+            f"{path}: contains no plan of an excitation; give the file that hysteresis frf wrote"
         ) from None
 
 

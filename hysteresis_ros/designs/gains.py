@@ -7,18 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned in a simulation.
+"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned by a simulation.
 
-Every law declares its designs (:mod:`hysteresis_ros.control.law`); this module has their common part.
+Every law declares its designs (:mod:`hysteresis_ros.control.law`); this module contains the common part.
 
 All plants are drawn before the design, so equal seeds give equal gains. The search uses the model and the corners of
 its uncertainty; the plant with the worst violation of the requirements is added until all plants meet them.
 
-The tuning never uses the plant, which a design must not know: the simulated plant consists of the compensator's
-hysteresis, creep and limits and of the dynamics and preload of the controller's model, without noise. With a perfect
-inverse of that hysteresis hardly more than linear dynamics and limits remains, and a criterion alone would drive the
-gains to the edge of stability. Gains that violate the margins of every design, or a delay margin of 1.3 samples,
-therefore have infinite cost.
+The tuning never uses the simulated plant of the file, which a design must not know. Its plant consists of the
+compensator's hysteresis, creep and limits and of the dynamics and preload of the controller's model, without noise. The
+inverse of this hysteresis is perfect, so hardly more than linear dynamics and limits remains, and a criterion alone
+would drive the gains to the edge of stability. Therefore gains that violate the margins of every design, or a delay
+margin of 1.3 samples, have infinite cost.
 """
 
 from __future__ import annotations
@@ -96,11 +96,12 @@ def design_gains(
     return Designed(found, margins(found, sample_time))
 
 
-#: Part of M_s as the target of a search, whose grid of frequencies is coarser than that of the margins.
+#: Fraction of the allowed M_s at which a search aims, because its grid of frequencies is coarser than that of the
+#: margins.
 COARSE = 0.99
-#: Most plants that are added to the search.
+#: Maximum number of plants that are added to the search.
 ROUNDS = 8
-#: Plants per job, and approximate computing time of the margins on one [s].
+#: Number of plants per job, and approximate computing time of the margins on one plant [s].
 TOGETHER, SECONDS = 50, 2e-2
 
 
@@ -114,12 +115,12 @@ class Robustness:
 
     @property
     def worst(self) -> int:
-        """Index of the plant with the largest M_s, or of an unstable one."""
+        """Index of an unstable plant, or of the plant with the largest M_s."""
         sizes = [found.sensitivity_peak if found.stable else float("inf") for found in self.margins]
         return sizes.index(max(sizes))
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return (name, text) of what a design prints of it."""
+        """Return (name, text) of the rows that a design prints about the margins."""
         ranges, found = self.uncertainty, self.margins[self.worst]
         drawn = (
             f"{len(self.plants)}: gain ±{100.0 * ranges.gain:g} %, hysteresis ±{100.0 * ranges.hysteresis:g} %, times "
@@ -155,7 +156,7 @@ def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robu
 
 
 def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
-    """Return the plants, with the damping of the parameters around each of them."""
+    """Return the plants, each with the damping of the parameters around it."""
     dynamics = parameters.model.dynamics
     around = closing(parameters.damping, dynamics, sample_time, parameters.model.force)
     drawn = drawn_plants(dynamics, sample_time, uncertainty, acting=parameters.damping.source == FORCE)
@@ -225,7 +226,7 @@ class Tuned:
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:
-    """Return the axis with the models of compensator and controller as plant."""
+    """Return the axis with a plant made of the models of compensator and controller."""
     compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
     plant = replace(
         parameters.plant_simulator,
@@ -265,7 +266,7 @@ def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -
 
 
 def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
-    """Return the reference, delayed by its preview, less the true displacement [m]."""
+    """Return the reference, delayed by its preview, minus the true displacement [m]."""
     preview = control.feedforward.preview
     wanted = signals["reference"][: len(signals["reference"]) - preview]
     return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
@@ -281,7 +282,7 @@ def tune(
     iterations: int = ITERATIONS,
     required: Requirements | None = None,
 ) -> Tuned:
-    """Tune the controller of an axis on its own waveform.
+    """Tune the controller of an axis on the waveform of the axis.
 
     Units: ``duration`` [s].
     """
@@ -293,7 +294,7 @@ def tune(
         parameters = parameters.with_duration(duration)
     tuning = LAWS[kind].tuning
     if tuning is None:
-        raise ConfigurationError(f"{kind}: has no gains that are tuned on a criterion")
+        raise ConfigurationError(f"{kind}: has no gains that can be tuned by a criterion")
     required = required or tuning.required
     first = start or getattr(tuning.start(control.before_damping(sample_time), sample_time), kind)
 

@@ -33,22 +33,22 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Possible plants: 5 % uncertainty, 3 % more for all times because of the identification; the slope of the hysteresis
-#: after the inverse; a part of a sample of delay.
+#: Default possible plants: 5 % uncertainty, with 3 % more for all times because of the identification; residual
+#: hysteresis after the inverse; a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and saturation of the command above which learning pauses, as parts of the stroke.
+#: Largest correction, and cut-off part of the command above which learning pauses, as fractions of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
+#: Learning gain, number of periods after which it falls as 1/n, and lower limit of it.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Samples of an impulse response, and its largest remaining part at the end.
+#: Number of samples of an impulse response, and the largest fraction of it that may remain at the end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
 #: Most frequencies.
 MOST = 2**13
-#: Remaining part of the response of a settled closed loop.
+#: Fraction of the response at which a closed loop counts as settled.
 SETTLED = 0.02
 #: Samples before an impulse, for flags and counters of the start.
 BEFORE = 4
-#: Tried directions of a relative uncertainty of the response.
+#: Number of directions (phases) in which a relative uncertainty of the response is tried.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 
@@ -63,12 +63,12 @@ class LearningRequest:
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
 
-#: Command-line options for a design of the learning besides those of the ranges, and further ones that require it.
+#: Command-line options of a design of the learning besides those of the ranges; further options that require it.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
 def asked(options: dict) -> LearningRequest | None:
-    """Return the request for learning of the command-line options; None if they request a controller."""
+    """Return the request for learning from command-line options; None if they request a controller."""
     given = {name: value for name, value in options.items() if value is not None and value is not False}
     ranges = {
         name: given.pop(option.replace("-", "_"))
@@ -88,7 +88,8 @@ def asked(options: dict) -> LearningRequest | None:
     for name in given:
         if name not in TAKES:
             raise ConfigurationError(
-                f"--{name} and --learning exclude each other: the controller is that of the file; design one first"
+                f"--{name} and --learning exclude each other, because learning uses the controller of the "
+                "file; design that one first"
             )
     if kind not in KINDS:
         known = ", ".join(sorted(KINDS))
@@ -116,7 +117,7 @@ class LearningDesign:
     sample_time: float  #: [s]
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return the factor by which the worst part of the error falls per period, at the initial gain."""
+        """Return the factor per period on the part of the error that falls most slowly, at the initial gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -124,10 +125,12 @@ class LearningDesign:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """Measured response of a plant over that of its model."""
+    """Ratio of the measured response of a plant to that of its model."""
 
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
-    ratio: np.ndarray  #: shape (F,); Measured response over that of the model; beyond the lines the nearest one counts.
+    ratio: (
+        np.ndarray
+    )  #: shape (F,); Ratio of the measured response to the model's; beyond the lines that of the nearest line.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
@@ -145,7 +148,7 @@ def closed_loop(
     """Return the closed loop from reference to displacement on the model and on possible plants.
 
     The responses of feedforward, law and other blocks of the loop to an impulse of the reference and of the measurement
-    are u_r and u_d. On another plant P' then T' = P' u_r / (1 − u_d (P' − P)).
+    are u_r and u_d. On another plant P' the closed loop is T' = P' u_r / (1 − u_d (P' − P)).
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
     model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
@@ -179,7 +182,7 @@ def closed_loop(
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
-    """Return the commands after one impulse, shape (count,), per unit of it; ``model`` is the linear plant."""
+    """Return the commands, shape (count,), after an impulse, per unit of the impulse; ``model`` is the linear plant."""
     control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
     resting = resting.law.near_rest(resting)
@@ -193,7 +196,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
     for k in range(count):
         displacement, acting = C @ x
         displacement += measured
-        # the force in the stack falls with the displacement, and its sensor loses the slow part
+        # the force in the stack decreases with the displacement, and its sensor removes the slow part
         pressed = force.whole * acting - force.stack_stiffness * displacement - slow
         slow += slow_part * pressed
         commands[k] = answer(laws, arrays, displacement, reference, pressed)
@@ -245,7 +248,7 @@ def settling(loop: Response) -> int:
 def knocked(loop: Response) -> int:
     """Return the settling time of the closed loop with the model after one wrong sample of the voltage [samples].
 
-    The remaining part is relative to the largest response.
+    The response is compared with its largest value.
     """
     assert loop.pushed is not None
     answer = np.abs(np.fft.irfft(loop.pushed))
@@ -261,7 +264,7 @@ def waveform_period(axis: AxisParameters) -> float:
     return 1.0 / waveform.frequency
 
 
-#: Waveforms with the period of their ``frequency``.
+#: Waveforms whose period is 1/``frequency``.
 PERIODIC = ("sine", "triangle", "square")
 
 

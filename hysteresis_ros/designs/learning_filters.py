@@ -7,17 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Filters of the learned correction for a closed loop: three designs, and their contraction.
+"""Filters of the learned correction for a closed loop: three designs, and the contraction of the error.
 
-T is the closed loop from reference to measured displacement on the model, T_p that on other possible plants. From one
-period to the next the error is multiplied by Q − G T: every design chooses the highest bandwidth at which |Q − G T_p|
-stays below 1 − :data:`MARGIN` at all frequencies and on all plants, with the truncated filters.
+T is the closed loop from reference to measured displacement on the model, T_p the same on another possible plant. From
+one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at which |Q − G
+T_p|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all plants.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
 - *norm_optimal*: m_(j+1) minimises the mean over the plants of |e_(j+1)|² + λ |m_(j+1)|² + μ |m_(j+1) − m_j|² [2]_:
   Q = (μ + E|T|²)/(λ + μ + E|T|²), G = E[T*]/(λ + μ + E|T|²). The weight λ on the correction rises with the frequency.
-- *repetitive*: G = k z^n Q, phase lead n and gain k [3]_.
+- *repetitive*: G = k z^n Q with phase lead n and gain k [3]_.
 
 References
 ----------
@@ -44,11 +44,11 @@ from hysteresis_ros.models.linear_algebra import rounded
 MARGIN = 0.1
 #: ε: unknown part of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15
-#: Taps on each side of the middle of Q, if the period is long enough; G has as many in total.
+#: Number of taps on each side of the middle of Q, if the period is long enough; G has as many taps as Q.
 HALF = 64
-#: Tried bandwidths, as parts of the sample rate: highest, factor, and lowest.
+#: Bandwidths that are tried, as fractions of the sample rate: highest, factor from one to the next, lowest.
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
-#: Width of the roll-off of Q, as a part of the bandwidth, and its minimum [parts of the sample rate].
+#: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02
 #: Target distance of the contraction from one in the notches of Q, because truncated filters lose some of it.
 DIP = 0.15
@@ -58,7 +58,7 @@ ITERATIONS = 60
 CHANGE, STEEPNESS = 0.2, 16
 #: Repetitive: gains, and the longest phase lead [samples].
 GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
-#: Frequencies for their choice.
+#: Number of frequencies for their choice.
 COARSE = 400
 
 
@@ -78,9 +78,9 @@ class Filters:
     kind: str  #: Design.
     error: np.ndarray  #: Taps of G, from the largest lead on.
     lead: int  #: Lead of the first tap [samples].
-    robustness: np.ndarray  #: Taps of Q: the middle, then those on both sides.
+    robustness: np.ndarray  #: Taps of Q: the middle one, then those on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a part of the sample rate.
-    contraction: float  #: Largest |Q − G T_p| of all frequencies and plants.
+    contraction: float  #: Largest |Q − G T_p| over all frequencies and plants.
     nominal: float  #: The same for the model alone.
     worst: float  #: Frequency of the worst contraction, as a part of the sample rate.
 
@@ -101,7 +101,7 @@ def filter_responses(error, lead: int, robustness, angles) -> tuple[np.ndarray, 
 
 
 def contraction(low_pass, learning, possible, gain: float = 1.0) -> np.ndarray:
-    """Return |1 − γ + γ (Q − G T_p)| + γ ε |G|, the largest of all plants at each frequency, shape (m,)."""
+    """Return |1 − γ + γ (Q − G T_p)| + γ ε |G| at each frequency, the largest over all plants, shape (m,)."""
     sizes = np.max(np.abs(1.0 - gain + gain * (low_pass - learning * possible)), axis=0)
     return sizes + gain * UNSEEN * np.abs(learning)
 
@@ -148,13 +148,13 @@ def low_pass(cutoff: float, points: int) -> np.ndarray:
 
 
 def symmetric_taps(response, half: int) -> np.ndarray:
-    """Return the taps of a real response: the middle, then those on both sides, with a gain of one at rest."""
+    """Return the taps of a real response, with a DC gain of one: the middle one, then those on either side."""
     taps = np.fft.irfft(response)[: half + 1]
     return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
 
 
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
-    """Return the 2 n + 1 taps with the largest part of a complex response, and the lead of the first.
+    """Return the 2 n + 1 taps that contain most of a complex response, and the lead of the first tap.
 
     Units: ``half`` [samples].
     """
@@ -173,10 +173,10 @@ def _inversion(response: Response, period: int):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
         largest = np.max(weights, axis=0)
-        # if the inverse is exact for all plants, the weights are irrelevant
+        # if the inverse is exact for all plants, the weights do not matter
         weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
-    # where plants differ much, Q has a notch just deep enough for contraction
+    # where plants differ much, Q gets a notch just deep enough for contraction
     allowed = np.minimum(1.0, (1.0 - DIP) / contraction(1.0, inverse, possible))
 
     half = min(HALF, period - 1)
@@ -207,7 +207,7 @@ def _norm_optimal(response: Response, period: int):
 
 
 def _repetitive(response: Response, period: int):
-    # the total lead of phase lead and filter is less than a period
+    # phase lead and filter together look ahead by less than a period
     half = min(HALF, period // 2)
     leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
     thin = slice(None, None, max(len(response.model) // COARSE, 1))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Use of a measured frequency response with the model of an axis: in a design, and as dynamics of a parameter file."""
+"""Use of a measured frequency response of an axis: in a design, and as dynamics of a parameter file."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.linear import LinearParameters
 
 _HEADER = """\
-# Dynamics identified by `hysteresis identify` from a measured frequency response; a ROS 2 parameter file. SI units.
-# The hysteresis is that of the original file; /identification says where the numbers come from.
+# Dynamics identified by `hysteresis identify` from a measured frequency response; a ROS 2 parameter file. SI units. The
+# hysteresis is that of the original file; the section /identification states the origin of the numbers.
 """
 
 
 def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncertainty:
-    """Return the uncertainty of the model in an axis' controller by a measured response."""
+    """Return the uncertainty, according to a measured response, of the model in the controller of an axis."""
     plant, model = _beside(axis.motion_controller.model.dynamics, axis, found)
     return plant.uncertainty(model, found.response.sample_time)
 
@@ -54,7 +54,7 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:
     """Return the printed margins of a design on the measured plant."""
     loop = measured_margins(axis, result.parameters, found)
-    # both loops are cut at the command: a damping is part of the controller
+    # both loops are cut at the command, so a damping is part of the controller
     model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
     rows = loop.rows(model)
     width = max(len(name) for name, _ in rows)
@@ -124,12 +124,12 @@ def _plain(values: dict) -> dict:
 
 
 def _beside(dynamics: LinearParameters, axis: AxisParameters, found: Analysis) -> tuple[MeasuredPlant, np.ndarray]:
-    """Return the measured plant, and the response of dynamics at its lines."""
+    """Return the measured plant, and the response of given dynamics at its lines."""
     sample_time, own = found.response.sample_time, 1.0 / axis.motion_controller.sample_rate
     if abs(sample_time / own - 1.0) > 1e-6:
         raise ConfigurationError(
-            f"the response was measured at {1.0 / sample_time:.6g} Hz and the axis has {1.0 / own:.6g} Hz; measure it "
-            "at the rate of the axis"
+            f"the response was measured at a sample rate of {1.0 / sample_time:.6g} Hz, but the axis "
+            f"runs at {1.0 / own:.6g} Hz; measure it at the rate of the axis"
         )
     z = np.exp(2j * np.pi * found.response.frequency * sample_time)
     model = plant_state_space(dynamics).response(z)[:, 0, 0]

@@ -28,7 +28,7 @@ from hysteresis_ros.units import readable
 
 #: Samples before the step and after the arrival of the reference, in addition to the preview.
 BEFORE, AFTER = 20, 400
-#: Longest time after the arrival [s], and most samples of the whole run.
+#: Longest time after the arrival [s], and largest number of samples of the whole run.
 SETTLING, MOST = 0.2, 400_000
 
 
@@ -37,16 +37,16 @@ class SetpointStep:
     """A step to the farthest setpoint in the simulation."""
 
     size: float  #: [m]
-    #: Overshoot as a part of the size, beyond the setpoint or the final displacement.
+    #: Overshoot beyond the setpoint or the final displacement, as a fraction of the size.
     overshoot: float
     largest: float  #: Largest change of the voltage in a sample [V].
-    asked: float  #: The same without a slew rate [V].
-    allowed: float  #: Largest change in a sample by the slew rate [V]; inf: the file has none.
+    asked: float  #: Largest change of the voltage in a sample without a slew rate [V].
+    allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf: the file has no slew rate.
     feedforward: bool  #: Whether the dynamics are inverted.
 
     @property
     def share(self) -> float:
-        """Requested change over the allowed one; above 1 the slew rate limits it."""
+        """Ratio of the requested change to the allowed one; above 1 the slew rate limits the voltage."""
         return self.asked / self.allowed
 
     def rows(self) -> list[tuple[str, str]]:
@@ -108,8 +108,9 @@ def require_gentle(step: SetpointStep | None) -> None:
     """Refuse a feedforward whose voltage exceeds the slew limit in a step to a setpoint."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
-            f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away asks for {step.asked:.3g} V in "
-            f"a sample, limits.slew_rate allows {step.allowed:.3g} V; lower approach.maximum_velocity, "
+            f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away needs a change "
+            f"of {step.asked:.3g} V in a sample, but limits.slew_rate allows {step.allowed:.3g} V; "
+            "lower approach.maximum_velocity, "
             "maximum_acceleration and maximum_jerk of reference_generator, or design without --feedforward"
         )
 

@@ -9,6 +9,6 @@
 
 """Devices and sensors: drivers, their registry and the guard around an open device; cameras.
 
-Read ``driver`` (the contract), then one of ``drivers``; ``registry`` finds drivers, ``library`` loads those in C,
-``device`` guards an open one. ``tracker`` finds the displacement in images.
+Start with ``driver`` (the contract) and one of ``drivers``. ``registry`` finds drivers, ``library`` loads drivers in C,
+and ``device`` guards an open device. ``tracker`` finds the displacement in images.
 """

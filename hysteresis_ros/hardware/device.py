@@ -33,7 +33,8 @@ class Device:
     sample_rate : float
         [Hz]
     suits : callable, optional
-        ``suits(capabilities)`` raises an error when the device does not suit; the device is then released.
+        ``suits(capabilities)`` raises an error when the device is not suitable for the axis; the device is then
+        released.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class Device:
     Raises
     ------
     DriverError
-        It cannot be opened, or does not suit.
+        The device cannot be opened, or is not suitable.
     ParameterError
         The driver refuses its parameters.
     """
@@ -58,12 +59,13 @@ class Device:
     ):
         self.name = f"driver {declared.name}:"
         if declared.package and importlib.util.find_spec(declared.package) is None:
-            remedy = f"pip install 'hysteresis_ros[{declared.name}]'; docs/hardware.md says with which Python"
+            remedy = f"pip install 'hysteresis_ros[{declared.name}]'; docs/hardware.md states the version of Python"
             raise DriverError(self.name, f"needs the package {declared.package}, which is not installed", remedy)
         self._driver = declared.driver()
         self._open = True
         self._written: float | None = None
-        #: Held while the device is made safe or closed; the event ends that it is made safe in the background.
+        #: The lock is held while the device is made safe or closed; the event stops the attempts to make it safe in the
+        #: background.
         self._calling, self._over = threading.RLock(), threading.Event()
         self._over.set()
         try:
@@ -75,13 +77,13 @@ class Device:
             raise
 
     def __deepcopy__(self, memo) -> Device:
-        """Return itself: a copy of an axis has no device of its own."""
+        """Return the object itself, because a copy of an axis shares the device."""
         return self
 
     @contextlib.contextmanager
     def _named(self, what: str, *passed: type[Exception]) -> Iterator[None]:
         if not self._open:
-            raise DriverError(self.name, f"{what}: it is closed", "configure the node again")
+            raise DriverError(self.name, f"{what}: the device is closed", "configure the node again")
         try:
             yield
         except passed:
@@ -122,7 +124,8 @@ class Device:
         Raises
         ------
         DriverError
-            They are too many, not finite or out of the device's range, and are not sent; or the device refuses them.
+            Voltages are too many, not finite or out of the device's range (then none is sent), or the device refuses
+            them.
         """
         with self._named("cannot be written"):
             low, high = self.capabilities.minimum, self.capabilities.maximum
@@ -136,12 +139,12 @@ class Device:
             self._driver.write(voltages)
 
     def note(self, voltage: float) -> None:
-        """Note a voltage that machine code has written to the device.
+        """Store a voltage that machine code has written to the device.
 
         Parameters
         ----------
         voltage : float
-            Of the first output [voltage_unit].
+            Voltage of the first output [voltage_unit].
         """
         self._written = voltage
 
@@ -169,7 +172,7 @@ class Device:
         Raises
         ------
         DriverError
-            It does not answer; the error then gives the voltage that is still at its output.
+            The device does not answer; the message states the voltage that is still at its output.
         """
         if not self._open:
             return
@@ -186,16 +189,16 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Make the device safe in the background, repeatedly until it is; other calls wait meanwhile.
+        """Make the device safe in the background, with repeated attempts until it is safe; other calls wait meanwhile.
 
         Parameters
         ----------
         every : float
-            Between two attempts [s].
+            Time between two attempts [s].
         wanted : callable
-            Whether it is still to be made safe.
+            Returns whether the device must still be made safe.
         done : callable
-            Called when it is.
+            Called when the device is safe.
         """
         if self._over.is_set():
             over = self._over = threading.Event()
@@ -206,7 +209,7 @@ class Device:
             with self._calling:
                 if over.is_set():
                     return
-                with contextlib.suppress(DriverError):  # what it says is known
+                with contextlib.suppress(DriverError):  # its message is known from the first attempt
                     if wanted():
                         self.make_safe()
                         done()
@@ -219,12 +222,12 @@ class Device:
             pass
 
     def close(self) -> str:
-        """Release the device, after making it safe if it was written to; do nothing once it is closed.
+        """Make the device safe if a voltage was written, and release it; do nothing once it is closed.
 
         Returns
         -------
         str
-            Problem that the device is left with, for instance a voltage that is still at its output; otherwise empty.
+            Problem that remains at the device, for instance a voltage that is still at its output; empty: none.
         """
         self.desist()
         if not self._open:

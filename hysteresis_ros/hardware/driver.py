@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The contract of a driver: five methods between an axis and a device, its declaration, and helpers to take a device.
+"""The contract of a driver: five methods between an axis and a device, the declaration, and helpers for drivers.
 
-The package keeps the time. Once a sample it reads the positions and, when the sample is over, writes the voltages that
-are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.device`) and never calls two methods at a
-time; a method returns within a small part of a sample.
+The package keeps the time. In each sample it reads the positions and, when the sample is over, writes the voltages,
+which are held until the next sample. It supervises both (:mod:`hysteresis_ros.loop.device`) and never calls two methods
+at a time. A method must return within a small fraction of a sample.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from hysteresis_ros.registry import resolved
 
 
 class DriverError(HysteresisError):
-    """A device cannot be opened, does not answer, or does not suit the axis.
+    """A device cannot be opened, does not answer, or is not suitable for the axis.
 
     Parameters
     ----------
     device : str
         Name of the device, for instance driver and address.
     problem : str
-        What is wrong; follows the name in the message.
+        What is wrong; in the message it follows the name.
     remedy : str
         What to do.
     """
@@ -56,15 +56,16 @@ class Capabilities:
     Parameters
     ----------
     joints : int
-        Positions that it reads.
+        Number of positions that the device reads.
     voltages : int
-        Voltages that it puts out; an axis uses the first ones.
+        Number of voltages that it outputs; an axis uses the first ones.
     minimum, maximum : float
         Range of its output [voltage_unit].
     highest_rate : float
         Highest rate at which it can be read and written [Hz].
     watchdog : float or None
-        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s], if it does.
+        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: it does
+        not.
     keeps_time : bool
         Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package has no loop that
         follows a device, so it refuses such a device.
@@ -72,7 +73,7 @@ class Capabilities:
         Units of the readings and of the output. Units other than ``m`` and ``V`` are converted by the parameters
         ``calibration`` of the plant's node, which must name them.
     forces : int
-        Forces that it reads in addition to the positions [N]: 1 (the force in the stack) or 0 for an axis.
+        Number of forces [N] that it reads in addition to the positions: for an axis 1 (the force in the stack) or 0.
     """
 
     joints: int
@@ -103,7 +104,7 @@ class Compiled(NamedTuple):
     explain: Callable[[int], DriverError]
 
 
-#: Result of reading: there is no measurement in this sample, and nothing is wrong.
+#: Result of reading: this sample has no measurement, without an error.
 NOTHING_NEW = -1
 
 
@@ -117,9 +118,9 @@ class Reading(NamedTuple):
 
 
 class Driver(ABC):
-    """A device in the plant's place. Every error is a :class:`DriverError`.
+    """A device that takes the place of the plant. Every error is a :class:`DriverError`.
 
-    An instance is opened once. ``close`` is the last call, also after an ``open`` that failed.
+    An instance is opened once. ``close`` is the last call, also if ``open`` has failed.
     """
 
     @abstractmethod
@@ -161,14 +162,14 @@ class Driver(ABC):
         Raises
         ------
         DriverError
-            They cannot be written.
+            The voltages cannot be written.
         """
 
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code reads and writes the open device; None: only Python can.
 
-        They stay valid until :meth:`close`. Without them the fused loop refuses the driver, because Python would have
-        to wait for its lock in each sample.
+        The functions stay valid until :meth:`close`. The fused loop refuses a driver without them, because it would
+        have to wait for Python's lock in each sample.
         """
         return None
 
@@ -187,12 +188,12 @@ class Driver(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release the device, which is safe by then; idempotent."""
+        """Release the device, which has been made safe before; idempotent."""
 
 
 @dataclass(frozen=True, eq=False)
 class EmulatedDevice:
-    """An emulated device as a process of its own, for ``hysteresis emulate``; a driver or another program commands it.
+    """An emulated device that runs as a separate process (``hysteresis emulate``), for a driver or another program.
 
     Parameters
     ----------
@@ -221,15 +222,15 @@ class HardwareDriver:
         Parameters of :meth:`Driver.open`: a group of the driver's name. A driver that needs only parameters of the
         plant's node names their class, for instance ``ActuatorParameters``, and has no group.
     driver : type of Driver
-        Made without arguments.
+        Class of the driver; its constructor has no arguments.
     emulator : callable, optional
-        ``emulator()`` returns a context manager that emulates the device and gives the parameters to open it with: to
-        test the driver without the device, and for the contract test. Only a library that is named by its path has
-        none. :func:`hysteresis_ros.registry.later` imports its module only when it is called.
+        ``emulator()`` returns a context manager that emulates the device and gives the parameters to open it with. The
+        contract test needs it, and tests of the driver without the device. Only a library given by its path has none.
+        :func:`hysteresis_ros.registry.later` imports its module only when it is called.
     device : EmulatedDevice or str, optional
-        The emulated device as a process of its own, or its dotted path ``package.module:DEVICE``.
+        The emulated device that runs as a separate process, or its dotted path ``package.module:DEVICE``.
     package : str
-        Additional module that it needs, installed by the extra of the driver's name; '': none.
+        Additional module that the driver needs, installed by the extra with the driver's name; '': none.
     """
 
     name: str
@@ -246,9 +247,9 @@ class HardwareDriver:
         return resolved(self.device) if isinstance(self.device, str) else self.device
 
 
-#: Steps of a ramp.
+#: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, the part of them that the highest rate must fit, and a driver's share of a sample.
+#: Number of trial samples, the fraction of them that must fit at the highest rate, and a driver's share of a sample.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 
@@ -264,7 +265,7 @@ def claim(path: pathlib.Path, name: str) -> int:
     Raises
     ------
     DriverError
-        It cannot be opened, or another process holds it.
+        The file cannot be opened, or another process holds the lock.
     """
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -297,7 +298,7 @@ def ramp(put_out: Callable[[float], None], start: float, end: float, duration: f
 
 
 def highest_rate(write: Callable[[], None], read: Callable[[], object]) -> float:
-    """Return the rate at which nearly all samples leave time for the rest of an axis [Hz].
+    """Return the rate [Hz] at which nearly all samples leave enough time for the rest of an axis.
 
     Parameters
     ----------

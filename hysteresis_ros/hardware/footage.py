@@ -25,18 +25,18 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Least ratio of a motion to the uncertainty of a place, and least number of places.
+#: Smallest ratio of a motion to the uncertainty of a place, and smallest number of places.
 CLEAR, LEAST_PLACES = 20.0, 3
 #: Least distance between two edges of a target [px].
 APART = 12
 
 
 class Scale(NamedTuple):
-    """Displacements as a line over places in frames."""
+    """Displacements as a linear function of places in frames."""
 
     #: [m/px], always above 0.
     metres_per_pixel: float
-    #: Standard deviation of that [m/px].
+    #: Standard deviation of the scale [m/px].
     uncertainty: float
     #: Direction of a motion: 1, or -1 if the position decreases with increasing displacement.
     sign: int = 1
@@ -52,14 +52,14 @@ def scale_of_motion(pixels, displacements) -> Scale:
     Parameters
     ----------
     pixels : array_like, shape (N,)
-        Places [px]; NaN where a frame was refused.
+        Places [px]; NaN for a refused frame.
     displacements : array_like, shape (N,)
         [m]
 
     Raises
     ------
     FrameError
-        There are too few places, or they hardly move.
+        There are too few places, or their motion is too small.
     """
     pixels, displacements = np.asarray(pixels, dtype=float), np.asarray(displacements, dtype=float)
     if pixels.shape != displacements.shape:
@@ -68,7 +68,7 @@ def scale_of_motion(pixels, displacements) -> Scale:
     there = np.isfinite(pixels) & np.isfinite(displacements)
     count = int(np.count_nonzero(there))
     if count < LEAST_PLACES:
-        raise FrameError(f"{count} frames show a place whose displacement is known: {LEAST_PLACES} are needed")
+        raise FrameError(f"only {count} frames show a place with a known displacement: {LEAST_PLACES} are needed")
     x, y = pixels[there], displacements[there]
     spread = x - x.mean()
     squares = float(np.sum(spread**2))
@@ -88,7 +88,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     Parameters
     ----------
     grey : ndarray, shape (rows, columns)
-        Grey levels, 0 to 255; the edges stand across the rows.
+        Grey levels, 0 to 255; the edges cross the rows.
     size : float
         Distance of the edges [m].
     smallest_contrast, largest_blur : float
@@ -108,7 +108,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
     found = [(first, find_edge(np.ascontiguousarray(part), smallest_contrast, largest_blur)) for first, part in sides]
     others = [(first + edge.pixels, edge) for first, edge in found if not edge.refusal]
     if not others:
-        raise FrameError(f"no target: one edge in column {strongest.pixels:.1f}, and no other one beside it")
+        raise FrameError(f"no target: only one edge, in column {strongest.pixels:.1f}")
     column, other = max(others, key=lambda item: item[1].contrast)
     apart = abs(column - strongest.pixels) * math.cos(math.atan(0.5 * (strongest.slope + other.slope)))
     scale = size / apart
@@ -118,7 +118,7 @@ def scale_of_target(grey: np.ndarray, size: float, smallest_contrast: float, lar
 
 #: Suffixes of pictures.
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-#: Most missing frames per picture at which numbers in the names count as frame numbers.
+#: Largest ratio of missing numbers to pictures at which numbers in the names count as frame numbers.
 GAPS = 10
 
 _NUMBER = re.compile(r"(\d+)\D*$")
@@ -132,7 +132,7 @@ def opencv() -> Any:
     FrameError
         It is not installed.
     """
-    # OpenCV's own limit is a gigapixel; it reads this variable once
+    # OpenCV's own limit is a gigapixel; OpenCV reads this variable only once
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     try:
         import cv2
@@ -150,8 +150,8 @@ class Footage:
     Parameters
     ----------
     source : path-like
-        Pictures are taken in the order of the numbers in their names; where all are numbered, a number that is missing
-        is a lost frame.
+        Folder of pictures, or video. Pictures are used in the order of the numbers in their names; if all have a
+        number, a missing number is a lost frame.
     rate : float, optional
         Frame rate [Hz]; by default that of the video.
 
@@ -188,7 +188,7 @@ class Footage:
             raise FrameError(f"{self._source}: has no frame rate: give --rate HZ")
 
     def __iter__(self) -> Iterator[np.ndarray | None]:
-        """Yield the grey levels of each frame, 0 to 255; None where one is lost or cannot be read."""
+        """Yield the grey levels of each frame, 0 to 255; None for a frame that is lost or cannot be read."""
         return self._each_picture() if self._source.is_dir() else self._each_of_video()
 
     def _each_picture(self) -> Iterator[np.ndarray | None]:
@@ -243,7 +243,7 @@ def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] 
     Raises
     ------
     FrameError
-        No frame shows a place; the message says why the first one does not.
+        No frame shows the tip; the message states why the first one does not.
     """
     rows, reasons, first = [], Counter[str](), ""
     for number, grey in enumerate(frames):
@@ -254,7 +254,7 @@ def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] 
             reasons[place.refusal.partition(":")[0]] += 1
             first = first or place.refusal
     if not np.isfinite([row[0] for row in rows]).any():
-        raise FrameError(f"none of {len(rows)} frames shows where the tip is; the first one: {first}")
+        raise FrameError(f"the tip was found in none of {len(rows)} frames; the first frame: {first}")
     names = ("measured", "pixels", "uncertainty", "contrast", "blur")
     units = {"pixels": "px", "uncertainty": "px", "contrast": "1", "blur": "px"}
     notes = [f"{count} of {len(rows)} frames give no displacement: {reason}" for reason, count in reasons.items()]

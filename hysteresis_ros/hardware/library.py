@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from where it is trusted.
+"""Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted places.
 
-As sshd does with keys, the file and every folder on its path are checked, also behind symbolic links. They must belong
-to root, to the user of this process, or to the owner of this package, who could change the package as well; and no
+The file and every folder on its path are checked, also behind symbolic links, as sshd does for keys. They must belong
+to root, to the user of this process, or to the owner of this package (who could change the package as well), and no
 other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all: only the owner of
 an entry can remove or rename it, and that owner is checked next. A group may write when it has no other members, such
 as the private group that many systems give each user. Access control lists are not checked.
@@ -65,13 +65,13 @@ def require_trusted(path: pathlib.Path) -> pathlib.Path:
         for folder in folders.split(os.pathsep)
         if folder
     ):
-        remedy = f"put it there, or add its folder to {FOLDERS}"
+        remedy = f"put it into one of these folders, or add its folder to {FOLDERS}"
         raise DriverError(name, f"is not loaded: it is outside the folders {FOLDERS}={folders}", remedy)
     trusted = {0, os.geteuid(), pathlib.Path(__file__).stat().st_uid}
     for place in _on_the_way(path.absolute()):
         problem, remedy = _alterable(place, trusted)
         if problem:
-            raise DriverError(name, f"is not loaded: {problem}: other code could be put there", remedy)
+            raise DriverError(name, f"is not loaded: {problem}, who could replace the code", remedy)
     return real
 
 
@@ -98,7 +98,7 @@ def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
         whose = f"{place} belongs to {_user(found.st_uid)}"
         return whose, f"make it yours (chown {_user(os.geteuid())} {place}), or copy the driver to a folder of your own"
     if stat.S_ISLNK(found.st_mode):
-        return "", ""  # only the owner of a link, or a writer of its folder, can change its target
+        return "", ""  # only the owner of a link, or a user who can write to its folder, can change its target
     mode = f"{place} (mode {stat.S_IMODE(found.st_mode):04o})"
     sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     if found.st_mode & stat.S_IWOTH and not sticky:
@@ -116,7 +116,7 @@ def _members(group: int) -> set[int]:
     users = pwd.getpwall()
     try:
         named = set(grp.getgrgid(group).gr_mem)
-    except KeyError:  # no such group here, hence no members
+    except KeyError:  # the group is not known on this machine, so it has no members
         named = set()
     return {user.pw_uid for user in users if user.pw_gid == group or user.pw_name in named}
 
@@ -151,7 +151,7 @@ class _Capabilities(ctypes.Structure):
 class LibraryParameters(Parameters):
     """Parameters of a shared library without a Python class of its own."""
 
-    options: tuple[str, ...] = parameter((), description="NAME=VALUE each, as hysteresis_open takes them")
+    options: tuple[str, ...] = parameter((), description="options for hysteresis_open, each NAME=VALUE")
 
 
 def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
@@ -179,7 +179,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     missing = [function for function in FUNCTIONS if not hasattr(library, function)]
     if missing:
         raise DriverError(
-            name, f"has no function {', '.join(missing)}", "a driver in C needs those of hysteresis_driver.h"
+            name, f"has no function {', '.join(missing)}", "a driver in C needs the functions of hysteresis_driver.h"
         )
     pointer, code = ctypes.c_void_p, ctypes.c_int32
     library.hysteresis_read.argtypes = library.hysteresis_write.argtypes = pointer, pointer
@@ -221,7 +221,8 @@ class SharedLibrary(Driver):
         Parameters
         ----------
         parameters : Parameters
-            Options for ``hysteresis_open``; an instance of :class:`LibraryParameters` holds the options themselves.
+            Its entries are the options for ``hysteresis_open``; an instance of :class:`LibraryParameters` contains the
+            options as texts.
         sample_rate : float
             [Hz]
 
@@ -254,7 +255,7 @@ class SharedLibrary(Driver):
         return DriverError(name, problem.strip(), remedy.strip() or "check the device and its driver")
 
     def read(self) -> Reading:
-        """Return the positions; NaN when there is nothing new.
+        """Return the positions; NaN when there is no new measurement.
 
         Raises
         ------

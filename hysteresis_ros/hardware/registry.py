@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registry of drivers: of the folder ``drivers``, of other packages by an entry point, and drivers given by a path."""
+"""Registry of drivers: in the folder ``drivers``, from other packages (entry points), or given by a path."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-import hysteresis_ros.hardware.drivers  # noqa: F401  (its folder is searched)
+import hysteresis_ros.hardware.drivers  # noqa: F401  (the registry searches its folder)
 from hysteresis_ros.configuration import ParameterRow, Parameters
 from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
 from hysteresis_ros.hardware.driver import DriverError, HardwareDriver
@@ -38,7 +38,7 @@ _TRUTHS = {"true": True, "false": False}
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Compiles a file each time and ignores cached bytecode, which another user might have changed."""
+    """Compiles a file each time and ignores cached bytecode, because another user might have changed it."""
 
     def get_code(self, fullname: str):
         """Return the code of the file."""
@@ -52,7 +52,7 @@ def driver_of(name: str) -> HardwareDriver:
     Parameters
     ----------
     name : str
-        One of the registry, or a path with a slash in it.
+        Name in the registry, or a path that contains a slash.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def driver_of(name: str) -> HardwareDriver:
         return DRIVERS[name]
     if "/" not in name:
         known = ", ".join(DRIVERS)
-        remedy = f"choose one of {known} or give a path with a /{did_you_mean(name, DRIVERS)}"
+        remedy = f"choose one of {known} or give a path that contains a /{did_you_mean(name, DRIVERS)}"
         raise DriverError(f"driver {name}", "is not known", remedy)
     return _driver_at(str(pathlib.Path(name).expanduser().absolute()))
 

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A camera that takes a rendered frame of a simulated tip at each sample, and delivers it some frames later.
+"""A camera that renders a frame of a simulated tip at each sample, and delivers it some frames later.
 
 A bright body with a straight edge moves along the rows of the frame before a dark background. The optics blur the edge,
-the light drifts, the sensor has noise and 8 bits. It serves to test trackers, and to close a loop through frames
-without a camera.
+the light drifts, the sensor has noise and 8 bits. The camera serves to test trackers, and to close a loop through
+frames without a real camera.
 """
 
 from __future__ import annotations
@@ -25,19 +25,24 @@ import numpy as np
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
 
-#: Half the width in which an edge is blurred [standard deviations].
+#: Half the width over which an edge is blurred [standard deviations].
 REACH = 6.0
 LARGEST = 255.0
 
 
 @dataclass(frozen=True)
 class SceneParameters(Parameters):
-    """What a camera sees of a tip."""
+    """Parameters of the image of a tip."""
 
     width: int = parameter(640, unit="px", low=32, high=8192, read_only=True, description="columns of a frame")
     height: int = parameter(480, unit="px", low=16, high=8192, read_only=True, description="rows of a frame")
     scale: float = parameter(
-        5.0e-7, unit="m/px", low=1.0e-12, high=1.0, read_only=True, description="displacement that moves it one pixel"
+        5.0e-7,
+        unit="m/px",
+        low=1.0e-12,
+        high=1.0,
+        read_only=True,
+        description="displacement that moves the edge by one pixel",
     )
     zero: float = parameter(
         320.0, unit="px", low=0.0, high=8192.0, read_only=True, description="column of the edge at displacement 0"
@@ -46,20 +51,26 @@ class SceneParameters(Parameters):
         2.0, unit="°", low=-30.0, high=30.0, read_only=True, description="angle between the edge and the columns"
     )
     bright: float = parameter(190.0, low=0.0, high=LARGEST, description="grey level of the body")
-    dark: float = parameter(40.0, low=0.0, high=LARGEST, description="grey level of the ground")
+    dark: float = parameter(40.0, low=0.0, high=LARGEST, description="grey level of the background")
     texture: float = parameter(
-        0.0, low=0.0, high=0.5, read_only=True, description="grain of the body, standard deviation relative to its grey"
+        0.0,
+        low=0.0,
+        high=0.5,
+        read_only=True,
+        description="grain of the body: standard deviation relative to its grey level",
     )
     blur: float = parameter(1.2, unit="px", low=0.3, high=50.0, description="standard deviation of the optics' blur")
     noise: float = parameter(2.0, low=0.0, high=50.0, description="standard deviation of the noise [grey levels]")
     light_drift: float = parameter(
         0.1, low=0.0, high=0.9, description="relative amplitude with which the light drifts, and varies over the frame"
     )
-    light_period: float = parameter(20.0, unit="s", low=1.0e-3, high=1.0e6, description="period of that drift")
-    seed: int = parameter(1, low=0, high=2**31 - 1, read_only=True, description="of noise and grain")
+    light_period: float = parameter(
+        20.0, unit="s", low=1.0e-3, high=1.0e6, description="period of the drift of the light"
+    )
+    seed: int = parameter(1, low=0, high=2**31 - 1, read_only=True, description="seed of noise and grain")
 
     def check(self):
-        """Yield what is inconsistent."""
+        """Yield a Problem for each inconsistency."""
         if not self.zero <= self.width:
             yield Problem("zero", self.zero, f"must lie within the frame of width = {self.width} px")
 
@@ -75,14 +86,14 @@ class Scene:
     def __init__(self, parameters: SceneParameters):
         self.parameters = given = parameters.validated()
         rows = np.arange(given.height) - 0.5 * (given.height - 1)
-        # the column of the edge, row by row, at displacement 0
+        # column of the edge in each row at displacement 0
         self._edge = given.zero + math.tan(math.radians(given.tilt)) * rows
         self._columns = np.arange(given.width, dtype=float)
         self._slope = (self._columns / given.width - 0.5).astype(np.float32)
         self._grain = self._make_grain()
 
     def _make_grain(self) -> np.ndarray | None:
-        """Return the grain of the body from its edge on, wider than the frame and smooth over two pixels."""
+        """Return the grain of the body, from its edge on: wider than the frame, and smooth over two pixels."""
         given = self.parameters
         if not given.texture:
             return None
@@ -95,7 +106,7 @@ class Scene:
         return grain
 
     def _body(self, pixels: float) -> np.ndarray | float:
-        """Return the grey level of the body moved by so many pixels, shape (height, width), or one for all."""
+        """Return the body's grey level after a motion in pixels, shape (height, width); a number without grain."""
         given = self.parameters
         if self._grain is None:
             return given.bright
@@ -111,9 +122,9 @@ class Scene:
         displacement : float
             [m]
         number : int
-            Of the frame: each has a noise of its own.
+            Number of the frame; each frame has its own noise.
         time : float
-            For the drift of the light [s].
+            Time of the frame [s], for the drift of the light.
 
         Returns
         -------
@@ -139,8 +150,8 @@ class Scene:
         return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
 
     def _covered(self, inside: np.ndarray) -> np.ndarray:
-        """Return the part of a pixel's light from the body, for a distance ``inside`` its edge [px]."""
-        # a pixel gathers light over its width: the integral of the blurred edge
+        """Return the fraction of a pixel's light that comes from the body, for a distance ``inside`` its edge [px]."""
+        # a pixel collects light over its width, so this is the integral of the blurred edge
         return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
@@ -156,10 +167,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class SimulatedCameraParameters(SceneParameters):
-    """What a simulated camera sees, and how late."""
+    """Image and delay of a simulated camera."""
 
     delay: int = parameter(
-        1, unit="frames", low=0, high=100, read_only=True, description="frames that pass until a frame arrives"
+        1, unit="frames", low=0, high=100, read_only=True, description="delay of a frame until it arrives"
     )
 
 
@@ -170,7 +181,7 @@ class SimulatedCamera:
     ----------
     parameters : SimulatedCameraParameters
     sample_time : float
-        Between two frames [s].
+        Time between two frames [s].
     """
 
     def __init__(self, parameters: SimulatedCameraParameters, sample_time: float):
@@ -184,12 +195,12 @@ class SimulatedCamera:
         self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
 
     def take(self, displacement: float) -> np.ndarray:
-        """Take a frame of the tip, and return the frame that arrives now; at the beginning, that of the first sample.
+        """Take a frame of the tip and return the frame that arrives now; at the beginning it is the first frame.
 
         Parameters
         ----------
         displacement : float
-            Of the tip now [m].
+            Present displacement of the tip [m].
         """
         self._way.append(displacement)
         number = self._number

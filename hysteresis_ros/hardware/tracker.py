@@ -7,14 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Displacement from images, frame by frame: the position of the tip, its uncertainty, or why a frame is refused.
+"""Displacement from images, frame by frame: the position of the tip and its uncertainty, or why a frame is refused.
 
-Pixels become grey levels; the place of an edge or the motion of a pattern is found to a hundredth of a pixel.
+Pixels are converted to grey levels. The place of an edge, or the motion of a pattern, is found to about a hundredth of
+a pixel.
 
-For each row that crosses the edge, the sum of its normalised grey levels gives the number of pixels on one side,
-independent of the blur if that is symmetric. A line through all rows, without outliers, gives place, tilt and
-uncertainty. The blur follows from all pixels over their distance from that line, as in the slanted-edge method of
-ISO 12233.
+For each row that crosses the edge, the sum of its normalised grey levels gives the number of pixels on one side of the
+edge; a symmetric blur does not change it. A line through all rows except outliers gives place, tilt and uncertainty.
+The blur follows from the grey levels of all pixels against their distance from this line, as in the slanted-edge method
+of ISO 12233.
 
 For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane whose slopes are the
 displacement (H.
@@ -53,10 +54,10 @@ ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "bgra8": (1, 4, (2, 1, 0)),
 }
 
-#: Most pixels of an image: 7680 x 4320 fits.
+#: Maximum number of pixels of an image; it allows 7680 x 4320.
 MOST_PIXELS = 2**25
 
-#: Parts of red, green and blue in the luminance of ITU-R BT.601.
+#: Weights of red, green and blue in the luminance of ITU-R BT.601.
 LUMINANCE = (0.299, 0.587, 0.114)
 
 
@@ -74,12 +75,12 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     step : int
         Bytes from one row to the next.
     big_endian : bool
-        Of two bytes the more significant one comes first.
+        Whether the more significant one of two bytes comes first.
 
     Returns
     -------
     ndarray, shape (rows, columns)
-        Of 8 bits where the image has one channel of 8 bits.
+        Of type uint8 if the image has one channel of 8 bits.
 
     Raises
     ------
@@ -88,14 +89,18 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     """
     rows, columns = shape
     if encoding not in ENCODINGS:
-        raise FrameError(f"encoding '{encoding}' is not read; have the camera send one of {', '.join(ENCODINGS)}")
+        raise FrameError(
+            f"encoding '{encoding}' is not supported; configure the camera for one of {', '.join(ENCODINGS)}"
+        )
     size, channels, colours = ENCODINGS[encoding]
     if rows * columns > MOST_PIXELS:
-        raise FrameError(f"{columns} x {rows} px are more than {MOST_PIXELS}: have the camera send a part of its image")
+        raise FrameError(
+            f"{columns} x {rows} px are more than {MOST_PIXELS} pixels: configure the camera for a part of its image"
+        )
     used = columns * channels * size
     if rows < 1 or columns < 1 or step < used or len(data) < rows * step:
-        text = f"{len(data)} bytes in rows of {step} are no image of {columns} x {rows} px in '{encoding}'"
-        raise FrameError(f"{text}: the camera's driver is at fault")
+        text = f"{len(data)} bytes in rows of {step} are not an image of {columns} x {rows} px in '{encoding}'"
+        raise FrameError(f"{text}: check the driver of the camera")
     kind = np.dtype(np.uint8 if size == 1 else (">u2" if big_endian else "<u2"))
     lines = np.frombuffer(data, dtype=np.uint8, count=rows * step).reshape(rows, step)[:, :used]
     if size == 1 and channels == 1:
@@ -112,15 +117,15 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
 BLOCK, LAG = 16, 4
 #: Largest distance of a block from the line through all blocks [px].
 STRAY = 6.0
-#: Columns at each end of a window whose mean is the grey level of that side.
+#: Number of columns at each end of a window whose mean is the grey level of that side.
 PLATEAU = 4
-#: Smallest part of the rows that must show the edge.
+#: Fraction of the rows that must show the edge.
 LEAST_ROWS = 0.5
 #: Distance of outliers from the line in standard deviations, and number of iterations.
 OUTLIER, EDGE_LOOKS = 4.0, 3
 #: Bins per pixel of the profile across the edge.
 BINS = 4
-#: Between 16 % and 84 % of a step blurred by a Gaussian lie two standard deviations.
+#: The points at 16 % and 84 % of a step blurred by a Gaussian are two standard deviations apart.
 LOW_PART, HIGH_PART = 0.158655, 0.841345
 
 
@@ -129,13 +134,14 @@ class Place(NamedTuple):
 
     #: Column, from the centre of the first one of the frame [px]; NaN with a reason.
     pixels: float
-    #: Standard deviation of that from this frame alone [px].
+    #: Standard deviation of the column, estimated from this frame alone [px].
     uncertainty: float
-    #: Contrast of the edge in grey levels, of 255; for a pattern its correlation with the first frame, of 1.
+    #: Contrast of the edge in grey levels (at most 255); for a pattern its correlation with the first frame (at most
+    #: 1).
     contrast: float
     #: Standard deviation of the blur [px]; NaN where it is not known.
     blur: float
-    #: Reason without a position; empty with a position.
+    #: Why the position was not found; empty if it was.
     refusal: str = ""
     #: Slope of an edge: columns per row.
     slope: float = math.nan
@@ -147,9 +153,9 @@ def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) ->
     Parameters
     ----------
     refusal : str
-        Why.
+        Reason.
     contrast, blur : float
-        What was found.
+        Measured values.
     """
     return Place(math.nan, math.nan, contrast, blur, refusal)
 
@@ -162,9 +168,9 @@ def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -
     grey : ndarray, shape (rows, columns)
         Grey levels, 0 to 255.
     smallest_contrast : float
-        Grey levels between both sides of the edge.
+        Required difference of grey levels between the sides of the edge.
     largest_blur : float
-        Standard deviation of the blur [px].
+        Largest allowed standard deviation of the blur [px].
     """
     half = math.ceil(3.0 * largest_blur) + PLATEAU
     if grey.shape[1] < 2 * half + 2 or grey.shape[0] < 2 * BLOCK:
@@ -178,7 +184,7 @@ def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -
     if not place.blur <= largest_blur:
         text = f"blurred: a standard deviation of {place.blur:.3g} px, largest_blur is {largest_blur:g}"
         return nowhere(text, place.contrast, place.blur)
-    # the rest of the window only adds noise and varying light
+    # the rest of the window would only add noise and varying light
     place = _across(grey, rows, place.line, min(math.ceil(3.5 * place.blur) + PLATEAU, half), smallest_contrast)
     if isinstance(place, Place):
         return place
@@ -219,13 +225,13 @@ def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contra
 
 
 def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return the rows from their middle, and the line where blocks of them change most: column there, and slope."""
+    """Return the rows, counted from their middle, and column and slope of the line where blocks change most."""
     rows = np.arange(grey.shape[0]) - 0.5 * (grey.shape[0] - 1)
     blocks = grey.shape[0] // BLOCK
     means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)
     change = np.abs(means[:, LAG:] - means[:, :-LAG])
     column = np.argmax(change, axis=1)
-    # for a blurred edge only part of the step lies between the two compared columns
+    # only a part of the step of a blurred edge lies between the two compared columns
     strong = change[np.arange(blocks), column] >= 0.25 * smallest_contrast
     if np.count_nonzero(strong) < max(LEAST_ROWS * blocks, 2):
         return rows, None
@@ -256,7 +262,7 @@ def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np
 
 
 def _blur(distance: np.ndarray, part: np.ndarray) -> float:
-    """Return the blur [px] from the bright fraction of each pixel over its distance from the edge."""
+    """Return the blur [px], from the bright fraction of each pixel against its distance from the edge."""
     bins = np.floor((distance - distance.min()) * BINS).astype(int).ravel()
     count = np.bincount(bins)
     mean = np.bincount(bins, weights=part.ravel()) / np.maximum(count, 1)
@@ -271,25 +277,25 @@ def _blur(distance: np.ndarray, part: np.ndarray) -> float:
 
 #: Highest fitted frequency, and frequencies that measure the sharpness of a frame [1/px].
 HIGHEST, FINE = 0.2, 0.08
-#: Largest remainder after the whole pixels [px], and most searches for them.
+#: Largest remainder after the shift by whole pixels [px], and maximum number of searches for that shift.
 REST, PATTERN_LOOKS = 0.6, 6
-#: Smallest part of the first frame's fine details; less means a blurred frame.
+#: Fraction of the first frame's fine details below which a frame counts as blurred.
 LEAST_DETAIL = 0.3
 
 LOST = "the pattern of the first frame is not found again"
 
 
 class Pattern:
-    """Finds the pattern of a first frame again.
+    """Finds the pattern of a first frame in later frames.
 
     Parameters
     ----------
     first : ndarray, shape (rows, columns)
         Grey levels, 0 to 255.
     region : tuple of int
-        First column and row, width and height of the pattern in it [px].
+        First column and row, width and height of the pattern in the first frame [px].
     smallest_coherence : float
-        Below this a frame does not show the pattern.
+        Coherence below which a frame does not show the pattern.
     """
 
     def __init__(self, first: np.ndarray, region: tuple[int, int, int, int], smallest_coherence: float):
@@ -321,7 +327,7 @@ class Pattern:
         Parameters
         ----------
         grey : ndarray, shape (rows, columns)
-            As large as the first one.
+            Grey levels, of the same shape as the first frame.
         """
         moved = self._moved(grey, self._shift)
         if moved is None and self._shift:
@@ -351,7 +357,7 @@ class Pattern:
         return Place(self._shift + float(column), uncertainty, coherence, math.nan)
 
     def _moved(self, grey: np.ndarray, shift: int) -> tuple[int, np.ndarray, np.ndarray] | None:
-        """Return the whole pixels, and both spectra at the lower frequencies; None when they are not found."""
+        """Return the shift in whole pixels, and both spectra at the lower frequencies; None when no shift is found."""
         for _ in range(PATTERN_LOOKS):
             if not 0 <= self._column + shift <= grey.shape[1] - self._width:
                 return None
@@ -385,14 +391,15 @@ class TrackingParameters(Parameters):
         low=0.0,
         high=65535.0,
         read_only=True,
-        description="part of the frame that is looked at: first column, first row, width, height; empty: all of it. "
-        "Of a pattern it is the part that is found again, and has to leave room for the motion",
+        description="part of the frame that is used: first column, first row, width, height; empty: the "
+        "whole frame. It contains the pattern to be tracked, and must leave room in the frame "
+        "for the motion",
     )
     smallest_contrast: float = parameter(
-        20.0, low=0.5, high=255.0, description="edge: grey levels (of 255) between its sides that a frame has to have"
+        20.0, low=0.5, high=255.0, description="edge: smallest difference of grey levels between its sides (0 to 255)"
     )
     largest_blur: float = parameter(
-        4.0, unit="px", low=0.3, high=50.0, description="edge: largest standard deviation of its blur"
+        4.0, unit="px", low=0.3, high=50.0, description="edge: largest standard deviation of the blur"
     )
     smallest_coherence: float = parameter(
         0.5, low=0.01, high=1.0, read_only=True, description="pattern: least coherence with the first frame"
@@ -401,11 +408,14 @@ class TrackingParameters(Parameters):
         0.1, unit="px", low=1.0e-6, high=10.0, description="largest standard deviation of the place"
     )
     frozen_frames: int = parameter(
-        5, low=0, high=10**9, description="frames in a row without a single bit that differs: a frozen camera; 0: never"
+        5,
+        low=0,
+        high=10**9,
+        description="number of bit-for-bit equal frames in a row that means a frozen camera; 0: not checked",
     )
 
     def check(self):
-        """Yield what is inconsistent."""
+        """Yield a Problem for each inconsistency."""
         if self.region and (len(self.region) != 4 or not all(number == int(number) for number in self.region)):
             yield Problem("region", self.region, "give four whole numbers: first column, first row, width, height")
         elif self.region and not (self.region[2] > 0.0 and self.region[3] > 0.0):
@@ -414,11 +424,15 @@ class TrackingParameters(Parameters):
 
 @dataclass(frozen=True)
 class CameraCalibrationParameters(SensorCalibrationParameters):
-    """From pixels to displacements."""
+    """Calibration from pixels to displacements."""
 
-    unit: str = parameter("px", choices=("px",), read_only=True, description="unit of what a camera sees")
+    unit: str = parameter("px", choices=("px",), read_only=True, description="unit of a camera's readings")
     homing_samples: int = parameter(
-        5, low=1, high=10**6, read_only=True, description="relative: frames whose mean is the place of home"
+        5,
+        low=1,
+        high=10**6,
+        read_only=True,
+        description="relative: number of frames whose mean place is the home position",
     )
 
 
@@ -431,19 +445,19 @@ class CameraParameters(Parameters):
 
 
 def fits(grey: np.ndarray, tracking: TrackingParameters) -> bool:
-    """Tell whether the region lies within a frame."""
+    """Return whether the region lies within a frame."""
     x, y, width, height = tracking.region or (0, 0, 0, 0)
     return x + width <= grey.shape[1] and y + height <= grey.shape[0]
 
 
 def turned(grey: np.ndarray, tracking: TrackingParameters) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-    """Return a frame with its motion along the rows, and the region in it."""
+    """Return a frame, transposed if necessary so that the motion is along the rows, and the region in it."""
     x, y, width, height = map(int, tracking.region or (0, 0, grey.shape[1], grey.shape[0]))
     return (grey.T, (y, x, height, width)) if tracking.along == "y" else (grey, (x, y, width, height))
 
 
 def looked_at(grey: np.ndarray, tracking: TrackingParameters) -> np.ndarray:
-    """Return the region of a frame, with the motion along its rows."""
+    """Return the region of a frame, transposed if necessary so that the motion is along the rows."""
     frame, (x, y, width, height) = turned(grey, tracking)
     return frame[y : y + height, x : x + width]
 
@@ -458,9 +472,9 @@ class Tracker:
     Attributes
     ----------
     calibration : SensorCalibration
-        Pixels to m; it knows where home is.
+        Conversion from pixels to metres, including the home position.
     refused : int
-        Frames so far that gave no displacement.
+        Number of frames so far that gave no displacement.
     """
 
     def __init__(self, parameters: CameraParameters):
@@ -478,7 +492,7 @@ class Tracker:
         self.refused = 0
 
     def rehearse(self) -> None:
-        """Compile the functions in advance, so that no frame waits for it."""
+        """Compile the functions in advance, so that no frame waits for compilation."""
         self.calibration.step(math.nan)
 
     def retune(self, parameters: CameraParameters) -> None:
@@ -486,12 +500,12 @@ class Tracker:
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:
-        """Return the displacement [m], NaN when the frame is refused, and the place it is of.
+        """Return the displacement [m] (NaN: the frame is refused), and the place from which it was computed.
 
         Parameters
         ----------
         grey : ndarray, shape (rows, columns)
-            Grey levels, of 8 bits or from 0 to 255.
+            Grey levels, 0 to 255, as uint8 or float.
         """
         place = self._place(grey)
         if not place.refusal and place.uncertainty > self.parameters.tracking.largest_uncertainty:
@@ -526,6 +540,6 @@ class Tracker:
         if self._pattern is None:
             pattern = Pattern(grey, region, self.parameters.tracking.smallest_coherence)
             if not pattern.has_details:
-                return nowhere("the first frame shows nothing that could be found again")
+                return nowhere("the first frame shows no pattern that can be tracked")
             self._pattern = pattern
         return self._pattern.find(grey)

@@ -87,7 +87,7 @@ def test_a_voltage_below_what_is_commanded_is_refused_as_one_above_is(controller
         until(lambda: controller.controller.axes["1"].open_value == 50.0)
         device.read()
         controller.say(other)
-        with pytest.raises(DriverError, match=rf"puts out {other.split()[-1]} V where 50 V are commanded"):
+        with pytest.raises(DriverError, match=rf"outputs {other.split()[-1]} V, but 50 V are commanded"):
             until(lambda device=device: device.read() is None)
         device.close()
 

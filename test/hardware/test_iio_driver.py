@@ -122,7 +122,7 @@ def test_a_range_that_the_device_says_is_taken(tree):
         (
             {"input_device": "iio:device0"},
             (0, "name", "ad5592r"),
-            "is there more than once: give its folder",
+            "exists more than once: give its folder",
         ),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_second_master_is_refused_until_the_first_has_gone(tree):
     "changes", [{"input_channel": "current0"}, {"output_channel": "../x"}, {"output_raw_range": (4.0,)}]
 )
 def test_parameters_that_make_no_sense_are_refused(tree, changes):
-    with pytest.raises(ParameterError, match="must be a channel of voltage|give the least and the greatest"):
+    with pytest.raises(ParameterError, match="must be a voltage channel|give the least and the greatest"):
         tree.given(**changes)
 
 

@@ -59,7 +59,7 @@ def test_a_linear_ramp_crosses_a_level_at_that_part_of_its_time():
     [
         ({"grip": 0.5e-3}, "gait.grip", "clamp_settling = 0.001 s"),
         ({"release": 0.9e-3}, "gait.release", "clamp_settling = 0.001 s"),
-        ({"overlap": 2.5e-3}, "gait.overlap", "closed for 0.0005 s only"),
+        ({"overlap": 2.5e-3}, "gait.overlap", "closed for only 0.0005 s"),
         ({"overlap": 3e-3}, "gait.overlap", "below 0.003 s"),
         ({"threshold_voltage": 100.0}, "gait.threshold_voltage", "between 0 and 100 V"),
         ({"grip_voltage": -1.0}, "gait.grip_voltage", "release_voltage = 0 V"),

@@ -154,7 +154,7 @@ def test_a_motion_from_which_no_scale_follows_is_named(pixels, displacements, wo
 
 def test_a_target_without_two_edges_is_named():
     frame = Scene(SceneParameters(**SMALL)).frame(0.0)
-    with pytest.raises(FrameError, match=r"one edge in column 80\.., and no other one"):
+    with pytest.raises(FrameError, match=r"only one edge, in column 80\.."):
         scale_of_target(frame, 1e-4, 20.0, 4.0)
     with pytest.raises(FrameError, match="no target: no edge"):
         scale_of_target(np.full_like(frame, 90), 1e-4, 20.0, 4.0)

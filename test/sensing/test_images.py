@@ -46,9 +46,9 @@ def test_red_green_and_blue_are_weighed_in_their_places():
 @pytest.mark.parametrize(
     ("encoding", "shape", "step", "words"),
     [
-        ("yuv422", (3, 4), 8, "encoding 'yuv422' is not read; have the camera send one of mono8"),
-        ("mono8", (3, 4), 3, "are no image of 4 x 3 px"),
-        ("mono8", (30, 4), 4, "12 bytes in rows of 4 are no image of 4 x 30 px"),
+        ("yuv422", (3, 4), 8, "encoding 'yuv422' is not supported; configure the camera for one of mono8"),
+        ("mono8", (3, 4), 3, "are not an image of 4 x 3 px"),
+        ("mono8", (30, 4), 4, "12 bytes in rows of 4 are not an image of 4 x 30 px"),
         ("mono8", (0, 4), 4, "are no image"),
     ],
 )

@@ -145,7 +145,7 @@ def test_a_pattern_that_is_blurred_covered_or_gone_is_refused():
         assert "pattern of the first frame is not found again" in eye.see(np.ascontiguousarray(frame))[1].refusal
     assert eye.see(sharp.frame(2.0e-6, 3))[0] == pytest.approx(2.0e-6, abs=0.05e-6), "it is not found any more"
     blank = tracker(tracking__method="pattern")
-    assert "shows nothing that could be found again" in blank.see(np.full((96, 160), 128, np.uint8))[1].refusal
+    assert "shows no pattern that can be tracked" in blank.see(np.full((96, 160), 128, np.uint8))[1].refusal
 
 
 def test_a_frozen_camera_and_a_size_that_changes_are_named():

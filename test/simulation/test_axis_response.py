@@ -183,7 +183,7 @@ def test_the_command_measures_keeps_and_reads(tmp_path):
         ("--amplitude 1Hz", "must be in V"),
         ("--offset 200V", "beyond -30 V … 120 V"),
         ("--loop closed --at voltage", "--at voltage: with --loop closed must be reference or command"),
-        ("--amplitude 1e-6V", "too weak an excitation for the 0.5 nm RMS of the sensor's noise: signal-to-noise ratio"),
+        ("--amplitude 1e-6V", "is too small for the sensor's noise of 0.5 nm RMS: the signal-to-noise ratio"),
         ("--plot plot.jpg", "give the name of a .png file"),
         ("-o response.txt", "write .npz, .csv or .yaml"),
     ],

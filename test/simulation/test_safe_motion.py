@@ -145,7 +145,9 @@ def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused():
     text = designed(slow, feedforward=True)
     found = setpoint_step(single_axis(parse_configuration(text, "slow.yaml")))
     assert found.largest <= 1.0 + 1e-9 and found.share > 1.0
-    with pytest.raises(ConfigurationError, match=r"inverse_dynamics: .* V in a sample, limits.slew_rate allows 1 V"):
+    with pytest.raises(
+        ConfigurationError, match=r"inverse_dynamics: .* V in a sample, but limits.slew_rate allows 1 V"
+    ):
         step_lines(text, None, True)
     # what was not asked for is said and not refused
     assert "cut" in step_lines(text, None, False)[-1]

@@ -9,12 +9,13 @@
 
 """Controllers of Physik Instrumente with GCS 2.0 over TCP: E-709, E-727, E-754 and similar ones.
 
-This module has the commands of the protocol, the link and the driver; the emulated controller uses the same commands.
+This module contains the commands of the protocol, the link and the driver; the emulated controller uses the same
+commands.
 
 Sources: E-727 Digital Multi-Channel Piezo Controller, user manual E727T0005 (2019), sections "GCS commands", "Data
 recorder" and "Wave generator"; C-863 Mercury Controller, user manual MS249E, section "GCS commands" (answers of
-``DRR?`` and ``HPA?``). A command ends with LF, an answer too; in an answer of several lines, all lines but the last
-end with a space before the LF. Commands of one character need no LF.
+``DRR?`` and ``HPA?``). Commands and answers end with LF. In an answer of several lines, all lines but the last have a
+space before the LF. Commands of one character need no LF.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ WAVE_TYPE, WAVE_LENGTH, BUSY = 402, 403, 1005
 
 MEANINGS = {
     NO_ERROR: "no error",
-    SYNTAX: "a parameter is no number",
+    SYNTAX: "a parameter is not a number",
     UNKNOWN_COMMAND: "the command is not known",
     TOO_LONG: "the command is too long",
     SERVO_OFF: "a move with the servo off, or of an axis that is not referenced",
@@ -111,11 +112,11 @@ def meaning(code: int) -> str:
 
 #: End of an answer, and end of a line that is followed by another one.
 END, MORE = b"\n", b" \n"
-#: Most bytes per read.
+#: Maximum number of bytes per read.
 CHUNK = 65536
-#: Limits of an answer; a longer one comes from another device, or from a faulty one.
+#: Limits of an answer; a longer answer comes from another kind of device, or from a faulty one.
 LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
-#: Most bytes of an answer in a message.
+#: Maximum number of bytes of an answer that a message quotes.
 SHOWN = 60
 #: The query of the last error, and the pattern of its answer, which no other answer in a sample matches.
 ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
@@ -131,9 +132,9 @@ def _names(text: str) -> list[str]:
 class GcsLink:
     """The connection to a controller: commands, answers and errors.
 
-    An answer has no number. So no answer may be pending when a query is sent, each answer must match its query, and
-    each exchange ends with the answer to ``ERR?``, which has another form. A mismatch breaks the link, as a missing
-    answer does: after one extra line, each answer would belong to the query before.
+    Answers have no number that assigns them to queries. So no answer may be pending when a query is sent, each answer
+    must match its query, and each exchange ends with the answer to ``ERR?``, which has another form. A mismatch or a
+    missing answer breaks the link: after one extra line, each answer would belong to the query before.
 
     Parameters
     ----------
@@ -141,19 +142,19 @@ class GcsLink:
         Name or address.
     port : int
     timeout : float
-        Time within which it connects and answers [s].
+        Time within which the controller accepts the connection and answers [s].
 
     Attributes
     ----------
     name : str
         For messages.
     broken : bool
-        Whether it can no longer be used.
+        Whether the link can no longer be used.
 
     Raises
     ------
     DriverError
-        It cannot be reached.
+        The controller cannot be reached.
     """
 
     def __init__(self, host: str, port: int, timeout: float):
@@ -174,7 +175,7 @@ class GcsLink:
         Parameters
         ----------
         *commands : str
-            Without line ends.
+            Commands without line ends.
 
         Raises
         ------
@@ -239,7 +240,7 @@ class GcsLink:
         Parameters
         ----------
         question : str
-            Without line end.
+            Query without line end.
 
         Raises
         ------
@@ -284,7 +285,7 @@ class GcsLink:
         self.send(asked, ERROR)
         lines = self._lines(asked)
         if CODE.fullmatch(lines[0]) and int(lines[0]) != NO_ERROR:
-            return None, int(lines[0])  # the query has no answer, so this was the answer to ERR?
+            return None, int(lines[0])  # the query got no answer, so this is the answer to ERR?
         text = self._of_item(asked, item, lines)
         return text, self._code()
 
@@ -307,8 +308,8 @@ class GcsLink:
     def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
         """Return the numbers of several items in one exchange, and the code of the last error.
 
-        The answer to ``ERR?``, which has no equals sign, alternates between the end and the start of an exchange, and
-        encloses several items: neither an extra or missing line nor a repeated answer can shift a number to another
+        The answer to ``ERR?`` has no equals sign. It comes alternately at the end and at the start of an exchange, and
+        encloses several items. So neither an extra or missing line nor a repeated answer can shift a number to another
         item.
 
         Parameters
@@ -361,7 +362,7 @@ class GcsLink:
             raise DriverError(self.name, problem, "check the controller and its firmware") from None
 
     def error(self) -> int:
-        """Return the code of the last error, which clears it.
+        """Return the code of the last error; the query clears it.
 
         Raises
         ------
@@ -385,12 +386,12 @@ class GcsLink:
         ----------
         code : int
         what : str
-            The action, for the message.
+            What was done, for the message.
 
         Raises
         ------
         DriverError
-            There is an error.
+            The code is not 0.
         """
         if code != NO_ERROR:
             raise DriverError(self.name, f"{what}: {meaning(code)}", "remove the cause at the controller")
@@ -405,7 +406,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            One was refused.
+            A command was refused.
         """
         self.send(*commands)
         self.require(self.error(), f"refuses {commands[-1][:40]!r}")
@@ -416,7 +417,7 @@ class GcsLink:
         Raises
         ------
         DriverError
-            It does not answer, or reports another error.
+            The controller does not answer, or reports another error.
         """
         self._put(STOP, f"#{ord(STOP)}")
         code = self.error()
@@ -429,15 +430,15 @@ class GcsLink:
             self._socket.close()
 
 
-#: Number of recent voltages that the output may still have when it is checked.
+#: Number of recent voltages; when the output is checked it may still be at any of them.
 RECENT = 4
 #: Points of a wave per command, and polling interval for its end [s].
 POINTS, PATIENCE = 40, 0.02
-#: Attempts to make a controller safe, all but the first on a new connection.
+#: Number of attempts to make a controller safe; all but the first use a new connection.
 ATTEMPTS = 3
-#: Relative rounding of a commanded value that a controller may report.
+#: Relative difference from a commanded value that the controller's rounding may cause in its report.
 ROUNDING = 1.0e-3
-#: Longest servo cycle relative to the period that is played.
+#: Longest allowed servo cycle, relative to the played period.
 LONGEST = 1.0e6
 
 
@@ -446,47 +447,48 @@ class GcsParameters(Parameters):
     """Address of the controller, its axis, and the commanded quantity."""
 
     host: str = parameter("127.0.0.1", description="name or address of the controller", read_only=True)
-    port: int = parameter(50000, description="its TCP port", low=1, high=65535, read_only=True)
+    port: int = parameter(50000, description="TCP port of the controller", low=1, high=65535, read_only=True)
     identification: str = parameter(
-        "", description="what its answer to *IDN? contains, for instance E-754; '': anything", read_only=True
+        "", description="text that the answer to *IDN? must contain, for instance E-754; '': any", read_only=True
     )
     axis: str = parameter("1", description="name of the axis", read_only=True)
     channel: str = parameter(
-        "", description="name of its output signal channel, for VOL?; '': that of the axis", read_only=True
+        "", description="name of the output signal channel, for VOL?; '': the name of the axis", read_only=True
     )
     mode: str = parameter(
         "open_loop",
         choices=("open_loop", "servo"),
-        description="open_loop: SVA, servo off; servo: MOV, servo on, a volt being servo_scale",
+        description="open_loop: SVA with the servo off; servo: MOV with the servo on, where a volt is servo_scale",
         read_only=True,
     )
     open_loop_scale: float = parameter(
         1.0, description="volts at the output for one unit of SVA", unit="V", low=1e-6, high=1e6, read_only=True
     )
     servo_scale: float = parameter(
-        1.0e-6, description="servo: target for a volt", unit="m/V", low=1e-12, high=1.0, read_only=True
+        1.0e-6, description="servo: target displacement per volt", unit="m/V", low=1e-12, high=1.0, read_only=True
     )
     position_unit: str = parameter(
         "",
         choices=("", *UNITS),
-        description="unit of its positions, which it must have when it says one; '': what it says",
+        description="unit of the controller's positions, which must match the unit that it reports; '': the "
+        "reported unit",
         read_only=True,
     )
     safe_voltage: float = parameter(
         0.0, description="voltage of the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
     )
     safe_time: float = parameter(
-        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+        0.2, description="time of the ramp to the safe voltage", unit="s", low=0.0, high=10.0, read_only=True
     )
     voltage_range: tuple[float, ...] = parameter(
         (),
-        description="open_loop: least and greatest voltage of a controller that does not say them",
+        description="open_loop: least and greatest voltage, for a controller that does not report them",
         unit="V",
         read_only=True,
     )
     voltage_tolerance: float = parameter(
         2.0,
-        description="open_loop: largest difference of VOL? and the voltage",
+        description="open_loop: largest difference between VOL? and the commanded voltage",
         unit="V",
         low=1e-3,
         high=1e3,
@@ -494,24 +496,24 @@ class GcsParameters(Parameters):
     )
     check_period: float = parameter(
         0.2,
-        description="how often servo and voltage are looked at",
+        description="time between two checks of servo and voltage",
         unit="s",
         low=1e-3,
         high=60.0,
         read_only=True,
     )
     timeout: float = parameter(
-        0.5, description="time within which it answers", unit="s", low=0.001, high=60.0, read_only=True
+        0.5, description="time within which the controller must answer", unit="s", low=0.001, high=60.0, read_only=True
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         if self.voltage_range and not (len(self.voltage_range) == 2 and self.voltage_range[0] < self.voltage_range[1]):
             yield Problem("voltage_range", self.voltage_range, "give the least and the greatest voltage, or nothing")
 
 
 class Played(NamedTuple):
-    """Data that a controller has played and recorded by itself, arrays of shape (N,)."""
+    """Data that a controller has played and recorded at its own pace, arrays of shape (N,)."""
 
     #: [s]
     time: np.ndarray
@@ -543,7 +545,7 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            It cannot be reached, is the wrong one, is in motion, busy or in error, or has other units.
+            The controller cannot be reached, is the wrong one, is in motion, busy or in error, or uses other units.
         """
         self._given = parameters
         link = self._taken(first=True)
@@ -590,7 +592,7 @@ class GcsDriver(Driver):
     def _require_rest(self, link: GcsLink) -> None:
         """Refuse a controller that is not ready, or moves an axis for another program."""
         if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
-            raise DriverError(link.name, "is busy with something else", "wait until it is ready, or stop that")
+            raise DriverError(link.name, "is busy with another task", "wait until it is ready, or stop that task")
         for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):
             if command in self._commands and link.ask_single(character).lower().lstrip("0x"):
                 remedy = "end the program that moves it, stop its wave generator"
@@ -610,7 +612,7 @@ class GcsDriver(Driver):
             problem = f"measures axis {given.axis} in {said}" if said else f"reports no unit of axis {given.axis}"
             raise DriverError(link.name, problem, f"an axis needs one of {', '.join(UNITS)} (gcs.position_unit)")
         if given.position_unit and UNITS[unit] != UNITS[given.position_unit]:
-            problem = f"measures axis {given.axis} in {said}, gcs.position_unit is {given.position_unit}"
+            problem = f"measures axis {given.axis} in {said}, but gcs.position_unit is {given.position_unit}"
             raise DriverError(link.name, problem, "make them equal")
         return UNITS[unit]
 
@@ -636,19 +638,19 @@ class GcsDriver(Driver):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def read(self) -> Reading:
-        """Read the position and the last error, and at intervals servo and voltage.
+        """Read the position and the last error, and at intervals check servo and voltage.
 
         Raises
         ------
         DriverError
-            Its answer does not match the query, it has an error, or another program has switched its servo or commands
-            its voltage.
+            The answer does not match the query, the controller has an error, or another program has switched its servo
+            or commands its voltage.
         """
         link, given = self._taken(), self._given
         due = time.monotonic() - self._checked >= given.check_period
         try:
             (position, *others), code = link.numbers(("POS?", given.axis), *(self._looks if due else ()))
-            if code != NO_ERROR and not due:  # report a changed setting first: it explains the refused command
+            if code != NO_ERROR and not due:  # first report a changed setting, because it explains the refused command
                 (others, _), due = link.numbers(*self._looks), True
             if due:
                 self._check(link, others, code)
@@ -677,7 +679,7 @@ class GcsDriver(Driver):
             (there,), tolerance = voltage, given.voltage_tolerance
             low, high = min(self._recent), max(self._recent)
             if not low - tolerance <= there <= high + tolerance:
-                problem = f"puts out {there:g} V where {self._recent[-1]:g} V are commanded"
+                problem = f"outputs {there:g} V, but {self._recent[-1]:g} V are commanded"
                 remedy = "check gcs.open_loop_scale, the amplifier, and programs that also command it"
                 raise DriverError(link.name, problem, remedy)
         self._checked = time.monotonic()
@@ -707,7 +709,7 @@ class GcsDriver(Driver):
         given = self._given
         return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
 
-    # -- at the controller's own pace ----------------------------------------------------------------------------
+    # -- at the pace of the controller ----------------------------------------------------------------------------
 
     def play(self, voltages: Sequence[float], period: float) -> Played:
         """Play voltages by the wave generator and record the response, at the controller's pace.
@@ -726,7 +728,7 @@ class GcsDriver(Driver):
         Raises
         ------
         DriverError
-            They are out of range or too many, or the controller has no generator or recorder.
+            The voltages are out of range or too many, or the controller has no generator or recorder.
         """
         link, given = self._taken(), self._given
         missing = {"WAV", "WGO", "DRC", "DRR?"} - self._commands
@@ -739,7 +741,9 @@ class GcsDriver(Driver):
             raise DriverError(link.name, problem, "give fewer or smaller ones")
         cycle = link.number("SPA?", item)
         if not 0.0 < cycle < period * LONGEST:
-            raise DriverError(link.name, f"says a servo cycle of {cycle:g} s", "check the controller and its firmware")
+            raise DriverError(
+                link.name, f"reports a servo cycle of {cycle:g} s", "check the controller and its firmware"
+            )
         rate = max(round(period / cycle), 1)
         ramp(lambda voltage: link.do(self._command(voltage)), self._recent[-1], voltages[0], given.safe_time)
         self._define(link, [self._value(voltage) for voltage in voltages], rate)
@@ -763,12 +767,12 @@ class GcsDriver(Driver):
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop all motion, then go to the safe voltage or its target; on a new link if necessary.
+        """Stop all motion, then go to the safe voltage or the corresponding target; on a new link if necessary.
 
         Raises
         ------
         DriverError
-            It does not answer, or refuses, at every attempt.
+            The controller does not answer or refuses at every attempt.
         """
         for attempt in range(ATTEMPTS):
             try:
@@ -803,7 +807,7 @@ class GcsDriver(Driver):
         self._require_there(link, "SVA?", safe)
 
     def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
-        """Check that the controller has the safe value, whatever its other answers were."""
+        """Check that the controller has the safe value, whatever it has answered before."""
         value = self._value(safe)
         given = link.number(question, self._given.axis)
         if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):
@@ -812,7 +816,7 @@ class GcsDriver(Driver):
 
     @property
     def last_output(self) -> float | None:
-        """Last commanded voltage [V], also on the way to the safe voltage."""
+        """Last commanded voltage [V], also during the ramp to the safe voltage."""
         return self._recent[-1] if self._recent else None
 
     def close(self) -> None:

@@ -50,12 +50,12 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
     directory : pathlib.Path
         Folder of the devices.
     wanted : str
-        Content of its file ``name``, or the name of its folder.
+        Content of the device's file ``name``, or the name of its folder.
 
     Raises
     ------
     DriverError
-        The device is absent, or several have the name.
+        The device is absent, or several devices have this name.
     """
     names = {}
     for folder in sorted(directory.glob("iio:device*")) if directory.is_dir() else ():
@@ -66,7 +66,7 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
     found = [folder for folder, name in names.items() if wanted in (folder.name, name)]
     if len(found) != 1:
         there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
-        what = "is absent" if not found else "is there more than once: give its folder"
+        what = "is absent" if not found else "exists more than once: give its folder"
         raise DriverError(
             f"IIO device {wanted!r} in {directory}", f"{what}; there are {there}", "check its kernel driver"
         )
@@ -74,7 +74,7 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
 
 
 class Channel:
-    """A channel of voltage of a device.
+    """A voltage channel of a device.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Channel:
     def attribute(self, name: str) -> str | None:
         """Return an attribute of the channel, or of all channels of its direction and kind; None if it does not exist.
 
-        Only the first line is read: in a file outside sysfs, the rest of a longer number may follow a shorter one.
+        Only the first line is read: in an ordinary file, the end of an older, longer content may follow.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It exists but cannot be read.
+            The attribute exists but cannot be read.
         """
         kind = self.channel.rstrip("0123456789")
         for path in (self.folder / f"{self.direction}_{part}_{name}" for part in dict.fromkeys((self.channel, kind))):
@@ -138,7 +138,7 @@ class Channel:
         Raises
         ------
         DriverError
-            It is not a number.
+            The attribute is not a number.
         """
         text = self.attribute(name)
         try:
@@ -201,7 +201,7 @@ class Channel:
             raise self._failed(path, f"does not take {value}", error) from error
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
-        """Return the least and the greatest voltage [V], from the raw range of the device or of the parameter file.
+        """Return the least and greatest voltage [V], from the raw range that the device or parameter file states.
 
         Parameters
         ----------
@@ -247,11 +247,11 @@ class IioParameters(Parameters):
     """The converters to use; ``calibration`` gives the scale of their volts."""
 
     directory: str = parameter(
-        "/sys/bus/iio/devices", description="where the devices are", read_only=True, place="files"
+        "/sys/bus/iio/devices", description="folder of the devices", read_only=True, place="files"
     )
     output_device: str = parameter(
         "",
-        description="the DAC: what its file name says, or its folder, for instance iio:device0",
+        description="the DAC: content of its file `name`, or its folder, for instance iio:device0",
         read_only=True,
         place="files",
     )
@@ -261,7 +261,7 @@ class IioParameters(Parameters):
     )
     input_device: str = parameter(
         "",
-        description="the ADC, likewise",
+        description="the ADC: content of its file `name`, or its folder",
         read_only=True,
         place="files",
     )
@@ -270,14 +270,14 @@ class IioParameters(Parameters):
         0.0, description="voltage of the DAC in the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
     )
     safe_time: float = parameter(
-        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+        0.2, description="time of the ramp to the safe voltage", unit="s", low=0.0, high=10.0, read_only=True
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         for name in ("output_channel", "input_channel"):
             if not CHANNEL.fullmatch(getattr(self, name)):
-                yield Problem(name, getattr(self, name), "must be a channel of voltage, for instance voltage0")
+                yield Problem(name, getattr(self, name), "must be a voltage channel, for instance voltage0")
         ends = self.output_raw_range
         if ends and not (len(ends) == 2 and ends[0] < ends[1]):
             yield Problem("output_raw_range", ends, "give the least and the greatest raw number, or nothing")
@@ -311,7 +311,7 @@ class IioDriver(Driver):
         return Capabilities(1, 1, low, high, rate, position_unit="V")
 
     def _taken(self) -> Channel:
-        """Return the channel of the DAC; lock it and bring it to its safe voltage when it is not held."""
+        """Return the channel of the DAC; if it is not locked yet, lock it and bring it to its safe voltage."""
         if self._output is None:
             given = self._given
             directory = pathlib.Path(given.directory)

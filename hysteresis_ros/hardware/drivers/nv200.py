@@ -51,8 +51,10 @@ CONNECTING = 10.0
 class Nv200Parameters(Parameters):
     """Address and settings of the amplifier."""
 
-    host: str = parameter("", description="name or address of the amplifier; '': it is at serial_port", read_only=True)
-    port: int = parameter(23, description="its TCP port", low=1, high=65535, read_only=True)
+    host: str = parameter(
+        "", description="name or address of the amplifier; '': it is connected to serial_port", read_only=True
+    )
+    port: int = parameter(23, description="TCP port of the amplifier", low=1, high=65535, read_only=True)
     serial_port: str = parameter(
         "", description="serial port, for instance /dev/ttyUSB0", read_only=True, place="files"
     )
@@ -60,23 +62,25 @@ class Nv200Parameters(Parameters):
         True, description="TCP: let the package set the flow control of the Ethernet module, once", read_only=True
     )
     actuator: str = parameter(
-        "", description="what the name of its actuator contains, for instance TRITOR100; '': anything", read_only=True
+        "",
+        description="text that the name of the actuator must contain, for instance TRITOR100; '': any",
+        read_only=True,
     )
     safe_voltage: float = parameter(
         0.0, description="voltage of the safe state", unit="V", low=-1.0e3, high=1.0e3, read_only=True
     )
     safe_time: float = parameter(
-        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+        0.2, description="time of the ramp to the safe voltage", unit="s", low=0.0, high=10.0, read_only=True
     )
     check_period: float = parameter(
-        0.5, description="how often its status is looked at", unit="s", low=1e-3, high=60.0, read_only=True
+        0.5, description="time between two checks of the status", unit="s", low=1e-3, high=60.0, read_only=True
     )
     timeout: float = parameter(
-        1.0, description="time within which it answers", unit="s", low=0.01, high=60.0, read_only=True
+        1.0, description="time within which the amplifier must answer", unit="s", low=0.01, high=60.0, read_only=True
     )
 
     def check(self):
-        """Yield what does not fit together."""
+        """Yield a Problem for each inconsistency."""
         if self.host and self.serial_port:
             yield Problem("serial_port", self.serial_port, "give either host or serial_port")
 
@@ -101,7 +105,7 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            It cannot be reached, is the wrong one, in error, or has no sensor or other units.
+            The amplifier cannot be reached, is the wrong one, is in error, has no sensor, or uses other units.
         """
         self._given = parameters
         self._name = f"NV200 at {f'{parameters.host}:{parameters.port}' if parameters.host else parameters.serial_port}"
@@ -172,7 +176,7 @@ class Nv200Driver(Driver):
         return device
 
     def _suits(self, device: Any) -> None:
-        """Refuse a device that does not suit the axis."""
+        """Refuse a device that is not suitable for the axis."""
         given = self._given
         actuator = self._wait("says its actuator", device.get_actuator_name)
         if given.actuator.lower() not in actuator.lower():
@@ -205,7 +209,7 @@ class Nv200Driver(Driver):
 
     def _put_out(self, voltage: float) -> None:
         answer = self._wait("is written", lambda: self._device.write(f"set,{voltage:.3f}"))
-        if answer is None:  # the package ignores it
+        if answer is None:  # the package ignores a missing answer
             raise self._failed("does not answer when it is written")
 
     def _measure(self) -> float:
@@ -217,7 +221,7 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            It does not answer, has an error, or another program has closed its loop.
+            The amplifier does not answer, has an error, or another program has closed its loop.
         """
         self._taken()
         if time.monotonic() - self._checked >= self._given.check_period:
@@ -235,7 +239,7 @@ class Nv200Driver(Driver):
         Raises
         ------
         DriverError
-            It refuses it.
+            The amplifier refuses the voltage.
         """
         self._taken()
         self._put_out(voltages[0])
@@ -243,7 +247,7 @@ class Nv200Driver(Driver):
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Open its loop, select the setpoint from this connection only, and go to the safe voltage.
+        """Open the amplifier's loop, make this connection the only source of its setpoint, and go to the safe voltage.
 
         Raises
         ------

@@ -9,7 +9,7 @@
 
 """The simulated actuator as a driver, with the parameters of ``plant_simulator``.
 
-It is the same model as the plant without a driver; it serves to test everything that holds for any driver.
+It is the same model as the plant without a driver, and serves to test what holds for any driver.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class SimulatedDriver(Driver):
             [Hz]
         """
         self._actuator = Actuator(parameters, 1.0 / sample_rate)
-        self._actuator.advance(self._actuator.measure())  # compile now, not at the first sample
+        self._actuator.advance(self._actuator.measure())  # compiles now instead of at the first sample
         self._actuator.reset()
         self._rest = self._actuator.voltage
         limits = parameters.limits
