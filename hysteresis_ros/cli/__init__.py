@@ -9,7 +9,7 @@
 
 """The command ``hysteresis``: thin subcommands over the rest of the package.
 
-Module ``entry`` starts it, ``main`` has the table of commands and imports a command only when it is called; the
-commands share ``options`` and ``progress``; ``recording`` contains those that read one (report, verify, export,
-repair). Commands of the laboratory are in its folders, as ``command.py``.
+Module ``entry`` starts the command. ``main`` contains the table of subcommands and imports a subcommand only when it is
+called. The subcommands share ``options`` and ``progress``; ``recording`` contains those that read a recording (report,
+verify, export, repair). Subcommands of the laboratory are in its folders, as ``command.py``.
 """

@@ -19,9 +19,9 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Questions on a terminal for missing options: the option, the question, and an example.
+#: Questions on a terminal for missing arguments: the option, the question, and an example.
 QUESTIONS = {
-    "stroke": ("--stroke", "How far does the actuator move over its range of voltage?", "100um"),
+    "stroke": ("--stroke", "How far does the actuator move over its voltage range?", "100um"),
     "voltage": ("--voltage", "Which range of voltage may be applied?", "0:100V"),
     "rate": ("--rate", "How many samples per second?", "1kHz"),
 }
@@ -41,11 +41,11 @@ QUESTIONS = {
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours publishes joint_states in plant_simulator's place.",
+    help="external: a node of yours publishes joint_states instead of plant_simulator.",
 )
 @click.option("--joint", default="stage", show_default=True, help="Name of the joint in joint_states.")
 def new(file, driver, options, plant, joint, **given):
-    """Write FILE, a commented parameter file that is safe: open loop, no inverse, small limits, slow.
+    """Write FILE, a commented and safe parameter file: open loop, no inverse, small limits, slow motion.
 
     Missing values are asked for on a terminal. The next step is `hysteresis commission FILE`.
     """
@@ -74,16 +74,16 @@ def new(file, driver, options, plant, joint, **given):
     click.echo(f"{file}: written; next: hysteresis commission {file}")
 
 
-#: Exit code when the error of the scan is much larger than predicted; the files are written.
+#: Exit code when the error of the scan is much larger than predicted; the files are written nevertheless.
 UNPREDICTED = 4
-#: Maximum interval between two progress messages [s]; stages last some seconds.
+#: Maximum interval between two progress messages [s], short because a stage only takes some seconds.
 SILENCE = 5.0
 
 
 @click.command(short_help="Take a new axis to a verified closed loop.")
 @click.argument("file", type=click.Path(path_type=pathlib.Path))
 @click.option(
-    "--stage", "stages", metavar="NAME", multiple=True, help="Run only this stage, again if it is done; repeatable."
+    "--stage", "stages", metavar="NAME", multiple=True, help="Run only this stage, even if it is finished; repeatable."
 )
 @click.option("--resume", is_flag=True, help="Continue; finished stages are not repeated.")
 @click.option("--yes", is_flag=True, help="Move the axis without asking for confirmation.")
@@ -150,7 +150,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
 
 
 def _situation(file, directory, resumed, plant, offline, choices):
-    """Return the common data of the stages, and the bench."""
+    """Return the data that all stages share, and the bench."""
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
     from hysteresis_ros.cli.commissioning.new_file import parsed
     from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
@@ -181,7 +181,7 @@ class Terminal:
         self._yes, self._progress = yes, progress
 
     def may_move(self, stage: str, words: str) -> bool:
-        """Print what will move, and ask for permission."""
+        """Print what will move, and ask for permission to move."""
         from hysteresis_ros.errors import ConfigurationError
 
         self._progress.say(f"{stage}: {words}")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis demo``: run an axis in real time with and without its inverse and by setpoints; then as processes."""
+"""``hysteresis demo``: run an axis in real time, without and with its inverse, by setpoints, and as processes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Time [s of the axis] and setpoint [m] of each message: the paper's step of 1 V, then a walk over the stroke.
+#: Time [s of the axis] and setpoint [m] of each message: the paper's step of 1 V, then several steps over the stroke.
 SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85, 3.0e-6), (1.05, 0.0))
 #: Frequency [Hz], stroke [m] and number of the triangles.
 TRIANGLES = 1.0, 1.0e-5, 2
-#: Length of the run in lockstep [s of the axis]: the beginning of the triangles.
+#: Length of the run in lockstep [s of the axis], which is only the beginning of the triangles.
 LOCKSTEP = 0.75
-#: Hold time of the last setpoint [s of the axis], and the time-out for all of them [s].
+#: Hold time of the last setpoint [s of the axis], and the time-out for all setpoints [s].
 HELD, PATIENCE = 0.2, 60.0
 
 #: Minimum interval of progress messages in a file or pipe [s].
@@ -48,10 +48,10 @@ WITHOUT, WITH, STEPS, PROCESSES = "without_inverse", "with_inverse", "bag", "loc
 def demo(output, factor):
     """Run the inchworm's propulsion part of Kim 2009 at 3 kHz; write bags, a picture, report.html and metrics.json.
 
-    In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
-    Afterwards the triangle runs as four processes in lockstep, compared bit for bit with the offline twin.
+    First, in real time and fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on
+    the topic. Then the triangle runs as four processes in lockstep, and is compared bit for bit with the offline twin.
     """
-    # only the results go to stdout
+    # stdout gets only the results
     progress = Progress(err=True, silence=SILENCE)
     progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
     with progress.during("loading"):
@@ -61,7 +61,7 @@ def demo(output, factor):
         require_ros()
         folder = _new_folder(output)
         axes = _axes(factor)
-    with entered():  # isolated from a running axis of the user
+    with entered():  # isolated from any running axis of the user
         _compile(axes.values(), progress)
         _run_live(axes, folder, progress)
         proof = _run_processes(axes[WITH], folder, progress)
@@ -89,9 +89,9 @@ def _axes(factor: float) -> dict:
     from hysteresis_ros.models.block import COMPILED
 
     configuration = load_configuration(config_path("kim2009"))
-    # without compiled kernels no loop is fast enough: the nodes then run in lockstep, as fast as they can
+    # without compiled kernels no loop is fast enough, so the nodes run in lockstep, as fast as they can
     configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
-    # a simulation may run on a busy machine: skipped samples are counted and reported, and do not stop it
+    # the machine may be busy: skipped samples are counted and reported, but do not stop a simulated axis
     configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
     frequency, stroke, cycles = TRIANGLES
     triangle = dict(waveform__type="triangle", waveform__frequency=frequency, waveform__cycles=cycles)
@@ -103,13 +103,13 @@ def _axes(factor: float) -> dict:
     return {
         WITHOUT: _axis(closed.override("hysteresis_compensator", inverse__type="none"), WITHOUT, cycles / frequency),
         WITH: _axis(closed, WITH, cycles / frequency),
-        # in real time it runs until all setpoints have arrived; a stopped lockstep run ends within a sample
+        # in real time the run ends when all setpoints have arrived; a stopped lockstep run ends within a sample
         STEPS: _axis(steps, "steps", None if COMPILED else INTERPRETED),
     }
 
 
 def _axis(configuration, name: str, duration: float | None = None):
-    """Return an axis in a separate namespace: another graph may enter the domain while this one runs."""
+    """Return an axis in a separate namespace, because another graph may join the domain while this one runs."""
     from hysteresis_ros.loop.reach import axes
 
     axis = replace(axes(configuration)[0], namespace=f"/demo_{os.getpid()}/{name}")
@@ -199,7 +199,7 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
 
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
-    """Return the number of samples of a recorded run, and its differences from the twin; empty when equal."""
+    """Return the number of samples of a recorded run, and its differences from the twin (empty when equal)."""
     from hysteresis_ros.cli.recording import unlike
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.loop.reach import single_axis
@@ -220,7 +220,7 @@ def _same_as_live(folder: pathlib.Path) -> str:
     processes, loop = (load_run(folder / name, further=True) for name in (PROCESSES, WITH))
     size = processes.time.size
     if loop["skipped"][:size].any():
-        return "four processes and one loop: different here, because the loop had to skip samples"
+        return "four processes and one loop: different samples here, because the loop had to skip some"
     same = np.array_equal(processes["displacement"], loop["displacement"][:size])
     return f"four processes and one loop: {'the same' if same else 'not the same'} {size} samples"
 
@@ -242,7 +242,7 @@ def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progre
     from hysteresis_ros.recordings.files import load_run
 
     runs = {name: load_run(folder / name, further=True) for name in axes}
-    with progress.during("the method alone: offline, without a missed deadline"):
+    with progress.during("the same run offline, where no deadline can be missed"):
         alone = {name: simulate(axes[name]) for name in (WITHOUT, WITH)}
     figures = compute_metrics(runs[STEPS])
     shares = {name: 100.0 * float(np.mean(run["skipped"] != 0.0)) for name, run in runs.items()}

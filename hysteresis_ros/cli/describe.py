@@ -42,7 +42,7 @@ def _tables() -> dict:
 
 
 def parameter_lines(nodes: list[str]):
-    """Yield the lines of the tables: first the common parameters, then those of each node."""
+    """Yield the lines of the tables: first the parameters that all nodes share, then those of each node."""
     from hysteresis_ros.configuration import STAGE
     from hysteresis_ros.loop.parameters import NodeParameters
 
@@ -52,7 +52,7 @@ def parameter_lines(nodes: list[str]):
     for name in nodes:
         yield f"\n## {name}\n"
         rows = [row for row in _tables()[name].table() if row.name not in shared]
-        # no node runs a stage so far, so nothing of it can change
+        # no node runs a stage so far, so its parameters cannot change live
         yield from _table([replace(row, read_only=True) for row in rows] if name == STAGE else rows)
     yield ""
 
@@ -102,8 +102,9 @@ def urdf(config, namespace):
 def policy(config, output, processes, rate, record, plant, namespace, remap):
     """Write a policy for `ros2 security` that permits only the interfaces that each process of CONFIG uses.
 
-    The nodes are created in an isolated ROS domain; no device is opened. The policy also has enclaves for an operator
-    (may publish user inputs and call services), a monitor (may only subscribe), watch (serves the page) and epics_ioc.
+    To find the interfaces, the command creates the nodes in an isolated ROS domain; it opens no device. The policy also
+    contains enclaves for an operator (may publish user inputs and call services), a monitor (may only subscribe), watch
+    (serves the page) and epics_ioc.
     """
     from hysteresis_ros.nodes.launcher import run_apart
 

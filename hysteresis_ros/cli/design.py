@@ -43,8 +43,14 @@ from hysteresis_ros.designs.learning_filters import KINDS
     type=Quantity("m"),
     help="With --learning: maximum correction.  [default: 10 % of the stroke]",
 )
-@click.option("--bandwidth", type=Quantity("Hz"), help="-3 dB from reference to displacement, or of learning.")
-@click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
+@click.option(
+    "--bandwidth",
+    type=Quantity("Hz"),
+    help="-3 dB bandwidth from reference to displacement; with --learning, of the learning.",
+)
+@click.option(
+    "--q", type=float, help="Kalman filter: ratio of the input noise variance to the measurement noise variance."
+)
 @click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor; the fastest design is chosen for it.")
 @click.option(
     "--criterion",
@@ -55,11 +61,11 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
 @click.option("--preview", type=int, help="Preview of the reference [samples], with --feedforward.")
 @click.option(
-    "--robust", is_flag=True, help="Robust gains for the worst of random plants around the model, in the ranges below."
+    "--robust", is_flag=True, help="Design for the worst of random plants around the model, within the ranges below."
 )
 @click.option("--gain-range", type=float, help="Relative uncertainty of the gain.  [default: 0.05]")
 @click.option(
-    "--hysteresis-range", type=float, help="Relative uncertainty of the slope left by the inverse.  [default: 0.1]"
+    "--hysteresis-range", type=float, help="Relative uncertainty of the slope by residual hysteresis.  [default: 0.1]"
 )
 @click.option("--resonance-range", type=float, help="Relative uncertainty of resonances and lags.  [default: 0.1]")
 @click.option("--delay-range", type=float, help="Additional delay beyond that of the model [samples].  [default: 1]")
@@ -73,13 +79,14 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
 @click.option("-o", "--output", help="Parameter file to write.")
 def design(config, namespace, output, response, **options):
-    """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
+    """Design a controller for the model in CONFIG (motion_controller: model.dynamics; the plant's model is never used).
 
-    Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning
-    the controller is kept, and its learning filter is designed.
+    Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning it
+    keeps the controller and designs learning for it.
 
-    Of a stage it designs all axes, or that of --namespace, and prints how they interact; with --learning for the
-    period of its scan, beginning with corrections by which the coupled model follows it. Without -o it prints only.
+    For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
+    With --learning it designs learning for the period of the scan of the stage, starting with corrections with which
+    the coupled model follows that scan. Without -o it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (

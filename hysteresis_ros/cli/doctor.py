@@ -82,7 +82,7 @@ def middleware() -> str:
 
 
 def _limit(name: str) -> int | None:
-    """Return the soft limit of this process; -1: none, None: unknown here."""
+    """Return a soft limit of this process; -1: unlimited; None: unknown on this system."""
     try:
         import resource
     except ImportError:  # no Unix
@@ -152,13 +152,14 @@ def advice(found: dict, permitted: bool) -> list[str]:
 
 #: Tested rates [Hz], and the duration of each test [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
-#: Samples of the runs of nodes that exchange messages in lockstep: one process, a process for each node.
+#: Numbers of samples of the lockstep runs of nodes that exchange messages: in one process, in a process for each node.
 COMPOSED, PROCESSES = 1000, 600
-#: Rate [Hz] and samples of their runs in real time.
+#: Rate [Hz] and number of samples of their runs in real time.
 MESSAGE_RATE, ANSWERED = 300.0, 300
 #: Fraction of skipped samples above which no higher rate is tested.
 HOPELESS = 0.1
-#: Time after which no further measurement of nodes starts [s]: the first run of a version compiles.
+#: Time after which no further measurement of nodes starts [s]; the first run of a version takes long, because it
+#: compiles.
 BUDGET = 35.0
 
 
@@ -170,8 +171,8 @@ def doctor(path: pathlib.Path | None) -> None:
     """Measure the rates at which this machine runs an axis and how late samples begin; list versions and limits.
 
     Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
-    half a period and fewer than 0.5 % are skipped. Composed and as processes: samples a second in lockstep, and in real
-    time at 300 Hz how soon a measurement is answered, and how many voltages come late.
+    half a period and fewer than 0.5 % are skipped. Composed and as processes: samples per second in lockstep; in real
+    time at 300 Hz the time from a measurement to its voltage, and how many voltages are late.
     """
     if path is not None and not path.absolute().parent.is_dir():
         raise click.UsageError(f"--json {path}: the folder does not exist; choose another one")
@@ -250,7 +251,7 @@ def _fused(progress: Progress) -> list[dict]:
                 made.append(_trial(rate, priority))
             progress.say(_row(made[-1]))
             if made[-1]["warning"]:
-                break  # the priority was not granted, and the other round measures the same
+                break  # the priority was not granted, and the round with normal priority measures the same
             if made[-1]["skipped"] > HOPELESS * made[-1]["samples"]:
                 break
         held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)
@@ -302,7 +303,7 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
     found: dict[str, dict] = {}
     for name, samples, composed in (("composed", COMPOSED, True), ("processes", PROCESSES, False)):
         if time.monotonic() > latest:
-            progress.say(f"nodes, {name}: not measured, compilation took the time; run it again")
+            progress.say(f"nodes, {name}: not measured, because compilation took too long; run the command again")
             continue
         with progress.during(f"nodes, {name}"):
             found[name] = {"lockstep_hz": Trial(axis, samples, composed).message_rate()}

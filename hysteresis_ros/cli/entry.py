@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Entry point of the executable ``hysteresis``: handles Ctrl-C from here on, also during the remaining imports."""
+"""Entry point of the executable ``hysteresis``: it handles Ctrl-C, also during the imports that follow."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from hysteresis_ros.cli.interrupt import INTERRUPTED, WORDS
 
 #: Time after which a lost interrupt is repeated [s].
 AGAIN = 0.05
-#: Linear algebra uses one thread unless these variables are set: its arrays are small, and several threads on a busy
-#: machine made an identification three times as long (measured).
+#: Linear algebra uses one thread unless these variables are set. Its arrays are small, and several threads made an
+#: identification on a busy machine three times as long (measured).
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -33,7 +33,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
 
     def repeat_interrupt(unraisable: Any) -> None:
-        """Repeat an interrupt that is lost because Python cannot raise there (in a callback or a finalizer)."""
+        """Repeat an interrupt that was lost because Python could not raise it (in a callback or a finalizer)."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(unraisable)
             return
@@ -59,12 +59,12 @@ def main() -> None:
             _leave_at_once()
         raise
     finally:
-        # during the interpreter's shutdown an interrupt would only print a traceback
+        # while the interpreter shuts down, an interrupt would only print a traceback
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _leave_at_once() -> NoReturn:
-    """Exit with the code of Ctrl-C; after an interrupted ``exec`` Python would end by the signal itself."""
+    """Exit with the code of Ctrl-C; otherwise Python, interrupted in ``exec``, would be ended by the signal."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(INTERRUPTED)

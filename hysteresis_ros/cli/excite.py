@@ -38,7 +38,7 @@ from hysteresis_ros.references.recipes import RECIPES
     "--processes/--composed",
     "processes",
     default=None,
-    help="Four processes or one, which exchange messages; by default four, or fused where these are too slow.",
+    help="Run the nodes in four processes or in one; by default in four, or fused if four are too slow.",
 )
 @click.option(
     "--plant",
@@ -55,9 +55,10 @@ def excite(
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
     `hysteresis identify` reads the bag directly. Recipes: triangles (growing peaks), decaying (minor loops), multisine
-    and chirp (dynamics), steps, creep. With a recipe, --amplitude is relative to its own amplitude (0.5), and
-    --frequency is that of the cycles, of the lines of the multisine, or of the chirp's start. With --reference,
-    amplitudes may be in volts (60V), or in metres at the gain of the compensator's model (5um).
+    and chirp (dynamics), steps, creep. With a recipe, --amplitude is a factor on the recipe's own amplitude (such as
+    0.5), and --frequency is the frequency of the cycles, the line spacing of the multisine, or the initial frequency of
+    the chirp. With --reference, amplitudes may be in volts (60V), or in metres at the gain of the compensator's model
+    (5um).
     """
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
@@ -119,14 +120,14 @@ def excite(
 
 
 def _stages(axis, length: float):
-    """Return the activity, and functions for the elapsed time and, in real time, the completed fraction."""
+    """Return a description, and functions that return the state as text and, in real time, the completed fraction."""
     import time
 
     plant, begun = axis.plant_simulator, time.monotonic()
     needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
-        # the nodes start first, so that it is less
+        # less than the elapsed fraction, because the nodes have to start first
         return None if needed is None else min((time.monotonic() - begun) / needed, 1.0)
 
     return f"the nodes start and run {length:.4g} s", str, part
@@ -138,7 +139,10 @@ def _of_recipe(reference) -> dict:
     from hysteresis_ros.units import quantity
 
     reference.refuse_others(("amplitude", "frequency"))
-    units = {"amplitude": ("", "a part of the recipe's own, such as 0.5"), "frequency": ("Hz", "a frequency")}
+    units = {
+        "amplitude": ("", "a factor on the recipe's own amplitude, such as 0.5"),
+        "frequency": ("Hz", "a frequency"),
+    }
     found = {}
     for option, text in reference.given.items():
         unit, words = units[option]

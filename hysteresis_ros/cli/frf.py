@@ -49,11 +49,15 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.option("--low", metavar="FREQUENCY", help="Lowest frequency, e.g. 2Hz.")
 @click.option("--high", metavar="FREQUENCY", help="Highest frequency; 0.48 of the sample rate by default.")
 @click.option(
-    "--period", metavar="TIME", help="Period of a multisine, of the blocks of a stepped sine, of the segments of noise."
+    "--period",
+    metavar="TIME",
+    help="Period of a multisine; length of the blocks of a stepped sine, or of the segments of noise.",
 )
 @click.option("--duration", metavar="TIME", help="Length of the whole excitation, instead of --period.")
 @click.option("--periods", type=int, default=4, show_default=True, help="Number of averaged periods (blocks).")
-@click.option("--settle", type=int, default=1, show_default=True, help="Number of discarded periods before them.")
+@click.option(
+    "--settle", type=int, default=1, show_default=True, help="Number of discarded periods before the averaged ones."
+)
 @click.option(
     "--realisations", type=int, default=4, show_default=True, help="Realisations of the random phases of a multisine."
 )
@@ -81,15 +85,15 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     """Measure the frequency response of an axis of CONFIG at an operating point, or estimate it from RECORDING.
 
     Open loop: from voltage (or command, through the inverse) to displacement. Closed loop: sensitivity, complementary
-    sensitivity and loop transfer with measured margins beside those of the model. Bands contain the true response with
-    95 % probability; a multisine separates noise, odd and even distortion. Exit code 2: wrong input, or an excitation
-    below the noise.
+    sensitivity and loop transfer function, with the measured margins and those of the model. Bands contain the true
+    response with 95 % probability; a multisine separates noise, odd and even distortion. Exit code 2: wrong input, or
+    an excitation below the noise.
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture
     from hysteresis_ros.identification.frequency_response import require_response_file, save_response
 
-    # before anything moves
+    # checked before anything moves
     for names, required in ((outputs, require_response_file), ([plot], require_picture), ([report], require_page)):
         for name in filter(None, names):
             required(name)
@@ -131,11 +135,11 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
     for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
         if options[name] is not None:
-            raise ConfigurationError(f"--{name}: {path} is a recording, which is already excited; omit the option")
+            raise ConfigurationError(f"--{name}: {path} is a recording, whose excitation is over; omit the option")
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
         run = load_run(path, namespace, further=True)
-        # a foreign table may have only the required columns
+        # a table from another program may have only the required columns
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
         return recorded_response(
             run, plan, options["loop"], options["at"], _with_units(options).get("period"), options["kind"]

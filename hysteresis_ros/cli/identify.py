@@ -19,18 +19,18 @@ from hysteresis_ros.cli.options import ConfigurationName, data_options, format_f
 from hysteresis_ros.cli.progress import Progress, shown
 from hysteresis_ros.errors import ConfigurationError
 
-#: Exit code of a fit that did not converge; the best point is written.
+#: Exit code of a fit that did not converge; the best point is written nevertheless.
 NOT_CONVERGED = 3
-#: Exit code of a model that the recording shows to be suitable for an inverse but not for feedback.
+#: Exit code if the recording shows that the model is accurate enough for an inverse, but not for feedback.
 UNFIT = 4
-#: Figures that are shown first.
+#: Figures that the table shows first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
-#: Reports after which the bar of a fit is half full.
+#: Number of reports after which the bar of a fit is half full.
 UNKNOWN = 60.0
 
 
 class FitState:
-    """Progress of a fit of unknown length: each report fills a fraction of the remaining bar."""
+    """Progress of a fit of unknown length: each report fills a fraction of the rest of the bar."""
 
     def __init__(self) -> None:
         self.text = ""
@@ -60,9 +60,12 @@ class FitState:
     "--into",
     metavar="CONFIG",
     type=ConfigurationName(),
-    help="For a response of `hysteresis frf`: the axis that gets its dynamics; the hysteresis is kept.",
+    help="For a response of `hysteresis frf`: the axis that gets dynamics fitted to it; the "
+    "hysteresis of the axis is kept.",
 )
-@click.option("--order", type=int, help="Order of these dynamics; by default the lowest with about the best fit.")
+@click.option(
+    "--order", type=int, help="Order of these dynamics; by default the lowest order with almost the best fit."
+)
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options
 @click.pass_context
@@ -88,7 +91,7 @@ def identify(
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
-    would allow; one line names the frequency, and a design stays below it. 2: wrong input.
+    would allow; a line names the frequency, and designs stay below it. 2: wrong input.
     """
     from hysteresis_ros.identification.frequency_response import holds_response
 
@@ -115,7 +118,7 @@ def identify(
         summary["report"] = str(report_path)
     write_json(summary, json_path, format_figures(summary, FIRST))
     if not found.converged:
-        click.echo(f"hysteresis: the fit did not converge; {params} holds the best point", err=True)
+        click.echo(f"hysteresis: the fit did not converge; {params} contains the best point", err=True)
         ctx.exit(NOT_CONVERGED)
     if found.response is not None and not found.response.fit_for_feedback:
         click.echo(f"hysteresis: {found.response.reason}", err=True)
@@ -123,7 +126,7 @@ def identify(
 
 
 def _dynamics(data, into, order, params, namespace, json_path) -> None:
-    """Put the dynamics of a frequency response into an axis."""
+    """Fit dynamics to a frequency response, and write the axis with them."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.designs.measured import with_measured_dynamics
     from hysteresis_ros.errors import ConfigurationError

@@ -22,6 +22,6 @@ WORDS = "hysteresis: interrupted"
 
 
 def leave_interrupted() -> NoReturn:
-    """Print one line that Ctrl-C ended the command, and exit with its code."""
+    """Print a line that Ctrl-C has ended the command, and exit with the code of Ctrl-C."""
     print(WORDS, file=sys.stderr)
     raise SystemExit(INTERRUPTED)

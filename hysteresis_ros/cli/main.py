@@ -122,11 +122,11 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
     },
 }
-#: The same by name.
+#: The subcommands by name.
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
-#: New objects per collection of the youngest generation. Compiling creates millions of objects that stay alive; with
-#: Python's default of 700 the collections take a tenth of the time.
+#: New objects per collection of the youngest generation. Compilation creates millions of objects that stay alive; with
+#: Python's default of 700, collections would take a tenth of the time.
 COLLECT_AFTER = 50_000
 
 
@@ -157,7 +157,7 @@ class LazyGroup(click.Group):
         return [*(CompletionItem(name, help=line) for name, line in named), *options]
 
     def resolve_command(self, ctx: click.Context, args: list[str]):
-        """Find the subcommand of the first word; suggest a similar name for an unknown word."""
+        """Find the subcommand that the first word names; for an unknown word suggest a similar name."""
         if (
             args
             and not ctx.resilient_parsing
@@ -185,7 +185,7 @@ class LazyGroup(click.Group):
                 code = super().main(args, prog_name, **extra)
         except click.ClickException as error:
             if error.exit_code == 2 and not (args or sys.argv[1:]):
-                error.show()  # without arguments: the help
+                error.show()  # called without arguments: shows the help
                 sys.exit(error.exit_code)
             _refuse(_usage(error), error.exit_code)
         except HysteresisError as error:
@@ -193,7 +193,7 @@ class LazyGroup(click.Group):
         except OSError as error:
             if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
                 raise
-            # for a name that is too long, every access fails, also the test whether the file exists
+            # if a name is too long every access fails, even the test whether the file exists
             _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
             _refuse(f"not enough memory: {error or 'too many samples'}; choose a shorter run", 2)
@@ -209,7 +209,7 @@ def _refuse(text: str, code: int) -> NoReturn:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the error of the command line, and how to get help."""
+    """Return the error of the command line, and the command that prints help."""
     text = error.format_message().rstrip(".")
     context = getattr(error, "ctx", None)
     if context is None:

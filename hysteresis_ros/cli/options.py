@@ -29,7 +29,7 @@ class ConfigurationName(click.ParamType):
     name = "config"
 
     def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
-        """Return the names that come with the package, and files and folders beside what was typed."""
+        """Return the names that come with the package, and the files and folders that begin with the typed text."""
         from hysteresis_ros.configuration import shipped_configurations
 
         folder, _, begun = incomplete.rpartition("/")
@@ -54,7 +54,7 @@ class Quantity(click.ParamType):
         self.name = {"m": "length", "s": "time", "Hz": "frequency"}[unit]
 
     def convert(self, value, param, ctx) -> float:
-        """Return the number in SI; click reports what is refused, with exit code 2."""
+        """Return the number in SI; click reports a refused text, with exit code 2."""
         from hysteresis_ros.units import quantity_in
 
         try:
@@ -76,7 +76,7 @@ class WaveformName(click.ParamType):
 
 
 class NodeName(click.ParamType):
-    """The name of a node of an axis, or of any other."""
+    """The name of a node of an axis, or of any other node."""
 
     name = "node"
 
@@ -87,7 +87,7 @@ class NodeName(click.ParamType):
         return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
 
 
-#: Options for splitting a recording, as in ``ros2 bag record``; the command gets both under these names.
+#: Options for splitting a recording, as in ``ros2 bag record``; the arguments of the command have the same names.
 _SPLITS = (
     click.option(
         "--max-bag-size", type=click.IntRange(1), metavar="BYTES", help="Start a new file of the bag at this size."
@@ -132,7 +132,7 @@ def laid_under(config: str, laid_over: tuple[str, ...]):
     return load_configuration(config).under(*map(load_configuration, laid_over))
 
 
-#: Suffixes of figure names: the SI unit of the figure.
+#: SI unit of a figure, by the suffix of its name.
 ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
 
 
@@ -175,7 +175,7 @@ def data_options(command):
 
 
 def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
-    """Return the checked data of a command; print progress, guesses and changes to stderr."""
+    """Return the checked data of a command; print progress, assumptions and changes to stderr."""
     from hysteresis_ros.identification.reading import Columns, read_data
 
     columns = Columns(
@@ -226,7 +226,7 @@ def _seconds(text: str):
 
 
 def write_json(figures: dict, path: str | None, table: str) -> None:
-    """Print the table, or the figures as JSON for ``-``; also write them to a file if one is named."""
+    """Print the table, or for ``-`` the figures as JSON; if a file is named, also write the figures to it."""
     import json
 
     from hysteresis_ros.errors import RecordingError
@@ -241,9 +241,9 @@ def write_json(figures: dict, path: str | None, table: str) -> None:
 
 
 def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
-    """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last.
+    """Return figures as lines ``name value``; the names in ``first`` come first, lists of texts last.
 
-    When the name of a figure ends in its unit, the value is shown with a readable unit: ``rmse_m`` of 2.148e-7 is shown
+    If the name of a figure ends in its unit, the value is shown with a readable unit: ``rmse_m`` of 2.148e-7 is shown
     as ``rmse  0.2148 µm``.
     """
     from hysteresis_ros.units import readable
@@ -267,7 +267,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     return "\n".join(lines + texts)
 
 
-#: Option → help, for common parameters of a waveform; ``--waveform NAME=VALUE`` sets the others.
+#: Option → help, for the usual parameters of a waveform; ``--waveform NAME=VALUE`` sets any other one.
 PARAMETERS = {
     "--amplitude": "amplitude",
     "--frequency": "frequency",
@@ -292,7 +292,7 @@ HELP = {
 
 @dataclass(frozen=True)
 class AskedReference:
-    """Waveform options; none are given when ``kind`` is None."""
+    """Options of the waveform; ``kind`` None: the user gave none."""
 
     kind: str | None  #: Name of the waveform.
     given: dict[str, str]  #: Text of each of its parameters.
@@ -310,7 +310,7 @@ class AskedReference:
     def put_into(self, configuration, namespace: str | None = None):
         """Return a configuration whose axes follow the waveform; unchanged without a waveform option.
 
-        Of a stage only the axis in ``namespace`` follows it, where one is given.
+        In a stage, only the axis in ``namespace`` follows it, if a namespace is given.
         """
         from hysteresis_ros.errors import ConfigurationError
 
@@ -319,8 +319,8 @@ class AskedReference:
             return configuration
         if any(configuration.describes("inchworm_sequencer", space) for space in configuration.namespaces()):
             raise ConfigurationError(
-                f"--reference {self.kind}: {configuration.source} is an inchworm motor, which follows no waveform; "
-                "give it setpoints with `hysteresis setpoint`"
+                f"--reference {self.kind}: {configuration.source} describes an inchworm motor, which "
+                "cannot follow a waveform; give it setpoints with `hysteresis setpoint`"
             )
         values = {f"waveform.{name}": value for name, value in self.values().items()}
         only = f"{namespace.strip('/')}/" if namespace and configuration.stage is not None else ""

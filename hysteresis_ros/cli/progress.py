@@ -29,7 +29,7 @@ SHORT, LOOK = 0.5, 0.1
 
 
 def _bar(err: bool) -> Any:
-    """Return a bar for a terminal, None where there is no terminal or the library is not installed."""
+    """Return a bar for a terminal; None if there is no terminal or the library is not installed."""
     if not (sys.stderr if err else sys.stdout).isatty():
         return None
     try:
@@ -44,7 +44,7 @@ def _bar(err: bool) -> Any:
 
 
 def shown(what: str) -> contextlib.AbstractContextManager[None]:
-    """Show a bar, on terminals only, during an operation that is usually short; print results after it."""
+    """Show a bar during an operation that is usually short, on terminals only; print results after it."""
     return Progress(err=True, bars_only=True).during(what)
 
 

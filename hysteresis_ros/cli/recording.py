@@ -126,7 +126,7 @@ def _bounds(range_: str | None, skip: str | None) -> tuple[float, float]:
 
 
 def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
-    """Return the part of a run to evaluate; the error names a run that lacks it."""
+    """Return the part of a run to evaluate; the error names the run that does not contain it."""
     from hysteresis_ros.analysis import parts
     from hysteresis_ros.errors import RecordingError
 
@@ -160,8 +160,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         simulated = run.metadata.get("source") == "offline simulation"
         if not simulated and axis.plant_simulator.time_mode == "realtime":
             raise RecordingError(
-                f"{recording}: is a run in real time, which depends on the times of messages; only lockstep and fused "
-                "runs can be repeated"
+                f"{recording}: is a run in real time, whose result depends on the times of messages; only "
+                "lockstep and fused runs can be repeated"
             )
         for note in notes:
             click.echo(f"hysteresis: note: {note}", err=True)
@@ -196,7 +196,7 @@ def equal(name: object, samples: int) -> str:
 )
 @click.option("--namespace", help="Which axis, when the bag holds several.")
 def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
-    """Turn RECORDING (bag folder, .mcap, .db3, .npz or .csv) into a table of eight columns in SI units.
+    """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table of eight columns in SI units.
 
     The columns are time, setpoint, reference, command, voltage, displacement (true), measured, estimated: the same
     that `hysteresis simulate` writes.
@@ -221,7 +221,7 @@ def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None)
     "-o", "--output", type=click.Path(path_type=pathlib.Path), help="Folder to create; BAG_repaired by default."
 )
 def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
-    """Write the readable part of BAG (a folder, .mcap or .db3) to a new folder that every tool reads.
+    """Write the readable part of BAG (a folder, .mcap or .db3) to a new folder that every tool can read.
 
     All complete messages are kept; index, statistics and metadata.yaml are rebuilt, so that ros2 bag, Foxglove and
     rosbags open it. BAG itself is not changed. The reports of this package also read a truncated bag without repair.

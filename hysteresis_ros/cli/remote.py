@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis status|get|set|call|echo|setpoint``: operate a running axis without the command ``ros2``."""
+"""``hysteresis status|get|set|call|echo|setpoint``: operate a running axis, without the command ``ros2``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hysteresis_ros.cli.options import NodeName
 
 
 def steered(timeout: float = 10.0):
-    """Return a decorator that adds the options of all commands to a running axis.
+    """Return a decorator that adds the options shared by all commands for a running axis.
 
     ``timeout`` [s] is the default of the option ``--timeout``.
     """
@@ -60,7 +60,7 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     require_ros()
     # a separate process, because the pip wheels of ROS restart the interpreter on import
     words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
-    # in a separate session: Ctrl-C in a terminal reaches this process only, which then ends the other one
+    # in a separate session, so that Ctrl-C in a terminal reaches only this process, which then ends the other one
     guard = partial(die_with_parent, os.getpid())
     child = subprocess.run(words, env=node_environment(), start_new_session=True, preexec_fn=guard)
     raise SystemExit(child.returncode)
@@ -82,7 +82,7 @@ def status(as_json, namespace, timeout):
 @click.argument("names", nargs=-1, metavar="[PARAM]...")
 @steered()
 def get(node, names, namespace, timeout):
-    """Print parameters of NODE as YAML; all of them when none is named."""
+    """Print the named parameters of NODE as YAML; without names, all of them."""
     in_graph("get", namespace, timeout, node=node, names=list(names))
 
 
@@ -96,7 +96,7 @@ def get(node, names, namespace, timeout):
 @click.argument("pairs", nargs=-1, required=True, metavar="PARAM VALUE [PARAM VALUE]...")
 @steered()
 def set_(node, pairs, namespace, timeout):
-    """Set parameters of NODE, all of them, or none when it refuses one; values in SI or with a unit (5um)."""
+    """Set parameters of NODE: all of them, or none if NODE refuses one. Values are in SI or have a unit (5um)."""
     if len(pairs) % 2:
         raise click.UsageError(f"{pairs[-1]} has no value: write PARAM VALUE [PARAM VALUE]...")
     in_graph("set", namespace, timeout, node=node, values=dict(zip(pairs[::2], pairs[1::2], strict=True)))
@@ -136,8 +136,8 @@ def echo(topic, once, count, namespace, timeout):
 def setpoint(value, namespace, timeout):
     """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether its reference source accepts it.
 
-    Exit code 2: it is refused (out of range, axis not active or stopped). Exit code 1: the source is not found or does
-    not answer, and it is unknown whether the setpoint was accepted.
+    Exit code 2: the setpoint is refused (out of range, axis not active or stopped). Exit code 1: the source is not
+    found or does not answer, so it is unknown whether the setpoint was accepted.
     """
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.units import quantity_in

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis scan``: what a scan of a plane asks of its axes, the frame rate within limits, its path as a file."""
+"""``hysteresis scan``: demands of a scan on its axes, its largest frame rate within limits, its path as a file."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from click.shell_completion import CompletionItem
 from hysteresis_ros.cli.options import Quantity, write_json
 from hysteresis_ros.cli.progress import shown
 
-#: Most samples of a path that is written.
+#: Maximum number of samples of a written path.
 MOST_SAMPLES = 20_000_000
 
 
 class ScanName(click.ParamType):
-    """The name of a scan; unknown names are refused later, where all scans are known."""
+    """The name of a scan; unknown names are refused later, when all scans are known."""
 
     name = "scan"
 
     def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
-        """Return the scans whose names begin so."""
+        """Return the scans whose names begin with the typed text."""
         from hysteresis_ros.references.scans import SCANS
 
         return [
@@ -47,22 +47,24 @@ class ScanName(click.ParamType):
     "limits",
     multiple=True,
     metavar="NAME=VALUE",
-    help="What the axes allow: low, high, velocity, acceleration, jerk, bandwidth; one value or one for each axis.",
+    help="Limit of the axes: low, high, velocity, acceleration, jerk or bandwidth; one value, or one for each axis.",
 )
 @click.option("--fastest", is_flag=True, help="Take the largest frame rate within the limits.")
-@click.option("--harmonics", "count", type=click.IntRange(1), default=8, show_default=True, help="How many to print.")
-@click.option("--rate", type=Quantity("Hz"), help="Sample rate of the path that is written, e.g. 20kHz.")
-@click.option("--frames", type=click.IntRange(1), help="Frames that are written; by default until the path repeats.")
+@click.option(
+    "--harmonics", "count", type=click.IntRange(1), default=8, show_default=True, help="Number of printed harmonics."
+)
+@click.option("--rate", type=Quantity("Hz"), help="Sample rate of the written path, e.g. 20kHz.")
+@click.option("--frames", type=click.IntRange(1), help="Number of written frames; by default until the path repeats.")
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="File for the path: .csv or .npz.")
 @click.option("--plot", type=click.Path(path_type=pathlib.Path), help="Picture to write: .png.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead.")
 def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, json_path):
     """Compute the scan KIND: raster, spiral, lissajous, cycloid, rosette, or file.
 
-    Its parameters are NAME=VALUE, lengths with their unit: `hysteresis scan raster width=80um depth=80um`. Prints size,
-    peaks of velocity, acceleration and jerk of each axis, the largest frame rate within the limits, and harmonics;
-    writes the path with line and pixel of each sample. A scan beyond the limits ends with exit code 2, and names a
-    frame rate that keeps them.
+    Its parameters are given as NAME=VALUE, lengths with their unit: `hysteresis scan raster width=80um depth=80um`.
+    Prints size, peaks of velocity, acceleration and jerk of each axis, the largest frame rate within the limits, and
+    harmonics; writes the path with line and pixel of each sample. If the scan exceeds the limits, the command ends with
+    exit code 2 and names an allowed frame rate.
     """
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.references.scan import ScanLimits, check_limits, harmonics, largest_frame_rate
@@ -79,7 +81,9 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
             if best == 0.0:
                 check_limits(made, allowed)
             if best == math.inf:
-                raise ConfigurationError("--fastest: there is no largest frame rate; give --limit velocity=10mm/s, say")
+                raise ConfigurationError(
+                    "--fastest: no limit determines a largest frame rate; give one, e.g. --limit velocity=10mm/s"
+                )
             values.pop("line_rate", None)
             made = scan_of(kind, values | {"frame_rate": best})
         check_limits(made, allowed)
@@ -106,18 +110,18 @@ def _require_places(output: pathlib.Path | None, plot: pathlib.Path | None, rate
         require_picture(plot)
     if output is None:
         if rate is not None:
-            raise click.UsageError("--rate belongs to a path that is written: give -o path.csv")
+            raise click.UsageError("--rate is for a written path: give -o path.csv")
         return
     if output.suffix.lower() not in (".csv", ".npz"):
         raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; write .csv or .npz")
     if not output.absolute().parent.is_dir():
-        raise RecordingError(f"{output}: cannot be written: there is no such folder; choose another place")
+        raise RecordingError(f"{output}: cannot be written: the folder does not exist; choose another place")
     if rate is None or not rate > 0.0:
         raise click.UsageError("-o needs the sample rate of the path: --rate 20kHz")
 
 
 def _figures(kind: str, made, found, best: float) -> dict[str, Any]:
-    """Return what is printed, in SI; None: not of this kind of scan, or unlimited."""
+    """Return the figures, in SI; None: this kind of scan has no such figure, or it is unlimited."""
     from hysteresis_ros.references.scan import AXES
 
     low, high = made.extent()
@@ -162,7 +166,7 @@ def _complex(value: complex) -> list[float]:
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:
-    """Return the figures for people."""
+    """Return the figures as readable lines."""
     from hysteresis_ros.units import readable
 
     gap, best = figures["gap_m"], figures["largest_frame_rate_hz"]
@@ -196,12 +200,12 @@ def _lines(figures: dict[str, Any]) -> list[str]:
 
 
 def _phase(value: complex) -> float:
-    """Return the phase in degrees; no negative zero."""
+    """Return the phase in degrees, without a negative zero."""
     return round(math.degrees(math.atan2(value.imag, value.real)), 1) + 0.0
 
 
 def _write_path(output: pathlib.Path, made, rate: float, frames: int | None) -> str:
-    """Write the path with frame, line and pixel of each sample; return what was written, in a sentence."""
+    """Write the path with frame, line and pixel of each sample; return a sentence about the file."""
     import numpy as np
 
     from hysteresis_ros.errors import RecordingError

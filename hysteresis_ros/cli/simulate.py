@@ -48,7 +48,7 @@ from hysteresis_ros.cli.progress import shown
 @reference_options
 @click.option(
     "--namespace",
-    help="Which axis of the configuration, when it describes several; of a stage the one that has the faults or the "
+    help="Which axis of the configuration, when it describes several; in a stage, the axis that gets the faults or the "
     "reference.",
 )
 def simulate(
@@ -118,7 +118,7 @@ def simulate(
 
 
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
-    """Run a stage, write its recording, and print the errors of its axes and what scans of one do to the others."""
+    """Run a stage, write its recording, and print the errors of its axes and those that scans cause in others."""
     from hysteresis_ros.analysis.metrics import axes_figures
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
     from hysteresis_ros.api import scan_run

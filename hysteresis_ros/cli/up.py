@@ -36,7 +36,7 @@ from hysteresis_ros.cli.options import (
     "--processes/--composed",
     "processes",
     default=None,
-    help="Four processes or one, which exchange messages; by default four, or --fused where these are too slow.",
+    help="Run the nodes in four processes or in one; by default in four, or --fused if four are too slow.",
 )
 @click.option("--record", metavar="DIR", help="Record everything into this new bag folder.")
 @split_options
@@ -146,7 +146,7 @@ def up(
 
 
 def _pages(axes):
-    """Return the pages of axes; imports the server only when pages are requested."""
+    """Return the pages of axes; import the server only when pages are requested."""
     from hysteresis_ros.registry import resolved
 
     options = resolved("hysteresis_ros.laboratory.watch.serving:PageOptions")()
@@ -175,7 +175,7 @@ def _overridden(configuration, rate, factor, force, plant):
 
 
 def _check_together(found, verify: bool, record: str | None, factor: float | None) -> None:
-    """Refuse options that are invalid in the time modes of the axes, or warn of them."""
+    """Refuse options that are invalid in the time modes of the axes, or warn about them."""
     modes = {axis.plant_simulator.time_mode for axis in found}
     if verify and not (record and modes <= {"lockstep", "fused"}):
         raise click.UsageError(
@@ -198,7 +198,7 @@ def _what_runs(axis, composed: bool) -> str:
     return f"{how}: {plant.sample_rate:g} Hz, real-time factor {plant.real_time_factor:g}, {length}"
 
 
-#: Maximum size of a bag that is read again at the end of a run [bytes]; for a larger one use `report`.
+#: Maximum size [bytes] of a bag that is evaluated at the end of a run; for a larger bag use `report`.
 LOOKED_AT = 300_000_000
 
 
@@ -220,8 +220,8 @@ def _say_limited(graph) -> None:
 
 
 def _say_recorded(graph) -> None:
-    """Print the bags; a bag whose recorder died or ran out of space is incomplete, which is an error."""
-    short = "; it ends before the run; if it was cut off, hysteresis repair completes it" if graph.lost else ""
+    """Print the bags. A bag whose recorder died or ran out of disk space is incomplete, which is an error."""
+    short = "; it ends before the run did; if the bag was cut off, hysteresis repair completes it" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")
     if graph.lost:

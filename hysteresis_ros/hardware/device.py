@@ -83,7 +83,7 @@ class Device:
     @contextlib.contextmanager
     def _named(self, what: str, *passed: type[Exception]) -> Iterator[None]:
         if not self._open:
-            raise DriverError(self.name, f"{what}: the device is closed", "configure the node again")
+            raise DriverError(self.name, f"{what}: it is closed", "configure the node again")
         try:
             yield
         except passed:

@@ -84,4 +84,4 @@ def test_up_refuses_before_it_starts_anything():
 
 def test_an_inchworm_follows_no_waveform(tmp_path):
     result = run("simulate", "inchworm_travel", "--reference", "sine", "--amplitude", "1um", "-o", tmp_path / "a.npz")
-    assert result.exit_code == 2 and "follows no waveform" in result.output
+    assert result.exit_code == 2 and "cannot follow a waveform" in result.output

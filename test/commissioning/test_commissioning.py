@@ -180,7 +180,7 @@ WRONG = {
     ringing: "gain: the stage does not settle",
     tripping: "noise: the axis tripped after 0.05 s: the sensor measured more",
     losing: "noise: 10.0 % of 1000 samples have no measurement or no voltage",
-    stuck: "gain: a step of 5 V was commanded and 1 V were applied",
+    stuck: "gain: a step of 5 V was commanded, but 1 V were applied",
     noisy: "noise: the sensor's noise at rest is",
 }
 
@@ -240,7 +240,7 @@ def test_nothing_moves_that_nobody_allows(tmp_path):
             return stage == "noise"
 
     bench = ForeignBench()
-    with pytest.raises(NotAllowedError, match="stopped before gain: nothing was moved"):
+    with pytest.raises(NotAllowedError, match="stopped before the stage gain, which has moved nothing"):
         commission(sitting(tmp_path), bench, Unwilling())
     assert len(bench.runs) == 1
 
@@ -251,7 +251,7 @@ def test_a_resumed_sitting_is_of_the_same_file_and_bench(tmp_path):
         sitting(tmp_path)
     path = tmp_path / "stage.yaml"
     text = path.read_text()
-    with pytest.raises(ConfigurationError, match="it began with 'foreign', not 'offline'"):
+    with pytest.raises(ConfigurationError, match="began with 'foreign', not 'offline'"):
         Folder(tmp_path / "kept", text, "offline", True)
     path.write_text(text.replace("maximum: 100.0", "maximum: 120.0"))
     with pytest.raises(ConfigurationError, match="the parameter file has changed"):

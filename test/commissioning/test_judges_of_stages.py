@@ -50,7 +50,7 @@ def test_a_gain_may_be_off_by_a_factor_of_three_to_both_sides(situation, factor)
     if 1.0 / 3.0 < factor < 3.0:
         assert judge_gain(situation, step).figures["gain_m_per_v"] == pytest.approx(factor * GAIN, rel=0.01)
     else:
-        with pytest.raises(CommissioningError, match="the gain is .* µm/V and 1 µm/V were expected"):
+        with pytest.raises(CommissioningError, match="the gain is .* µm/V, but 1 µm/V were expected"):
             judge_gain(situation, step)
 
 
@@ -60,7 +60,7 @@ def test_so_may_the_stroke(situation, factor):
     if 1.0 / 3.0 < factor < 3.0:
         assert judge_hysteresis(situation, cycles).figures["stroke_m"] == pytest.approx(factor * 1e-4, rel=0.01)
     else:
-        with pytest.raises(CommissioningError, match="the whole range moved it by .*, 100 µm were expected"):
+        with pytest.raises(CommissioningError, match="the whole range moved the stage by .*, but 100 µm were expected"):
             judge_hysteresis(situation, cycles)
 
 
@@ -72,7 +72,9 @@ def test_a_zero_many_strokes_away_is_that_of_another_unit(situation, strokes):
         assert figures["sensor_zero_m"] == pytest.approx(strokes * 1e-4, abs=1e-9)
         assert figures["noise_rms_m"] == pytest.approx(NOISE, rel=0.1)
     else:
-        with pytest.raises(CommissioningError, match="the sensor reads .* at rest, and a stroke of 100 µm is expected"):
+        with pytest.raises(
+            CommissioningError, match="the sensor reads .* at rest, but a stroke of only 100 µm is expected"
+        ):
             judge_noise(situation, quiet)
 
 

@@ -97,7 +97,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
         (("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "1,b"), "give four numbers, X,Y,W,H"),
         (
             ("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "0,0,500,9"),
-            "none of 12 frames .* does not lie",
+            "in none of 12 frames.* does not lie",
         ),
         (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "has no frame rate: give --rate HZ"),
         (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "holds no frames"),

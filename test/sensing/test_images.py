@@ -49,7 +49,7 @@ def test_red_green_and_blue_are_weighed_in_their_places():
         ("yuv422", (3, 4), 8, "encoding 'yuv422' is not supported; configure the camera for one of mono8"),
         ("mono8", (3, 4), 3, "are not an image of 4 x 3 px"),
         ("mono8", (30, 4), 4, "12 bytes in rows of 4 are not an image of 4 x 30 px"),
-        ("mono8", (0, 4), 4, "are no image"),
+        ("mono8", (0, 4), 4, "are not an image"),
     ],
 )
 def test_what_is_no_image_is_named(encoding, shape, step, words):

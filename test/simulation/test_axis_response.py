@@ -211,5 +211,5 @@ def test_recordings_and_axes_that_have_none_are_refused(tmp_path):
     result = hysteresis("frf", path)
     assert result.exit_code == 2 and "the excitation is too weak: signal-to-noise ratio" in result.output
     result = hysteresis("frf", path, "--amplitude", "1V")
-    assert result.exit_code == 2 and "is a recording, which is already excited" in result.output
+    assert result.exit_code == 2 and "is a recording, whose excitation is over" in result.output
     assert measured_loop_parts(single_axis(axis_file()))[0].D.shape == (1, 2)

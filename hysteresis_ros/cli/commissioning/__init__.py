@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Commissioning: from a new parameter file to a verified closed loop, stage by stage; imports no ROS.
+"""Commissioning: from a new parameter file to a verified closed loop, in steps called stages; imports no ROS.
 
-Read ``stages`` first (the order of the stages and what each moves), then ``situation`` (the data that all stages
-share), and the stages themselves: ``measuring`` (open loop), ``fitting`` (model and controller), ``closed_loop``.
-``bench`` runs an axis for a stage; ``new_file`` writes the first parameter file.
+Start with ``stages`` (their order, and what each one moves) and ``situation`` (the data that all stages share). The
+stages are in ``measuring`` (open loop), ``fitting`` (model and controller) and ``closed_loop``. ``bench`` runs an axis
+for a stage; ``new_file`` writes the first parameter file.
 """

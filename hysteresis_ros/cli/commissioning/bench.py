@@ -30,18 +30,18 @@ from hysteresis_ros.recordings.files import load_run
 
 #: Causes of a trip of the axis, and remedies.
 TRIPPED = {
-    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the rate; lower sample_rate, leave a "
-    "core free, or use a compiled driver (docs/hardware.md)",
+    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the sample rate; lower "
+    "sample_rate, leave a core free, or use a compiled driver (docs/hardware.md)",
     BEYOND_TRAVEL: "the sensor measured more than the actuator's range: check its scaling, sign and cable",
     HALTED: "a stop was requested; begin again when the axis may move",
     DEVICE_FAILED: "the device failed, see the line above; repair it and begin again",
     PARTNER_LOST: "a node of the axis was lost, see the line above; begin again",
 }
-#: Largest part of the samples that may lack a measurement.
+#: Largest fraction of the samples that may lack a measurement.
 MOST_MISSING = 0.05
-#: Signals that the stages evaluate, and those of a closed loop.
+#: Signals that every stage of the commissioning needs, and those that only a closed loop has besides.
 JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen", "skipped")
-#: Largest relative difference of sample intervals.
+#: Relative difference up to which sample intervals count as equal.
 IRREGULAR = 0.01
 
 
@@ -50,12 +50,12 @@ class Bench(ABC):
 
     @abstractmethod
     def run(self, axis: AxisParameters) -> Recording:
-        """Run an axis once, for the length in its parameters."""
+        """Run an axis once, for the duration in its parameters."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Description in the file of the state."""
+        """Name of the bench in the file that stores the state of a commissioning."""
 
 
 class OfflineBench(Bench):
@@ -72,7 +72,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
     """Return a recording of regular samples that all have a measurement; a few missing ones are interpolated."""
     if recording.has("tripped"):
         codes = recording["tripped"]
-        stopped = np.flatnonzero(codes > 0.0)  # below zero: the sensor is being homed
+        stopped = np.flatnonzero(codes > 0.0)  # codes below zero: the sensor is being homed
         if stopped.size:
             first = stopped[0]
             why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
@@ -82,7 +82,8 @@ def require_sound(recording: Recording, samples: int) -> Recording:
     if missing > MOST_MISSING:
         raise CommissioningError(
             f"{100.0 * missing:.1f} % of {samples} samples have no measurement or no voltage: check the sensor "
-            "and its cable, whether the run was cut off, and whether this machine achieves the rate (hysteresis doctor)"
+            "and its cable, whether the run was cut off, and whether this machine achieves the "
+            "sample rate (hysteresis doctor)"
         )
     distances = np.diff(recording.time)
     regular = np.ptp(distances) < IRREGULAR * distances.mean()
@@ -106,8 +107,8 @@ def held_back(recording: Recording) -> list[str]:
     if not count:
         return []
     return [
-        f"this machine was too busy for {count} of {len(recording)} samples: the previous voltage was held, "
-        "which increases the error during motion"
+        f"this machine was too busy for {count} of {len(recording)} samples: the previous voltage "
+        "was held in them, which increases the error during motion"
     ]
 
 
@@ -120,7 +121,7 @@ class GraphBench(Bench):
 
     @property
     def name(self) -> str:
-        """Description in the file of the state."""
+        """Name of the bench in the file that stores the state of a commissioning."""
         return "external plant" if self._external else "nodes"
 
     def run(self, axis: AxisParameters) -> Recording:
@@ -130,7 +131,7 @@ class GraphBench(Bench):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
             options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
             if not self._external:
-                # isolated: a running axis of the user must not receive the commands of this graph
+                # isolated, because a running axis of the user must not receive the commands of this graph
                 options["environment"] = stack.enter_context(Domain()).environment
             with Graph([in_time(axis)], **options) as graph:
                 graph.wait()

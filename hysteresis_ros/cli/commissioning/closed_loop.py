@@ -49,16 +49,16 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import following, hold, way, write_samples
 from hysteresis_ros.units import readable
 
-#: Part of the stroke that is scanned by default; number of periods to settle, and of evaluated periods.
+#: Fraction of the stroke that is scanned by default; numbers of periods for settling and for the evaluation.
 SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
-#: Small steps in closed loop, as parts of the stroke, with their hold and rise times [s]. They begin above the end of
-#: the stroke, which cannot be reached again because of the hysteresis.
+#: Small steps in closed loop, as fractions of the stroke, with their hold and rise times [s]. They begin above the
+#: lower end of the stroke, because hysteresis keeps the stage from returning to that end.
 FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
-#: Part of a hold, at its end, that is evaluated.
+#: Fraction of a hold, at its end, that is evaluated.
 JUDGED_PART = 0.2
-#: Largest error at the end of a small step: over the predicted one, and as a part of the step.
+#: Largest error at the end of a small step: relative to the predicted error, and as a fraction of the step.
 LEFT, RINGING = 6.0, 0.05
-#: Largest error of the scan over the predicted one.
+#: Largest error of the scan, relative to the predicted error.
 ERROR_AS_PREDICTED = 1.5
 
 
@@ -83,7 +83,7 @@ def scan_reference(situation: Situation, configuration: Configuration, unjudged:
     size, rate = scan_stroke(situation), situation.rate
     if size > high - low:
         raise CommissioningError(
-            f"a scan of {readable(size, 'm')} was requested, the stage reaches {readable(high - low, 'm')}; lower "
+            f"a scan of {readable(size, 'm')} was requested, but the stage reaches {readable(high - low, 'm')}; lower "
             "scan_stroke in /commissioning"
         )
     begin = 0.5 * (low + high - size)
@@ -96,7 +96,7 @@ def scan_reference(situation: Situation, configuration: Configuration, unjudged:
 
 
 def _resting_reference(low: float, high: float) -> float:
-    """Return the reference [m] at which an axis begins and ends."""
+    """Return the reference [m] at which a run begins and ends."""
     return min(max(0.0, low), high)
 
 
@@ -130,12 +130,12 @@ def closed_axis(
 
 
 def predicted_scan(situation: Situation, configuration: Configuration) -> Recording:
-    """Return the scan as ``hysteresis simulate`` of the file computes it."""
+    """Return the scan as ``hysteresis simulate`` computes it from the file."""
     return simulate(closed_axis(situation, configuration, "scan", scan_reference(situation, configuration)))
 
 
 def error_of(configuration: Configuration, namespace: str, recording: Recording) -> np.ndarray:
-    """Return the reference, delayed by its preview, less the measurement without the sensor's zero [m]."""
+    """Return the reference, delayed by its preview, minus the measurement without the sensor's zero offset [m]."""
     controller = single_axis(configuration, namespace).motion_controller
     wanted = delayed(recording["reference"], controller.feedforward.preview)
     return wanted - (recording["measured"] - controller.model.preload.offset)
@@ -191,7 +191,8 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
     if left > max(LEFT * right, RINGING * size):
         raise CommissioningError(
             f"the closed loop does not settle: the error after a step of {readable(size, 'm')} is "
-            f"{1e9 * left:.3g} nm RMS, {1e9 * right:.3g} nm in the simulation; it rings or drifts. Outputs are safe. "
+            f"{1e9 * left:.3g} nm RMS, but {1e9 * right:.3g} nm in the simulation; the loop rings or "
+            "drifts. Outputs are safe. "
             "Resume with another --controller, or measure the resonance again (--stage resonance)"
         )
     time = recording.time - recording.time[0]
@@ -247,15 +248,15 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
 
 
 def preload_offset(configuration: Configuration, namespace: str) -> float:
-    """Return the offset of the measurement by the preload [m]."""
+    """Return the offset [m] of the measurement that the preload causes."""
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
-#: Excitation: lines at multiples of 4 Hz, five realisations of three periods, the first to settle.
+#: Excitation: lines at multiples of 4 Hz, five realisations of three periods, of which the first is for settling.
 EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
-#: Largest M_s over the predicted one.
+#: Largest M_s, relative to the predicted M_s.
 MARGIN_AS_PREDICTED = 1.25
-#: Drawn part of the plane.
+#: Part of the complex plane that is drawn.
 PLANE = 3.0
 
 
@@ -287,13 +288,13 @@ def _measured_response(situation: Situation, recording: Recording) -> AxisRespon
 
 
 def measured_plant(situation: Situation) -> MeasuredPlant | None:
-    """Return the plant as measured in closed loop over its model; None without a usable response."""
+    """Return the ratio of the plant measured in closed loop to its model; None without a usable response."""
     try:
         found = _measured_response(situation, situation.folder.recording("response"))
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # the parts between plant and loop are the same in both
+    # what is between plant and loop is the same in both
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
@@ -302,9 +303,9 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
-        # later stages do not depend on it
-        return Outcome([f"margins not measured: {error}; the amplitude here is `small` in /commissioning"])
-    # the plan closes the loop, and the axis is known
+        # later stages do not depend on this result
+        return Outcome([f"margins not measured: {error}; `small` in /commissioning sets the amplitude"])
+    # present, because the plan closes the loop and the axis is known
     known = found.loop, found.margins, found.model_loop
     loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
     peak, expected = loop.sensitivity_peak, margins.sensitivity_peak
@@ -340,7 +341,7 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Return which samples are events, or follow one within ``lasts`` samples."""
+    """Return which samples are events or follow an event within ``lasts`` samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples
@@ -360,9 +361,9 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
     found, known = {}, np.zeros(len(shortfall), dtype=bool)
     for reason, samples in (
         ("late samples", skipped),
-        ("the response of the axis to them", at_or_after(skipped, answers)),
+        ("the response of the axis to late samples", at_or_after(skipped, answers)),
         ("commands cut by the limits", shortfall),
-        ("the recovery from those", at_or_after(shortfall, lasts)),
+        ("the recovery from cut commands", at_or_after(shortfall, lasts)),
         ("missing measurements", unseen),
     ):
         found[reason] = samples & ~known
@@ -390,23 +391,23 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
     return text + ", ".join(f"{100.0 * share:.3g} % of the samples for {reason}" for reason, share in shares.items())
 
 
-#: Most periods of learning, their longest total time [s], and the fewest periods.
+#: Largest number of learned periods, their longest total time [s], and the smallest number.
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
-#: Uncertainty of a model that was identified from the stage a minute ago (assumed).
+#: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
 #: The design of the filters.
 FILTER_DESIGN = "inversion"
 
 
 def learning_periods(situation: Situation) -> int:
-    """Return the number of learned periods before the evaluated ones."""
+    """Return the number of periods of learning before the evaluated periods."""
     return int(min(MOST_PERIODS, max(LONGEST_LEARNING * situation.plan.scan_frequency, FEWEST_PERIODS)))
 
 
 def learn_axis(situation: Situation) -> AxisParameters | Outcome:
-    """Return the axis that learns the scan, and write its file; or the reason why learning is not possible."""
+    """Return the axis that learns the scan, and write its file; or return why learning is not possible."""
     configuration, namespace = designed(situation), situation.axis.namespace
-    # the correction of an earlier attempt belongs to another loop
+    # a correction from an earlier attempt belongs to another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
         request = LearningRequest(
@@ -437,7 +438,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     simulated = simulate(_learning_axis(situation, configuration))
     runs = {"measured": _period_errors(situation, recording), "predicted": _period_errors(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
-    # a folder of an earlier version contains the scan's error against the delayed reference only
+    # a folder written by an earlier version contains only the error against the delayed reference
     before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
@@ -469,7 +470,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Return which periods are undisturbed: no missed deadline in them or in the period before."""
+    """Return which periods are undisturbed: without a missed deadline in them or in the period before."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 
@@ -484,7 +485,10 @@ def missed_line(error: float, kept: np.ndarray) -> str:
         return f"deadlines were missed in or just before each of the {len(kept)} periods: the machine limits the error"
     if count == len(kept):
         return "no deadline was missed"
-    return f"deadlines were missed; error of the {count} of {len(kept)} periods without: {1e9 * error:.4g} nm RMS"
+    return (
+        f"deadlines were missed; error of the {count} of {len(kept)} periods that they have not "
+        f"disturbed: {1e9 * error:.4g} nm RMS"
+    )
 
 
 def _signals(recording: Recording) -> dict[str, np.ndarray]:

@@ -35,16 +35,16 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import readable
 
-#: Samples per cycle for the identification of the hysteresis; more add no information.
+#: Number of samples per cycle for the identification of the hysteresis; more samples add no information.
 SAMPLES_A_CYCLE = 100
-#: Most other models with which controllers are checked, and their largest error on held-out blocks over that of the
-#: best model.
+#: Largest number of other models with which controllers are checked, and their largest error on held-out blocks
+#: relative to that of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
 #: Models that are included without a trial.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
 #: Stages that move in open loop, before the design.
 MOVED = ("gain", "resonance", "hysteresis", "creep")
-#: Parameters that the model, the design and the limits of the range replace, by node.
+#: Parameters, by node, that the model, the design and the limits of the range replace.
 MODELLED = ("hysteresis.", "creep.", "dynamics.", "preload.", "inverse.", "model.", "sensor.", "limits.", "waveform.")
 OWN = {
     "plant_simulator": MODELLED,
@@ -71,7 +71,7 @@ def slow_data(situation: Situation) -> IdentificationData:
 
 
 def _is_quick(situation: Situation) -> bool:
-    """Return whether a resonance is the slowest dynamics of the stage; otherwise it has a lag."""
+    """Return whether a resonance is the slowest dynamics of the stage; otherwise the stage has a slower lag."""
     return "resonance_hz" in situation.found["resonance"].figures
 
 
@@ -84,7 +84,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage and write the model, chosen by held-out blocks unless the user has named one."""
+    """Identify the stage and write the model; held-out blocks choose the model unless the user has named one."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"
@@ -98,8 +98,9 @@ def identify_stage(situation: Situation) -> Outcome:
     write_file(situation.folder.path / IDENTIFIED, commissioned_text(situation, found))
     if found.response is not None and not found.response.fit_for_feedback:
         raise CommissioningError(
-            f"the model is {found.response.reason}. It is in {situation.folder.path / IDENTIFIED}; for another: "
-            "--resume --model NAME (hysteresis models), or a larger multisine (`small` in /commissioning)"
+            f"the model is {found.response.reason}. It is in {situation.folder.path / IDENTIFIED}; to "
+            "get another model, give --resume --model NAME (hysteresis models), or use a larger "
+            "multisine (`small` in /commissioning)"
         )
     figures = {name: value for name, value in found.figures.items() if value is not None}
     errors = _held_out(figures)
@@ -150,7 +151,7 @@ def _other_file(situation: Situation, name: str):
 
 
 def _loops(found: Identified) -> list[Picture]:
-    # before that the history is unknown
+    # before it the history is unknown
     known = slice(found.validation.skipped, None)
     voltage, measured, modelled = found.data.input[known], found.data.output[known], found.predicted[known]
     both = [line("measured", voltage, MICRO * measured), line("model", voltage, MICRO * modelled)]
@@ -166,7 +167,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
     plan, namespace = situation.plan, situation.axis.namespace
     identified = parse_configuration(found.text, "the identified model")
     limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
-    # values for all nodes also apply to the recorder
+    # values for all nodes ('/**') also apply to the recorder
     nodes = {f"{namespace}/recorder": situation.configuration.node("recorder", namespace)}
     for node, replaced in OWN.items():
         given = situation.configuration.node(node, namespace)
@@ -174,7 +175,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
             own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
-        # limits of motion follow from all recordings, those in the identified file only from some
+        # here the limits of motion follow from all recordings; those in the identified file follow only from some
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")
@@ -255,7 +256,7 @@ def _plant(situation: Situation, name: str) -> dict:
 def _tried(
     situation: Situation, configuration: Configuration, plants: dict[str, dict], request: DesignRequest, words: str
 ) -> _Tried:
-    """Return a design that keeps its margins, with the file of an axis with the worst plant."""
+    """Return a design that keeps its margins, with the file of its axis and its scan on the worst plant."""
     namespace = situation.axis.namespace
     axis = single_axis(configuration, namespace)
     request = replace(request, noise=situation.figure("noise", "noise_rms_m") or None)
@@ -288,5 +289,5 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
 
 
 def _plain(values: dict) -> dict:
-    """Return parameters whose lists are written in one line."""
+    """Return parameters whose lists YAML writes in one line."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}

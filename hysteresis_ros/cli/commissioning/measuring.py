@@ -25,26 +25,25 @@ from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, r
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Duration of a small step and of the holds around it [s]; duration of the creep step [s], and the part of its hold for
-#: which the return is measured.
+#: Duration of a small step, and of the holds around it [s]; duration of the creep step [s], and the fraction of its
+#: hold for which the return is measured.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
-#: Periods of the multisine, and their length [s]; the first one settles.
+#: Number of periods of the multisine, and their length [s]; the first period is for settling.
 PERIODS, PERIOD = 5, 2.0
-#: Decaying cycles: number over the whole range, number of the others, and how many of these reduce the amplitude to
-#: 1/e.
+#: Decaying cycles: number over the whole range, number of decaying ones, and number that reduces the amplitude to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
-#: Level of the creep step, as a part of the range.
+#: Level of the creep step, as a fraction of the range.
 CREEP_PART = 0.8
 
 
 def listening(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return the voltage [V] at which the sensor noise is measured: the safe one."""
+    """Return the voltage [V] at which the noise of the sensor is measured: the safe voltage."""
     return hold(safe, plan.noise_duration, rate)
 
 
 def step_size(plan: Plan, safe: float) -> float:
-    """Return the small step [V]: towards the farther end of the range."""
+    """Return the size of the small step [V], towards the farther end of the range."""
     size = plan.step * plan.span
     return size if plan.maximum - safe >= safe - plan.minimum else -size
 
@@ -57,7 +56,7 @@ def small_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return a small multisine around the middle of the range, with the ramps there and back [V]."""
+    """Return a small multisine around the middle of the range, with ramps to it and back [V]."""
     part = plan.small / SMALL
     asked = recipe("multisine", plan.minimum, plan.maximum, rate, 1.0 / PERIOD, part, PERIODS * PERIOD)
     sines = Waveform(WaveformParameters.from_mapping(asked.waveform), 1.0 / rate)
@@ -66,7 +65,7 @@ def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
 
 
 def decaying_cycles(plan: Plan, safe: float, rate: float) -> np.ndarray:
-    """Return cycles over the whole range, then with decaying amplitude, with the ramps there and back [V]."""
+    """Return cycles over the whole range, then with decaying amplitude, with ramps to them and back [V]."""
     cycle = max(round(rate / plan.cycle_frequency), 8)
     index = np.arange((WHOLE + DECAYING) * cycle + 1)
     fall = np.exp(-np.maximum(index - WHOLE * cycle, 0) / (DECAY * cycle))
@@ -88,17 +87,17 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
 
 
-#: Largest noise of the sensor as a part of the stroke, and largest zero offset in strokes.
+#: Largest noise of the sensor, as a fraction of the stroke, and largest zero offset, in strokes.
 NOISY, FAR_AWAY = 0.02, 20.0
-#: Smallest movement that counts, over the noise and over the expected movement.
+#: Smallest movement that counts as one, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
-#: Largest factor between measured and expected gain, and largest remaining movement as a part of a small step.
+#: Largest factor between measured and expected gain, and largest remaining movement, as a fraction of a small step.
 EXPECTED, RINGING = 3.0, 0.25
-#: Smallest peak of a resonance over the static response.
+#: Smallest height of the peak of a resonance, relative to the static response.
 STANDS_OUT = 2.0
-#: Lowest frequencies of a response, from which delay and gain are determined [1 / period].
+#: Number of the lowest frequencies of a response from which delay and gain are determined.
 LOW_LINES = 20
-#: Largest part of the samples within the noise around the sensor's end; more mean that it clips.
+#: Largest fraction of the samples within the noise around the extreme reading; more mean that the sensor clips.
 CLIPPED = 0.03
 MICRO = 1e6
 
@@ -121,13 +120,13 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
     noise, stroke = float(np.std(rest)), situation.plan.stroke
     if abs(zero) > FAR_AWAY * stroke:
         raise CommissioningError(
-            f"the sensor reads {readable(zero, 'm')} at rest, and a stroke of {readable(stroke, 'm')} is expected"
+            f"the sensor reads {readable(zero, 'm')} at rest, but a stroke of only {readable(stroke, 'm')} is expected"
             f"{_name_unit(zero, stroke)}; correct its scaling or zero, or the stroke in /commissioning"
         )
     if noise > NOISY * stroke:
         raise CommissioningError(
             f"the sensor's noise at rest is {readable(noise, 'm')} RMS, {100.0 * noise / stroke:.2g} % of the stroke: "
-            "check its cable, shield, range and units, and whether something else moves the stage"
+            "check cable, shield, range and units of the sensor, and whether something else moves the stage"
         )
     lines = [
         f"noise {1e9 * noise:.3g} nm RMS, drift {1e9 * drift:+.3g} nm/s, reads {readable(zero, 'm')} "
@@ -154,13 +153,14 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
     moved, expected = float(np.mean(after) - np.mean(before)), plan.gain * step
     if abs(applied) < 0.5 * abs(step):
         raise CommissioningError(
-            f"a step of {step:g} V was commanded and {applied:.3g} V were applied: limits were reached; check "
+            f"a step of {step:g} V was commanded, but {applied:.3g} V were applied: limits were reached; check "
             "limits and slew_rate"
         )
     if abs(moved) < max(SEEN * noise, LEAST_MOVEMENT * abs(expected)):
         raise CommissioningError(
             f"the sensor does not move with the actuator: {step:+.3g} V moved it by {readable(moved, 'm')}, "
-            f"{readable(expected, 'm')} were expected{_name_unit(moved, expected)}; check amplifier, cables, "
+            f"but {readable(expected, 'm')} were expected{_name_unit(moved, expected)}; check "
+            "amplifier, cables, "
             "servo switch, and whether this sensor measures this actuator"
         )
     if moved * expected < 0.0:
@@ -170,7 +170,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
         )
     if not 1.0 / EXPECTED < moved / expected < EXPECTED:
         raise CommissioningError(
-            f"the gain is {1e6 * moved / applied:.4g} µm/V and {1e6 * plan.gain:.4g} µm/V were expected"
+            f"the gain is {1e6 * moved / applied:.4g} µm/V, but {1e6 * plan.gain:.4g} µm/V were expected"
             f"{_name_unit(moved, expected)}; correct the scaling, or stroke and range in /commissioning"
         )
     left = float(np.std(after - np.polyval(np.polyfit(np.arange(part), after, 1), np.arange(part))))
@@ -207,7 +207,7 @@ def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
     steady, period = steady_periods(situation, recording)
     voltage, measured = recording["voltage"][steady], recording["measured"][steady]
     whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
-    # above, the voltage contains only effects of limits and noise
+    # above this frequency the voltage contains only noise and the effects of limits
     found = whole.band(whole.frequency[0], EXCITED * situation.rate)
     size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
     if np.median(noise / size) > 0.5:
@@ -238,7 +238,7 @@ def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
 
 
 def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
-    """Return frequency [Hz] and damping of the highest peak."""
+    """Return frequency [Hz] and damping ratio of the highest peak."""
     near = slice(max(peak - 3, 0), peak + 4)
     omega = 2.0 * np.pi * found.frequency[near]
     # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²
@@ -266,7 +266,8 @@ def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
     stroke = float(np.ptp(measured))
     if not 1.0 / EXPECTED < stroke / plan.stroke < EXPECTED:
         raise CommissioningError(
-            f"the whole range moved it by {readable(stroke, 'm')}, {readable(plan.stroke, 'm')} were expected: limits "
+            f"the whole range moved the stage by {readable(stroke, 'm')}, but {readable(plan.stroke, 'm')} "
+            "were expected: limits "
             "of the amplifier or of the sensor were reached; correct them, or stroke and range in /commissioning"
         )
     for end, words in ((measured.max(), "highest"), (measured.min(), "lowest")):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The parameter file of an unknown axis: open loop, no inverse, small limits, slow."""
+"""The parameter file of an unknown axis: open loop, no inverse, small limits, slow motion."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from hysteresis_ros.loop.parameters import require_message_rate
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.units import quantity_in, readable
 
-#: Plausible strokes [m], gains [m/V] and sample rates [Hz]; values beyond come from a wrong unit.
+#: Plausible strokes [m], gains [m/V] and sample rates [Hz]; other values usually come from a wrong unit.
 STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (0.1, 1e6)
-#: Part of the voltage range that an unknown axis may use, and part of the slew rate that a setpoint may use.
+#: Fraction of the voltage range that an unknown axis may use, and fraction of the slew rate that a setpoint may use.
 FIRST_PART = 0.1
 
 _TEMPLATE = string.Template("""\
@@ -51,7 +51,7 @@ $driver
     minimum: $nearest                 # m, within the limits
     maximum: $farthest
     initial_setpoint: $start
-    # m/s, m/s², m/s³; resonances are unknown: $percent % of the slew rate, reached within $ramp s
+    # m/s, m/s², m/s³. Resonances are unknown, so a motion uses $percent % of the slew rate, after $ramp s
     approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration, maximum_jerk: $jerk}
 
 /**/motion_controller:
@@ -66,7 +66,7 @@ $driver
     safe_slew_rate: $slew
     hysteresis: {type: proportional, proportional: {gain: $gain}}
 
-# No node: movements that `hysteresis commission` may make.
+# Not a node: the movements that `hysteresis commission` may make.
 /commissioning:
   ros__parameters:
     minimum: $minimum                 # V
@@ -84,7 +84,7 @@ class NewAxis:
     maximum: float
     sample_rate: float  #: [Hz]
     driver: str = ""  #: Name or path of a driver; empty: the simulated plant.
-    driver_options: tuple[str, ...] = ()  #: ``NAME=VALUE`` each.
+    driver_options: tuple[str, ...] = ()  #: Each ``NAME=VALUE``.
     external: bool = False  #: Whether a node of the user replaces the plant.
     joint: str = "stage"  #: Name in ``joint_states``.
 
@@ -107,7 +107,9 @@ def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
         low, high = "0", text
     ends = parsed(option, low.strip(), unit), parsed(option, high.strip(), unit)
     if not ends[0] < ends[1]:
-        raise ConfigurationError(f"{option} {text!r}: must rise, such as 0:100{unit}")
+        raise ConfigurationError(
+            f"{option} {text!r}: the first value must be below the second one, such as 0:100{unit}"
+        )
     return ends
 
 
@@ -124,7 +126,7 @@ def new_text(axis: NewAxis) -> str:
     gain, first = axis.stroke / (axis.maximum - axis.minimum), safe_slew(axis.maximum - axis.minimum)
     slew = first.rate
     velocity, acceleration = FIRST_PART * gain * slew, gain * slew
-    # both averages of the approach last 2 V/A
+    # each of the two averages of the approach takes 2 V/A
     jerk = acceleration**2 / velocity
     numbers = {
         "rate": axis.sample_rate,

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Common data of the stages of a commissioning: the axis, the plan of allowed movements, earlier outcomes.
+"""Data that the stages of a commissioning share: the axis, the plan of allowed movements, earlier outcomes.
 
 The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences and
 pictures for a page) is stored as JSON in the folder of the commissioning, with the recordings.
@@ -46,13 +46,13 @@ class Outcome:
     """Outcome of a stage."""
 
     lines: list[str]  #: Sentences for the user.
-    figures: dict = field(default_factory=dict)  #: By names with units.
+    figures: dict = field(default_factory=dict)  #: Figures by names that contain their units.
     pictures: list[Picture] = field(default_factory=list)
-    seconds: float = 0.0  #: How long the axis was driven.
+    seconds: float = 0.0  #: Time for which the axis was driven [s].
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> Outcome:
-        """Return the outcome of a mapping from :func:`dataclasses.asdict`."""
+        """Return the outcome from a mapping that :func:`dataclasses.asdict` made of it."""
         lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
         if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
             raise TypeError("an outcome with values of other types")
@@ -79,13 +79,14 @@ class Plan(Parameters):
     minimum: float = parameter(description="lowest permitted voltage", unit="V", low=-1e4, high=1e4)
     maximum: float = parameter(description="highest permitted voltage", unit="V", low=-1e4, high=1e4)
     stroke: float = parameter(
-        description="expected displacement over that range; it stops when the measured one differs by a factor of 3",
+        description="expected displacement over this range; commissioning stops when the measured one "
+        "differs by a factor of 3",
         unit="m",
         low=1e-12,
         high=1.0,
     )
     slew_rate: float = parameter(
-        0.0, description="largest change of the voltage that the amplifier can follow; 0: any", unit="V/s", low=0.0
+        0.0, description="largest slew rate that the amplifier can follow; 0: unlimited", unit="V/s", low=0.0
     )
     current: float = parameter(
         0.0, description="largest current of the amplifier; 0: not known; needs capacitance", unit="A", low=0.0
@@ -94,8 +95,8 @@ class Plan(Parameters):
         0.0, description="capacitance of the actuator; 0: not known; needs current", unit="F", low=0.0
     )
     noise_duration: float = parameter(4.0, description="duration of the noise measurement", unit="s", low=0.5, high=600)
-    step: float = parameter(0.05, description="small step, as a part of the range", low=1e-4, high=0.5)
-    small: float = parameter(0.02, description="peak of the multisine, as a part of the range", low=1e-5, high=0.2)
+    step: float = parameter(0.05, description="small step, as a fraction of the range", low=1e-4, high=0.5)
+    small: float = parameter(0.02, description="peak of the multisine, as a fraction of the range", low=1e-5, high=0.2)
     cycle_frequency: float = parameter(
         1.0, description="frequency of the decaying cycles", unit="Hz", low=1e-3, high=100.0
     )
@@ -113,7 +114,9 @@ class Plan(Parameters):
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
         if (self.current > 0.0) != (self.capacitance > 0.0):
             missing = "capacitance" if self.current > 0.0 else "current"
-            yield Problem(missing, 0.0, "current and capacitance give the slew rate together: give both, or neither")
+            yield Problem(
+                missing, 0.0, "the slew rate follows from current and capacitance together: give both, or neither"
+            )
 
     @property
     def span(self) -> float:
@@ -133,10 +136,10 @@ class Plan(Parameters):
 
 
 def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
-    """Return the plan of a parameter file, or one from the limits and the model of the compensator."""
+    """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator."""
     axis.require_generator(
-        f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
-        "inchworm_sequencer"
+        f"{configuration.source}: a walking motor cannot be commissioned; commission its extender alone, in a file "
+        "without inchworm_sequencer"
     )
     compensator = axis.hysteresis_compensator
     low, high = compensator.limits.minimum, compensator.limits.maximum
@@ -149,18 +152,19 @@ def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
     safe = compensator.safe_voltage
     if not plan.minimum <= safe <= plan.maximum:
         raise ConfigurationError(
-            f"{configuration.source}: safe_voltage {safe:g} V of hysteresis_compensator is not within the "
-            f"{plan.minimum:g} … {plan.maximum:g} V of {SECTION}; change one of them"
+            f"{configuration.source}: safe_voltage {safe:g} V of hysteresis_compensator must lie "
+            f"within the {plan.minimum:g} … {plan.maximum:g} V of {SECTION}; change one of them"
         )
     return plan
 
 
-#: Files in the folder: its origin, the identified axis, the axis with a controller, and the axis that also learns.
+#: Files in the folder: the origin of the folder, the identified axis, the axis with a controller, and the axis that
+#: also learns.
 STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
 
 
 class Folder:
-    """Folder with the data kept between the stages of a commissioning."""
+    """Folder in which a commissioning keeps its data between stages."""
 
     def __init__(self, path, text: str, bench: str, resumed: bool):
         self.path = pathlib.Path(path)
@@ -171,7 +175,7 @@ class Folder:
                 f"{self.path}: exists already; continue with --resume, choose another --directory or remove it"
             )
         if resumed and not state.is_file():
-            raise ConfigurationError(f"{self.path}: no commissioning to resume there; begin without --resume")
+            raise ConfigurationError(f"{self.path}: contains no commissioning to resume; begin without --resume")
         if not resumed:
             try:
                 self.path.mkdir(parents=True)
@@ -183,8 +187,9 @@ class Folder:
     def _require_same(self, state: pathlib.Path) -> None:
         kept = self._read(state)
         words = {
-            "file": "the parameter file has changed since it began; begin anew in another --directory",
-            "bench": f"it began with {kept.get('bench')!r}, not {self._own['bench']!r}; give the same options",
+            "file": "the parameter file has changed since this commissioning began; begin anew in another --directory",
+            "bench": f"this commissioning began with {kept.get('bench')!r}, not {self._own['bench']!r}; give "
+            "the same options",
         }
         for name, text in words.items():
             if kept.get(name) != self._own[name]:
@@ -203,7 +208,7 @@ class Folder:
         write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)
 
     def outcome(self, stage: str) -> Outcome | None:
-        """Return the outcome of a stage; None when it is not done."""
+        """Return the outcome of a stage; None when the stage is not done."""
         path = self.path / f"{stage}.json"
         try:
             return Outcome.from_mapping(self._read(path)) if path.exists() else None
@@ -211,7 +216,7 @@ class Folder:
             raise ConfigurationError(f"{path}: is not an outcome; repeat the stage: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
-        """Store the outcome of a stage, which is then done."""
+        """Store the outcome of a stage; the stage is then done."""
         self._write(f"{stage}.json", asdict(outcome))
 
     def forget(self, stages: Iterable[str]) -> None:
@@ -231,15 +236,15 @@ class Folder:
         return load_run(path)
 
 
-#: Part of the stroke by which the sensor may read beyond the expected displacements of a stage.
+#: Fraction of the stroke by which readings of the sensor may exceed the displacements that a stage expects.
 OVERTRAVEL = 0.5
-#: Part of the range allowed in a stage without movement, because limits must not be empty.
+#: Fraction of the range that a stage without movement allows, because limits must not be empty.
 NOTHING = 1e-4
 
 
 @dataclass
 class Situation:
-    """Common data of all stages."""
+    """The data that all stages share."""
 
     configuration: Configuration  #: The parameter file, with the plant of the command line.
     axis: AxisParameters
@@ -247,7 +252,7 @@ class Situation:
     folder: Folder
     model: str = "auto"  #: model, controller: Model to identify and controller to design, or ``auto``.
     controller: str = "auto"
-    #: Other models that a controller must also tolerate; by default those with almost the same error.
+    #: Other models of the stage that a controller must tolerate too; by default those with almost the same error.
     against: tuple[str, ...] | None = None
     #: Called as ``progress(number, text)`` during long computations.
     progress: Callable[[int, str], None] = lambda number, text: None
@@ -279,7 +284,7 @@ class Situation:
         high = min(float(voltages.max()) + room, self.plan.maximum)
         configuration = self.within(self.configuration, low, high)
         if "noise" not in self.found:
-            # before any movement: refuse a device whose own range is narrower
+            # done before any movement: it refuses a device whose own range is narrower
             whole = {"limits.minimum": self.plan.minimum, "limits.maximum": self.plan.maximum}
             configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
@@ -292,11 +297,11 @@ class Situation:
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
-        """Return parameters with which the travel monitor of a device is right, whatever the model in the file."""
-        # the expected gain gives the plausible measurements
+        """Return parameters with which the travel monitor of a device is right, whatever model the file contains."""
+        # plausible measurements follow from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
-        if "noise" in self.found:  # before that stage the sensor's zero is unknown
+        if "noise" in self.found:  # before the stage "noise" the zero of the sensor is unknown
             values |= {"preload.A1": self.figure("noise", "sensor_zero_m"), "overtravel": OVERTRAVEL * self.plan.stroke}
         return values
 

@@ -33,8 +33,8 @@ class Stage:
     """A stage that moves the axis."""
 
     title: str  #: A few words.
-    words: Callable[[Situation], str]  #: ``words(situation)``: the next movement, and how far it goes.
-    #: ``axis(situation)``: the axis to run, or an outcome without movement.
+    words: Callable[[Situation], str]  #: ``words(situation)``: describes the next movement and its size.
+    #: ``axis(situation)``: the axis to run; or an outcome, if nothing has to move.
     axis: Callable[[Situation], AxisParameters | Outcome]
     #: ``judge(situation, recording)``: the outcome; raises an error when a result is implausible.
     judge: Callable[[Situation, Recording], Outcome]
@@ -118,7 +118,7 @@ def _learn_words(situation: Situation) -> str:
     return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
 
 
-#: The stages by name, in order; each needs those before it.
+#: The stages by name, in order; each stage needs the ones before it.
 STAGES: dict[str, Stage | Computation] = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
     "gain": Stage("gain and sign", _gain_words, _driven("gain", volts.small_step), measuring.judge_gain),
@@ -139,7 +139,7 @@ STAGES: dict[str, Stage | Computation] = {
 
 
 class Attendant(Protocol):
-    """Permits each movement, and receives the outcomes."""
+    """Permits or refuses each movement, and receives the outcomes."""
 
     def may_move(self, stage: str, words: str) -> bool:
         """Announce a movement and return whether it is allowed."""
@@ -161,7 +161,7 @@ def require_stages(stages: Iterable[str]) -> None:
 
 
 def commission(situation: Situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = ()) -> bool:
-    """Run the stages in their order, without finished ones."""
+    """Run the stages in their order, except finished ones."""
     asked = set(stages)
     names = list(STAGES)
     for place, name in enumerate(names):
@@ -175,7 +175,7 @@ def commission(situation: Situation, bench: Bench, attendant: Attendant, stages:
         missing = [other for other in names[:place] if other not in situation.found]
         if missing:
             raise CommissioningError(f"{name} needs the results of {', '.join(missing)}; run them first, or all stages")
-        # later outcomes depend on the repeated stage
+        # outcomes of later stages depend on the repeated stage
         situation.folder.forget(names[place:])
         outcome = _done(situation, bench, attendant, name)
         situation.folder.keep(name, outcome)
@@ -195,7 +195,7 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
     samples = axis.plant_simulator.samples
     seconds = samples / situation.rate
     if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):
-        raise NotAllowedError(f"stopped before {name}: nothing was moved; continue with --resume")
+        raise NotAllowedError(f"stopped before the stage {name}, which has moved nothing; continue with --resume")
     try:
         recording = require_sound(bench.run(axis), samples)
     except HysteresisError as error:
