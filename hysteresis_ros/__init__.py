@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from hysteresis_ros.loop.faults import Fault
     from hysteresis_ros.models import inverse_classes as inverses
 
-#: The version; setup.py reads it from here, package.xml repeats it.
+#: Version of the package; setup.py reads it from here, and package.xml repeats it.
 __version__ = "0.1.0"
 
 __all__ = [
@@ -125,14 +125,14 @@ __all__ = [
     "with_dynamics",
 ]
 
-#: Modules that have another name here than their own.
+#: Modules by the name that they have here, if it is not their own.
 _MODULES = {
     "models": "hysteresis_ros.models",
     "references": "hysteresis_ros.references",
     "inverses": "hysteresis_ros.models.inverse_classes",
     "controllers": "hysteresis_ros.control.classes",
 }
-#: Modules of the names that are not in :mod:`hysteresis_ros.api`.
+#: Names that are not in :mod:`hysteresis_ros.api`, and their modules.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
     **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),

@@ -116,7 +116,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         return kind(recording.time, recording.signals, recording.units, recording.metadata)
 
     def __getattr__(self, name: str) -> np.ndarray:
-        # called only for missing attributes; while an object is copied or unpickled, it has no signals yet
+        # Python calls this only for missing attributes; while an object is copied or unpickled, it has no signals yet
         signals = self.__dict__.get("signals", {})
         if name in signals:
             return signals[name]
@@ -236,7 +236,7 @@ class StageRun(Run):  # numpydoc ignore=PR02
         return Run.of(self.axis(name)) if name in self.axes else super().__getitem__(name)
 
     def __getattr__(self, name: str) -> Any:
-        # before the fields are there (copying, unpickling), nothing is an axis
+        # before the fields exist (copying, unpickling) there are no axes
         if "signals" in self.__dict__ and name in self.axes:
             return self[name]
         return super().__getattr__(name)
@@ -281,7 +281,8 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         sample_time : float, optional
             Sample time of the voltage [s]; by default the model's.
         intersample : str, optional
-            Voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the identification.
+            Assumed voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as in the
+            identification.
         initial : str, optional
             The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage was periodic before) or
             ``estimate`` (at rest at the first voltage); by default as in the identification.
@@ -294,7 +295,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         Raises
         ------
         IdentificationError
-            The dynamics are known for another sample time only, or a choice does not exist.
+            The dynamics are known only for another sample time, or a choice does not exist.
         RecordingError
             The recording has no signal ``voltage``.
         HysteresisError
@@ -634,7 +635,7 @@ def simulate(
     each: Mapping[str, Sequence | np.ndarray] | None = None,
     threads: int = 1,
 ) -> Run | ArrayRun:
-    """Run an axis, or a stage of coupled axes, offline from rest: bit for bit what the nodes of an axis do in lockstep.
+    """Run an axis, or a stage of coupled axes, offline from rest. For an axis: bit for bit like its nodes in lockstep.
 
     When the axis may not be able to follow its reference, Python warnings say so.
 
@@ -646,7 +647,7 @@ def simulate(
     duration : float, optional
         Duration [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
     setpoints : array_like, shape (N,), or mapping of str to array_like, optional
-        Setpoint at each sample [m]; the last one holds. For a stage, by the names of its axes.
+        Setpoint at each sample [m]; after them the last one is held. For a stage: a mapping by the names of its axes.
     requests : array_like, shape (N,), optional
         Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional
@@ -707,7 +708,7 @@ def simulate(
         if requests is not None or speeds is not None:
             raise ConfigurationError("requests and speeds are for an inchworm, and this is a stage: leave them out")
         if setpoints is not None and not isinstance(setpoints, Mapping):
-            raise ConfigurationError('setpoints of a stage go by the names of its axes: give {"x": …, "y": …}')
+            raise ConfigurationError('setpoints of a stage need the names of its axes: give {"x": …, "y": …}')
         stage = chosen_stage(configuration, tuple(map(str, faults)), namespace)
         for text in stage.warnings():
             warnings.warn(text, stacklevel=2)
@@ -805,11 +806,11 @@ def identify(
         ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
         Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
-        ``generalised_play`` where that predicts data outside of the fit better; ``auto``: the best of all models.
+        ``generalised_play`` if it predicts data outside the fit better; ``auto``: the best of all models.
     columns : Columns, optional
         Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``.
     linear : str, optional
-        Linear dynamics behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where
+        Linear dynamics behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
         they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
         Options of the model, such as ``{"play_count": 20}``.
@@ -858,8 +859,8 @@ def validate(
     Parameters
     ----------
     parameters : Identified, path-like, Configuration, Design or Recording
-        A result of :func:`identify`; or the plant of an axis, see :func:`simulate`: a parameter file, identified or
-        written by hand, or the name of a shipped one.
+        A result of :func:`identify`, or an axis whose plant is simulated, see :func:`simulate`: a parameter file
+        (identified or written by hand), or the name of a shipped one.
     source : path-like, Recording, IdentificationData or Reading
         See :func:`identify`; preferably data that the model was not fitted to.
     columns : Columns, optional
@@ -1148,7 +1149,7 @@ def configuration_of(source: Source) -> Configuration:
 
 
 def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None) -> Recording:
-    """Return a recording; a file is read, and of a stage the named axis is taken."""
+    """Return a recording: read a file, and from a recording of a stage take the named axis."""
     if isinstance(source, Recording):
         return source.axis(namespace) if namespace and source.axes else source
     return load_run(source, namespace, further=True)

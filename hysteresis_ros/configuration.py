@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameters and the files they are read from: one dataclass per block, which maps 1:1 to a ROS 2 parameter file.
+"""Parameters and parameter files: one dataclass per block, which maps 1:1 to a ROS 2 parameter file.
 
 A block's parameters are a frozen dataclass derived from :class:`Parameters`; every field is declared by
 :func:`parameter` (a value) or :func:`group` (a nested dataclass). The same table serves the offline simulation, the
@@ -45,7 +45,7 @@ TYPE_NAMES = {
 #: Maximum number of elements of an array, and of characters of a text.
 MOST_ITEMS, LONGEST_TEXT = 100_000, 4096
 
-#: Types whose values are tuples.
+#: Types of parameters whose values are tuples.
 ARRAY_TYPES = (tuple[float, ...], tuple[str, ...])
 
 
@@ -246,9 +246,9 @@ class Parameters:
         return cls(**arguments)
 
     def with_values(self, values, prefix: str = ""):
-        """Return the parameters with some values changed, as :meth:`from_mapping` builds and checks them.
+        """Return the parameters with some values changed, built and checked as by :meth:`from_mapping`.
 
-        Unchanged values are not converted again, which makes this ten times as fast.
+        Unchanged values are not converted again, so this is ten times as fast.
         """
         result = self._changed(values)
         problems = result.problems(prefix)
@@ -299,7 +299,7 @@ class Parameters:
         return tuple(found)
 
     def validated(self, prefix: str = ""):
-        """Return self, or raise ParameterError with all problems; for parameters that a user builds in Python."""
+        """Return self, or raise ParameterError with all problems. For parameters that a user builds in Python."""
         if self.__dict__.get("_is_valid"):
             return self
         problems = self._unfit(prefix) or self.problems(prefix)
@@ -310,8 +310,8 @@ class Parameters:
     def _valid(self):
         """Return self, marked as free of problems.
 
-        The object is immutable, so the result is kept, for parameter changes at run time. Groups that are not in use
-        have not been checked.
+        The object is immutable, so the result remains valid; this makes parameter changes at run time fast. Groups that
+        are not in use have not been checked.
         """
         for item in fields(self):
             chooser = item.metadata.get("variant_of")
@@ -419,7 +419,7 @@ class Configuration:
         return merged
 
     def describes(self, name: str, namespace: str = "") -> bool:
-        """Return whether the file has a section for the node ``name`` itself, not only one for every node."""
+        """Return whether the file has a section for the node ``name`` itself, not just one for all nodes."""
         full = f"{normalised_namespace(namespace)}/{name}"
         return any(pattern.rsplit("/", 1)[-1] == name and matches(pattern, full) for pattern, _ in self.entries)
 
@@ -464,11 +464,12 @@ class Configuration:
         return found[0] if found else None
 
     def require_independent(self) -> None:
-        """Refuse a file whose axes are coupled, where a single axis is needed."""
+        """Refuse a file with coupled axes; for callers that need a single axis."""
         if self.stage is not None:
             raise ConfigurationError(
-                f"{self.source}: describes a stage of coupled axes, and this takes a single axis: the axes of a stage "
-                "run together, in `hysteresis simulate` and hr.simulate so far (docs/coupled_axes.md)"
+                f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the "
+                "axes of a stage run together, so far in `hysteresis simulate` and hr.simulate only "
+                "(docs/coupled_axes.md)"
             )
 
 
@@ -492,7 +493,7 @@ def matches(pattern: str, full_name: str) -> bool:
 
 
 def parse_value(text: str):
-    """Return a parameter value from its text, read as in a file; text that is not YAML is returned as it is."""
+    """Return a parameter value from its text, read as in a file; a text that is not YAML is returned unchanged."""
     try:
         return read_yaml(text, _Loader)
     except (BoundsError, _RepeatedKeyError):
@@ -527,7 +528,7 @@ def parse_configuration(text: str, source: str) -> Configuration:
 
 
 def _refuse_misspelled(name: str, source: str) -> None:
-    """Ignore the section of an unknown node, as ROS does, but refuse a name that is almost that of a node."""
+    """Ignore the section of an unknown node, as ROS does, but refuse a name that is almost the name of a node."""
     known = (*NODE_NAMES, *OPTIONAL_NODE_NAMES, STAGE)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
     if close and name not in known:
@@ -602,14 +603,14 @@ def load_configuration(path) -> Configuration:
 
 
 def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple[str, dict]:
-    """Return an entry with the absolute path of its driver, where that is a path relative to the file."""
+    """Return an entry with the absolute path of its driver, if the file gives a relative path."""
     name = values.get("driver")
     beside = path.absolute().parent / name if isinstance(name, str) and "/" in name else None
     return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML that both parsers read as the same numbers: every double has a decimal point, and aliases are not used."""
+    """YAML that both parsers read as the same numbers: every double has a decimal point, and there are no aliases."""
 
     def ignore_aliases(self, data) -> bool:
         """Write every value out, because ROS does not read aliases."""

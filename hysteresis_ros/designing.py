@@ -102,8 +102,8 @@ def design(
     feedforward : bool
         Add the inverse of the dynamics.
     preview : int, optional
-        Number of samples by which the reference is known in advance, with ``feedforward``; by default what the inverse
-        needs.
+        With ``feedforward``: number of samples by which the reference is known in advance; by default as many as the
+        inverse needs.
     noise : float, optional
         RMS noise of the sensor [m], which limits the bandwidth; by default 0.01 % of the stroke.
     robust : Uncertainty, optional
@@ -253,7 +253,7 @@ def frequency_response(
     Raises
     ------
     ConfigurationError
-        The request does not fit the axis.
+        The request is not possible for the axis.
     HysteresisError
         The excitation is below the noise, or the recording does not contain this response.
 
@@ -282,7 +282,7 @@ def frequency_response(
 
 
 def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
-    """Return the response of a recording or of its file; the plan may be in a file beside it."""
+    """Return the response of a recording or of its file; the plan of the excitation may be in a file beside it."""
     if isinstance(source, Recording):
         return _response(recorded_response(source, None, loop, at))
     plan = read_plan(plan_file(source)) if plan_file(source).exists() else None
@@ -294,7 +294,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a random plant around the configured one: gain, loop width, creep and time constants vary; the models stay.
+    """Draw a random plant around the configured one: gain, loop width, creep and times vary, the models stay.
 
     Parameters
     ----------
@@ -310,7 +310,8 @@ def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespa
     Returns
     -------
     Configuration
-        For :func:`.simulate`; the controller keeps its model of the configured plant.
+        The configuration with this plant, for :func:`.simulate`; the controller keeps its model of the configured
+        plant.
 
     Raises
     ------

@@ -20,9 +20,9 @@ LONGEST, LONGEST_MESSAGE = 300, 4000
 
 
 class HysteresisError(ValueError):
-    """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2.
+    """Base of every error that wrong input causes; a command then prints one line and ends with exit code 2.
 
-    A message may quote the content of a file; it is reduced to one printable line.
+    A message may quote the content of a file, so it is reduced to one printable line.
     """
 
     def __str__(self) -> str:
@@ -75,7 +75,7 @@ class RecordingError(HysteresisError):
 
 
 class IdentificationError(HysteresisError):
-    """A recording does not hold what an identification needs, or no usable model comes out of it."""
+    """A recording does not contain what an identification needs, or gives no usable model."""
 
 
 class MissingExtraError(HysteresisError):
@@ -87,7 +87,7 @@ class MissingExtraError(HysteresisError):
 
 
 class LoopError(HysteresisError):
-    """The thread that runs the loop has failed, or its device does not return: nothing can be changed."""
+    """The thread that runs the loop has failed, or a call of its device does not return; nothing can be changed."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

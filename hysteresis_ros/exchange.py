@@ -10,8 +10,8 @@
 """Conversion of linear dynamics to and from python-control and SciPy: ``hr.to_control``, ``hr.from_control``.
 
 A plant is measured at the beginning of a sample, before its input changes: the systems map the input u_k, held over
-sample k, to the output y_k at its beginning. Both are displacements [m]: the gain in m/V belongs to the hysteresis in
-front of the dynamics.
+sample k, to the output y_k at the beginning of sample k. Both are displacements [m], because the gain in m/V belongs to
+the hysteresis in front of the dynamics.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = ["from_control", "to_control", "to_scipy", "with_dynamics"]
 
-#: Parameter groups of linear dynamics by node: the plant's, and those that the controller assumes.
+#: Parameter groups of linear dynamics by node: those of the plant, and those of the controller's model.
 NODES = {"plant_simulator": "dynamics", "motion_controller": "model.dynamics"}
-#: A feedthrough below this fraction of the gain is rounding.
+#: A feedthrough below this fraction of the gain counts as rounding.
 ROUNDING = 1e-9
 
 
@@ -127,7 +127,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
         System with one input and one output, discrete or continuous. A continuous one is sampled with a zero-order
         hold.
     sample_time : float, optional
-        Sample time [s]; must be given where the system does not state it.
+        Sample time [s]; required if the system does not state it.
     keep_gain : bool
         Keep the DC gain. By default it is set to one, because the hysteresis in front of the dynamics contains the
         gain.
@@ -140,7 +140,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     Raises
     ------
     ConfigurationError
-        The object is not such a system, its sample time is missing or differs, or a discrete system has a feedthrough.
+        The object is not such a system, the sample time is missing or differs, or a discrete system has a feedthrough.
     ParameterError
         The system is unstable, or its DC gain is zero or infinite.
 
@@ -250,7 +250,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Return A, B, C, D and the sample time: None for a continuous system, True where a discrete one states none."""
+    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete one that states none."""
     home = type(system).__module__.partition(".")[0]
     if home == "control":
         import control

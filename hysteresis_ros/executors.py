@@ -10,8 +10,8 @@
 """Run jobs in parallel: in processes of this machine, or on the workers of a Dask cluster.
 
 Each result arrives when its job ends, with the number of the job, so that no result depends on the order of execution.
-A process exits when the process that started it exits. Jobs of a lost worker are repeated by another worker; an error
-is raised when no worker is left or the scheduler is gone.
+A worker process exits when the process that started it exits. Another worker repeats the jobs of a lost worker; an
+error is raised when no worker is left or the scheduler is gone.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from typing import Any, NamedTuple
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Jobs queued for each process, so that no process is idle while a result is handled.
+#: Number of jobs queued for each process, so that no process is idle while a result is handled.
 AHEAD = 2
 #: Interval at which the executor is checked while no result arrives [s].
 LOOK = 1.0
 
 
 class Job(NamedTuple):
-    """A function of a module and its arguments; all of it can be pickled."""
+    """A function of a module and its arguments, which can all be pickled."""
 
     function: Callable
     arguments: tuple
 
     def outcome(self) -> tuple[Any, str]:
-        """Return the result, and the error message of wrong input as text, because not every error can be pickled."""
+        """Return the result, and the message of a wrong input as text, because not every error can be pickled."""
         try:
             return self.function(*self.arguments), ""
         except HysteresisError as error:
@@ -120,7 +120,7 @@ class Processes(Executor):
 
     def __init__(self, workers: int):
         super().__init__(workers)
-        context = multiprocessing.get_context("spawn")  # a copy of a process with threads may hang
+        context = multiprocessing.get_context("spawn")  # a forked copy of a process with threads may hang
         self.pool = ProcessPoolExecutor(workers, context, initializer=_begin)
 
     def submit(self, job: Job) -> Future:
@@ -152,7 +152,7 @@ def processes(workers: int) -> Iterator[Processes]:
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
             process.join()
-        # the thread that waits for the processes has ended its work, but still holds semaphores
+        # the thread that waits for the processes has finished, but still holds semaphores
         found.pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -164,7 +164,7 @@ def _ended() -> HysteresisError:
 def _alone() -> Iterator[None]:
     """Start processes in the block that ignore interrupts and compute with one thread each.
 
-    They do not run the user's main script, which need not be protected by ``if __name__ == "__main__"``.
+    The processes do not run the user's main script, so it needs no ``if __name__ == "__main__"``.
     """
     main = sys.modules["__main__"]
     mine = threading.current_thread() is threading.main_thread()  # only the main thread may set signal handlers
@@ -186,7 +186,7 @@ def _alone() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Make this process exit when the process that started it exits, and leave interrupts to that process."""
+    """Make this process exit when its parent process exits, and ignore interrupts, which the parent handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     starter = multiprocessing.parent_process()
     if starter is not None:
@@ -200,7 +200,7 @@ def _follow(sentinel: int) -> None:
 
 #: Time-out for an answer of the scheduler, and for a new worker after the last one is lost [s].
 CONNECT, PATIENCE = 10.0, 60.0
-#: Workers that one job may lose before the job is treated as the cause.
+#: Number of workers that may be lost during one job before the job counts as the cause.
 LOSSES = 10
 EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'
 
@@ -237,7 +237,7 @@ class Cluster(Executor):
             return future.result()
         except CancelledError:
             raise self._gone() from None
-        except Exception as error:  # the other machine may lack any package or file
+        except Exception as error:  # the other machine may lack packages or files
             raise HysteresisError(
                 f"--scheduler {self.address}: a worker has failed: {type(error).__name__}: {error}; all workers "
                 "need this version of the package"
@@ -285,7 +285,7 @@ def cluster(address: str) -> Iterator[Cluster]:
         client.close(timeout=CONNECT)
 
 
-#: Work shorter than this is not shared, because further processes take one or two seconds to start [s].
+#: Work shorter than this [s] is not shared, because further processes take one or two seconds to start.
 WORTH = 10.0
 
 

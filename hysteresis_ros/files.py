@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Read and write files safely: writes are atomic, reads are bounded, archives hold numbers and texts only.
+"""Read and write files safely: writes are atomic, reads are bounded, and archives may contain only numbers and texts.
 
-The header of an array is checked against the size of its content, and the unpacked size of an archive against the
-compression ratio of measured data: a file with a wrong size does not exhaust the memory.
+The header of an array is compared with the size of its content, and the unpacked size of an archive with the
+compression ratio of measured data, so a file that states a wrong size cannot exhaust the memory.
 
 YAML is read by safe loaders only, which create plain values and nothing else. Aliases are refused: with them a file of
 one kilobyte can expand to gigabytes, and the parser of ROS 2 does not support them.
@@ -58,7 +58,7 @@ def write_text(path, text: str, error: type[HysteresisError]) -> None:
         beside.write_text(text, encoding="utf-8")
 
 
-#: An archive may always unpack to this size [bytes]; a larger one to this multiple of its own size.
+#: An archive may always unpack to this size [bytes], or to this multiple of its own size.
 SMALL, RATIO = 1 << 26, 100
 #: NumPy kinds of numbers and texts.
 KINDS = "biufcUS"
@@ -158,7 +158,7 @@ def _sound(array: np.ndarray) -> np.ndarray:
 #: Limits of a text: size [bytes], number of values, and nesting depth.
 LARGEST, MOST_VALUES, DEEPEST = 16 * 2**20, 50_000, 50
 
-#: libyaml where PyYAML was built with it: six times as fast.
+#: libyaml, which is six times as fast, if PyYAML was built with it.
 FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 #: Errors of YAML and of its constructors, e.g. for 2001-99-99, !!int x, an integer of 5000 digits.
@@ -184,7 +184,7 @@ def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
         raise BoundsError(f"is larger than {LARGEST // 2**20} MiB, the limit for files of this kind")
     try:
         _look_through(text, most)
-        return yaml.load(text, Loader=loader)  # a safe one, see above
+        return yaml.load(text, Loader=loader)  # a safe loader, see above
     except _UNFIT as error:
         if isinstance(error, BoundsError):
             raise

@@ -12,12 +12,12 @@
 Every module (or folder) in such a folder declares one object under one name, for instance ``MODEL``. The registry finds
 every file of the folder. Other packages add declarations by an entry point of the registry's group.
 
-``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks. Each class is
-the block with a constructor of keywords, generated for every entry of a registry.
+``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks, one for every
+entry of a registry. Such a class is generated: it is the block with a constructor that takes keywords.
 
-A keyword is the last part of a parameter's dotted name where that is unique (``Kp`` of ``pid.Kp``), otherwise the
-shortest unique end of it, with dots written as two underscores (``dynamics__sample_time``). The full name is always
-accepted.
+A keyword is the last part of a parameter's dotted name if that is unique (``Kp`` for ``pid.Kp``), otherwise the
+shortest unique end of the name, with dots written as two underscores (``dynamics__sample_time``). The full name is
+always accepted.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 def resolved(path: str) -> Any:
     """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    With it a declaration can name an object of a folder that it must not import.
+    So a declaration can name an object of a folder that it must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)

@@ -9,8 +9,8 @@
 
 """The signals of an axis: one table of names, units and writers, from which all other lists are derived.
 
-A sample of an axis is a *row* of numbers, one for each signal, in the order of this table; the parts of the loop read
-and write it by the constants below. Columns of recordings, ``~/state`` messages, Float64 topics, reports and the
+A sample of an axis is a *row* of numbers, one for each signal, in the order of this table. The parts of the loop use
+the constants below as indices into a row. Columns of recordings, ``~/state`` messages, Float64 topics, reports and the
 comparison with the offline twin come from the same table.
 """
 
@@ -30,7 +30,7 @@ class Signal:
     """One signal of an axis."""
 
     name: str  #: Column of recordings.
-    unit: str  #: SI unit; ``1`` for counts, codes and values in a model's own units.
+    unit: str  #: SI unit; ``1`` for counts, codes and values in the units of a model.
     #: Node whose part of the loop writes it, or ``user``. On a motor's axis the ``inchworm_sequencer`` writes the
     #: signals of ``reference_generator``.
     writer: str
@@ -138,7 +138,7 @@ SIGNALS = (
     _sequencer("correction", "m", "learned correction of the extension, in continuous walking"),
 )
 
-# Indices in a row, written out so that compiled code has them as constants; a test compares them with the table.
+# Indices in a row, written out so that they are constants for compiled code; a test compares them with the table.
 (
     SETPOINT,
     REFERENCE,
@@ -194,10 +194,10 @@ SIGNALS = (
     CORRECTION,
 ) = range(52)
 
-#: Indices of the user's requests: the first for any axis, all of them for a motor.
+#: Indices of the requests of the user: any axis has the first one, a motor has all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)
 
-#: Indices of the inputs of a run: the first two for any axis, all of them for a motor.
+#: Indices of the inputs of a run: any axis has the first two, a motor has all of them.
 GIVEN = (SETPOINT, SKIPPED, REQUEST, SPEED)
 ACTUATOR_GIVEN = 2
 
@@ -214,7 +214,7 @@ CONFIGURED, ENDED = "configure", "end"
 #: SI units by name, with the time of the samples.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 
-#: Requested voltage of a run whose recorded ``voltage`` differs from it.
+#: Name of the requested voltage in a run whose recorded ``voltage`` differs from it.
 ASKED_VOLTAGE = "asked_voltage"
 UNITS[ASKED_VOLTAGE] = "V"
 
@@ -228,7 +228,7 @@ SUBSTITUTES = {"voltage": "plant_voltage", "measured": "seen"}
 #: The nodes of an axis that write signals, in the order in which a sample passes through them.
 WRITERS = (PLANT, SOURCE, MOTOR_SOURCE, CONTROLLER, COMPENSATOR)
 
-#: First signals in ``~/state`` of some nodes; the others follow in the order of the table.
+#: Signals that come first in ``~/state`` of some nodes; the others follow in the order of the table.
 STATE_FIRST = {
     MOTOR_SOURCE: ("setpoint", "request", "speed"),
     CONTROLLER: ("reference", "measured", "estimated", "command"),
@@ -307,7 +307,7 @@ def state_signals(node: str) -> dict[str, str]:
 def float_topics() -> dict[str, str]:
     """Return the Float64 topics that carry one number a sample: topic → signal, in the order of a sample.
 
-    The origin is published before the reference that it belongs to.
+    The origin is published before the reference to which it belongs.
     """
     found = [signal for signal in SIGNALS if signal.topic and signal.writer != USER]
     found.sort(key=lambda signal: (max(WRITERS.index(signal.writer), 2), signal.topic != "origin"))

@@ -79,7 +79,7 @@ WORDS = {
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
 }
 
-#: Powers as they are typed for those that are printed.
+#: Powers as users type them, and as they are printed.
 _POWERS = {ord("²"): "^2", ord("³"): "^3"}
 
 #: Values below this are shown in the next smaller unit: 12.3 nm instead of 0.0123 µm.
@@ -127,13 +127,13 @@ def quantity(text: str) -> tuple[float, str]:
 def quantity_in(text: str, unit: str) -> float:
     """Return the SI value of a quantity such as ``5 um``.
 
-    A length needs its unit, because 60 may mean 60 µm or 60 nm to a user, but would be 60 m in SI. Other numbers
-    without a unit are in SI.
+    A length must have a unit: a user may mean 60 µm or 60 nm by 60, which would be 60 m in SI. Other numbers without a
+    unit are in SI.
     """
     value, given = quantity(text)
     if not given and unit == "m" and value != 0.0:
         bare = text.strip()
-        # the two that are closest to a typical displacement, 10 µm
+        # the two units that bring the number closest to a typical displacement, 10 µm
         likely = sorted(("m", "mm", "um", "nm"), key=lambda name: abs(math.log10(abs(value) / UNITS[name][1] / 1e-5)))
         raise ValueError(f"of which unit? Write {bare}{likely[0]} or {bare}{likely[1]}")
     if given not in ("", unit.translate(_POWERS) or "1"):

@@ -9,8 +9,9 @@
 
 """How well a plane was scanned: figures, the map of the error, line by line, trace against retrace, and their page.
 
-Errors are reference - displacement. Where data are taken (:class:`hysteresis_ros.references.scan.Passes`) they count;
-turns and flyback have a figure of their own. Along is the direction of the lines, across the other one in the plane.
+Errors are reference - displacement. Only errors on the passes (:class:`hysteresis_ros.references.scan.Passes`), where
+data are taken, count; turns and flyback have their own figure. Along is the direction of the lines, across the other
+direction in the plane.
 """
 
 from __future__ import annotations

@@ -250,7 +250,8 @@ class StructureEstimator:
     plays : int
         Plays of each hysteresis; 0: linear dynamics alone.
     hystereses : int
-        Hystereses of each actuator: the first starts from the motion of the structure, further ones from the voltage.
+        Number of hystereses of each actuator. The search starts with the motion of the structure as the input of the
+        first one, and with the voltage as the input of the others.
     held_out : int
         Realisations of each level that only judge: they choose the order and end the search.
     run_in : int, optional

@@ -513,7 +513,7 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     if shape not in ("network", "spline"):
         raise IdentificationError(f"shape = {shape!r}: must be network or spline")
     if alpha is not None and not 0.0 < alpha <= LARGEST_ALPHA:
-        raise IdentificationError(f"alpha = {alpha:g}: must be in 0 … {LARGEST_ALPHA:g}, not 0 (normalised input)")
+        raise IdentificationError(f"alpha = {alpha:g}: must be > 0 and ≤ {LARGEST_ALPHA:g} (normalised input)")
     if np.ndim(inputs[0]) == 0:
         inputs, outputs = [inputs], [outputs]
     pairs = [checked_signals(u, y, names) for u, y in zip(inputs, outputs, strict=True)]

@@ -370,7 +370,8 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 #: Most structures with an equal number of modes that are compared on held-out segments.
 JUDGED = 3
-#: Fewest folds in which a structure must predict better, also within this factor of its modes' frequencies.
+#: A larger structure must predict better in at least this many folds. Each mode that it adds must also pay off at
+#: frequencies within this factor of its own.
 MAJORITY, NEARBY_FREQUENCY = 3, 1.4
 #: Most evaluations with held-out segments, where the search starts near its end.
 FEW_EVALUATIONS = 6
@@ -724,7 +725,7 @@ class TurnSearch:
 
 
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
-    """Return the chain at the rate of the fast recording with its dynamics, and the gain of small movements.
+    """Return the model chain with the dynamics and the rate of the fast recording, and the gain of small movements.
 
     Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would fit
     this difference instead of the dynamics.

@@ -65,7 +65,10 @@ class PlayFit(ABC):
         return self.solve_weights(part, shape, SEARCH_STRENGTH)
 
     def solve_weights(self, part, shape, strength: float | None = None) -> np.ndarray:
-        """Return the residual [m] of the best weights; for a strength of None the residual determines it."""
+        """Solve for the weights and return the residual [m].
+
+        ``strength`` is the penalty on rough weights; None: as large as the residual allows.
+        """
         data = self.data
         moved = data.counted(part.apply(self.columns(shape), data.sample_time))
         target = data.counted(data.displacement)

@@ -30,7 +30,7 @@ WIDTHS = 24
 NODES = 33
 #: Part of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
-#: Largest dependence on the bias: g stays monotone up to 0.5.
+#: Largest magnitude of κ, the dependence of the density on the bias: g(V) (see the top) is monotone up to 0.5.
 LARGEST_BIAS = 0.4
 
 

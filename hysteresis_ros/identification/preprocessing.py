@@ -77,9 +77,9 @@ SHORT_GAP, LONG_ENOUGH = 3, 0.3
 def steadied(data: IdentificationData) -> IdentificationData:
     """Return the data on a uniform grid if the signals show that only their stamps jitter.
 
-    A computer often stamps samples late that a converter took in time. Each sample is predicted by the cubic through
-    the two samples before and the two after it, once with the stamps and once with equal distances; the right
-    assumption predicts better.
+    A computer often stamps a sample late although the converter took it at the right instant. Each sample is predicted
+    by the cubic through the two samples before and the two after it, once with the stamps and once with equal
+    distances; the right assumption predicts better.
     """
     if len(data) < 20:
         return data

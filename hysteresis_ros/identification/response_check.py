@@ -41,8 +41,9 @@ from hysteresis_ros.models.linear import LinearParameters
 BANDS, NARROW_BANDS = 6, 24
 #: The response counts as known if two standard deviations are below this part of it.
 KNOWN = 0.5
-#: A larger, significant error is a resonance that the model lacks or has at another frequency: the ratio of its peak to
-#: its mean over a narrow band, for the low damping that is assumed of an unobserved resonance.
+#: A significant error above KNOWN is taken as a resonance that the model lacks or has at another frequency. PEAK is the
+#: ratio of the peak of that resonance to its mean over a narrow band, with the assumed damping of an unobserved
+#: resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
 #: A deviation of this many times two standard deviations also counts as known.
 CLEARLY = 2.0

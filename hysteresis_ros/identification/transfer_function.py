@@ -104,8 +104,8 @@ class TransferFunctionFit:
 
     numerator: np.ndarray  #: shape (m + 1,); b_m … b_0, highest power first.
     denominator: np.ndarray  #: shape (n + 1,); 1, a_(n-1) … a_0.
-    #: shape (m + 1 + n, m + 1 + n); Covariance of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does
-    #: not determine them apart.
+    #: shape (m + 1 + n, m + 1 + n); Covariance of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data
+    #: cannot separate them.
     covariance: np.ndarray
     offset: float  #: Constant of the output, in its unit; 0 when it was not fitted.
     delay: float  #: Dead time of the input [s], as given.

@@ -9,5 +9,6 @@
 
 """Applications of the package that no axis needs: papers, comparisons, sweeps, emulated devices, fault campaigns.
 
-It imports the rest of the package, which never imports it: commands, drivers and ``hr.*`` refer to it by name.
+The laboratory imports the rest of the package, which never imports the laboratory: commands, drivers and ``hr.*`` refer
+to it by name.
 """

@@ -22,11 +22,12 @@ from hysteresis_ros.models.actuator import Actuator
 from hysteresis_ros.models.creep import OUTPUT
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-#: Evaluated points per sample.
+#: Number of evaluated points per sample.
 INSTANTS = 10
-#: Largest condition number of the eigenvectors; a larger one means a double pole, which has no such coordinates.
+#: Largest condition number of the eigenvectors; a larger one means a double pole, for which modal coordinates do not
+#: exist.
 WORST_CONDITION = 1e10
-#: Times of the points, as parts of a sample.
+#: Times of the points, as fractions of a sample.
 PLACES = np.arange(1, INSTANTS + 1) / INSTANTS
 
 
@@ -89,7 +90,7 @@ def modes_of(parameters: LinearParameters) -> Modes | None:
     x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles.
     """
     model = parameters.matrices
-    # of the real matrix: pairs are exactly conjugate, and real poles are real
+    # poles of the real matrix: pairs are exactly conjugate, and real poles are real
     poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
     continuous = np.all((poles.imag != 0.0) | (poles.real > 0.0))
     if not continuous or model.order and np.linalg.cond(vectors) >= WORST_CONDITION:
@@ -99,7 +100,7 @@ def modes_of(parameters: LinearParameters) -> Modes | None:
     decay, out = poles[:, np.newaxis] ** PLACES, (model.C[0] @ vectors)[:, np.newaxis] * parameters.output_scale
     through = model.D.item() * parameters.output_scale / parameters.resolved_input_scale
     forced = np.real(np.sum(out * (1.0 - decay) * units[:, np.newaxis], axis=0)) + through
-    # one pole of a pair is enough: the part of the other one is the conjugate
+    # one pole of each pair suffices: the other pole contributes the conjugate
     kept = poles.imag >= 0.0
     free = (out * decay * np.where(poles.imag > 0.0, 2.0, 1.0)[:, np.newaxis])[kept]
     rows = np.stack([free.real, -free.imag], axis=1).reshape(2 * len(free), INSTANTS)

@@ -9,17 +9,17 @@
 
 """Actuators of other classes than the models, to test identification and design.
 
-voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement, with the lag before or behind the
-hysteresis. Everything is integrated with held voltage on a grid that is finer than the samples, which also gives the
-displacement between them. With s the voltage as a part of its range, the hystereses are
+voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement, with the lag at one of the two places.
+All of it is integrated with held voltage on a grid that is finer than the samples, which also gives the displacement
+between the samples. With s the voltage as a fraction of its range, the hystereses are
 
 * ``play``: generalised play operators with different curves for rising and falling, whose thresholds widen with the
   speed of the input [1],
-* ``preisach``: a Preisach operator, in Krejčí's form Σ q(r, z_r) of the play operators z_r, q not linear in z [2],
+* ``preisach``: a Preisach operator, in Krejčí's form Σ q(r, z_r) of the play operators z_r, q nonlinear in z [2],
 * ``bouc_wen``: y = d(s) − h, h' = α s' − β |s'| h − γ s' |h| [3],
 * ``duhem``: y' = a |s'| (f(s) − y) + g s' (Coleman & Hodgdon) [4].
 
-The creep follows a power of time (fractional), a sum of relaxations over six decades [5].
+The creep follows a power of time (fractional order), approximated by a sum of relaxations over six decades [5].
 
 References
 ----------
@@ -43,27 +43,27 @@ from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import zero_order_hold
 from hysteresis_ros.models.linear_algebra import product
 
-#: Hystereses, in the order of their numbers in the kernel.
+#: Kinds of hysteresis, in the order of their numbers in the kernel.
 HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
-#: Play operators, relaxations of the creep and their time constants [s], and modes.
+#: Number of play operators; time constants of the relaxations of the creep [s]; number of modes.
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
-#: Speed of s at half of the widening of thresholds [1/s], and its averaging time [s].
+#: Speed of s at which the thresholds have half of their widening [1/s], and the averaging time of the speed [s].
 SPEED_KNEE, SPEED_MEMORY = 20.0, 2e-3
 #: The longest delay [steps of the fine grid].
 LONGEST_DELAY = 256
 
 # Layout of p.
-STEPS = 0  # of the fine grid, a sample
+STEPS = 0  # steps of the fine grid per sample
 KIND = 1  # place in HYSTERESES
 PER_VOLT = 2
 STROKE = 3
-BEFORE, BEHIND = 4, 5  # decay of the lag in a step; 0 without a lag there
+BEFORE, BEHIND = 4, 5  # decay of the lag in a step; 0: no lag at this place
 DELAY = 6  # steps
 LINEAR, SQUARE = 7, 8  # d(s) or f(s): LINEAR s + SQUARE s²
 RATE = 9  # widening of the thresholds at high speed
-KNEE = 10  # change of s per step at half of it
+KNEE = 10  # change of s per step at half of this widening
 MEMORY = 11  # decay of the averaged change from step to step
 TURN = 12  # β, or a
 SWING = 13  # α, or g
@@ -98,10 +98,14 @@ class ForeignParameters(Parameters):
     voltage: float = parameter(
         100.0, description="upper end of the range of voltage, which begins at 0", unit="V", low=1e-9
     )
-    opening: float = parameter(0.13, description="approximate width of the widest loop, as a part of the stroke", low=0)
+    opening: float = parameter(
+        0.13, description="approximate width of the widest loop, as a fraction of the stroke", low=0
+    )
     asymmetry: float = parameter(0.15, description="difference of rising and falling branches", low=0.0, high=0.5)
     rate: float = parameter(0.4, description="play: widening of the thresholds at high speed", low=0.0, high=2.0)
-    creep: float = parameter(0.03, description="creep from 0.1 to 10 s after a step, as a part of it", low=0.0)
+    creep: float = parameter(
+        0.03, description="creep from 0.1 to 10 s after a step, as a fraction of the step", low=0.0
+    )
     exponent: float = parameter(0.2, description="exponent of the creep over time", low=0.01, high=1.0)
     lag: float = parameter(1e-3, description="time constant of the lag; 0: none", unit="s", low=0.0)
     lag_before: bool = parameter(True, description="whether the lag is before the hysteresis")
@@ -112,7 +116,7 @@ class ForeignParameters(Parameters):
     dampings: tuple[float, ...] = parameter(
         (0.03, 0.02), description="damping ratios of the two modes", low=1e-4, high=2.0
     )
-    share: float = parameter(0.1, description="part of the displacement in the second mode", low=0, high=1)
+    share: float = parameter(0.1, description="fraction of the displacement in the second mode", low=0, high=1)
     steps: int = parameter(10, description="steps of the fine grid per sample", low=1, high=100)
 
     def check(self):
@@ -124,7 +128,7 @@ class ForeignParameters(Parameters):
 
 @kernel
 def play_operators(p, x, s):
-    """Output of the sum of play operators, linear or not, at the input ``s``."""
+    """Output of the sum of linear or nonlinear play operators at the input ``s``."""
     x[SPEED] = abs(s - x[LAST]) + p[MEMORY] * (x[SPEED] - abs(s - x[LAST]))
     wider = 1.0 + p[RATE] * x[SPEED] / (x[SPEED] + p[KNEE])
     rising = s + p[CURVE] * s * (1.0 - s)
@@ -152,7 +156,7 @@ def bouc_wen(p, x, s):
 
 @kernel
 def duhem(p, x, s):
-    """Output of the Duhem equation of Coleman and Hodgdon; the relaxation is exact for f taken in the middle."""
+    """Output of the Duhem equation of Coleman and Hodgdon; the relaxation is exact for f at the middle of the step."""
     change = s - x[LAST]
     middle = x[LAST] + 0.5 * change
     f = p[LINEAR] * middle + p[SQUARE] * middle * middle
@@ -243,14 +247,14 @@ class Foreign(Block):
             place = np.arange(1, PLAYS + 1) / PLAYS
             weights = np.array([elementary.exp(-2.0 * one) for one in place])
             weights *= 0.4 / product(weights, np.ones(PLAYS))
-            # rising and falling branches both lag by a threshold
+            # each of the rising and falling branches lags by a threshold
             p[THRESHOLDS:WEIGHTS] = place * opening / (2.0 * product(place, weights))
             p[WEIGHTS:CURVATURES] = weights
             p[LINEAR] = 0.6
             if parameters.hysteresis == "play":
                 p[CURVE], p[RATE], p[KNEE] = asymmetry, parameters.rate, SPEED_KNEE * step
             else:
-                # a density that differs along both coordinates
+                # a density that varies along both coordinates
                 p[CURVATURES:DECAYS] = asymmetry * 2.0 * (1.0 - 1.5 * place)
                 p[KNEE] = 1.0
             p[MEMORY] = elementary.exp(-step / SPEED_MEMORY)
@@ -280,7 +284,7 @@ class Foreign(Block):
 
 
 def _decayed(time: float) -> np.ndarray:
-    """Return the remaining part of the relaxations of the creep after a time [s], shape (relaxations,)."""
+    """Return the remaining fraction of each relaxation of the creep after a time [s], shape (relaxations,)."""
     return np.array([elementary.exp(-time / constant) for constant in CREEP_TIMES])
 
 

@@ -53,7 +53,7 @@ def compare(
     progress : callable, optional
         Called with a text after each finished part.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
     **conditions
         ``mismatch``, ``noise`` [m rms], ``bits``, ``draws``, ``others``, ``seed``, ``robust``, ``sine_frequency`` and
         ``triangle_frequency`` [Hz] …: see :class:`hysteresis_ros.laboratory.comparison.tasks.Conditions`.
@@ -66,7 +66,8 @@ def compare(
     Raises
     ------
     ConfigurationError
-        It is an inchworm, or there is no such condition, controller or compensator; the message lists those there are.
+        The axis is an inchworm motor, or a condition, controller or compensator does not exist; the message lists the
+        existing ones.
     ParameterError
         A condition or parameter is out of range.
 
@@ -92,7 +93,7 @@ def compare(
 
 
 def reproduce(paper: str) -> Reproduction:
-    """Repeat the experiments of a paper: each claim beside its reproduction.
+    """Repeat the experiments of a paper, and compare each claim with its reproduction.
 
     Parameters
     ----------

@@ -28,7 +28,8 @@ class Swept(Summary):  # numpydoc ignore=PR01
     """Result of a sweep; ``print`` shows the lines of ``hysteresis sweep``.
 
     ``results.parameters`` and ``results.metrics`` are arrays by name with one value per run [SI]; ``yield_`` is the
-    share of runs that meet all bounds, ``met`` tells which; ``sensitivities`` has the requested sensitivities.
+    share of runs that meet all bounds, and ``met`` states for each run whether it does; ``sensitivities`` contains the
+    requested sensitivities.
     """
 
     def __str__(self) -> str:
@@ -62,7 +63,7 @@ def sweep(
         0.2]}``, or the same in the form of the command: ``["plant_simulator=±5%", "motion_controller.pid.Kp=0.1,0.2"]``
         (``docs/sweeps.md``).
     path : path-like, optional
-        File for the results, ``.parquet`` or ``.npz``; an interrupted sweep continues there.
+        File for the results, ``.parquet`` or ``.npz``; an interrupted sweep continues from it.
     runs : int, optional
         Total number of runs; not needed with levels only.
     metrics : sequence of str
@@ -82,7 +83,7 @@ def sweep(
     progress : callable, optional
         Called with the number of finished runs.
     namespace : str, optional
-        Which axis of a configuration with several.
+        The axis, where a configuration contains several.
 
     Returns
     -------

@@ -427,8 +427,8 @@ class ControllerPart:
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"
         if fixed and given != present and block.damping.type != damping:
             remedy = (
-                f"gives the damped plant {given} states, observer and feedforward have {present}: keep {damping}, or "
-                "clean up and configure again"
+                f"the damped plant would have {given} states, but observer and feedforward were designed "
+                f"for {present}: keep {damping}, or clean up and configure again"
             )
             raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 

@@ -127,7 +127,8 @@ WAKING = 0.02
 LEAD = 5_000_000
 #: Polling interval for an accepted request [s].
 LOOK = 2e-4
-#: Longest busy wait for a pause [s]; yielding to other threads may cost 5 ms.
+#: Longest busy wait until the loop has paused [s]. After it the wait sleeps between looks, which may cost 5 ms if
+#: another thread runs.
 HASTE = 2e-3
 
 

@@ -891,7 +891,7 @@ class AxisParameters:
             if getattr(self, name) is None:
                 continue
             values = getattr(self, name).to_mapping()
-            # ROS has no type for an empty array; every array is empty by default where it may be
+            # empty arrays are left out: ROS has no type for them, and every array that may be empty is so by default
             nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
         return dump_configuration(nodes)
 

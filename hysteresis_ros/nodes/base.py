@@ -452,7 +452,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     @property
     def holds_time(self) -> bool:
-        """Whether this node has stopped the time of the axis itself."""
+        """Whether this node itself has stopped the time of the axis."""
         return False
 
     def go_safe(self) -> None:

@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Time to reach the safe voltage when the node exits [s]; the remainder is one step.
+#: Longest ramp to the safe voltage when the node exits [s]; what is left of it then is one step of the voltage.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)

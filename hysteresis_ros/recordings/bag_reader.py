@@ -452,7 +452,9 @@ def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:
         with Reader(path) as reader:
             for connection in reader.connections:
                 if not (isinstance(connection.topic, str) and isinstance(connection.msgtype, str)):
-                    raise ValueError(f"a topic called {connection.topic!r} of type {connection.msgtype!r}")
+                    raise ValueError(
+                        f"topic {connection.topic!r} of type {connection.msgtype!r}: name and type must be text"
+                    )
                 bag.topics.setdefault(connection.topic, Topic(connection.msgtype))
             wanted = [connection for connection in reader.connections if connection.msgtype in KEPT_TYPES]
             if not wanted:

@@ -90,7 +90,7 @@ WRONG = {
     "missing": (STAGE[:4], "--rate is missing"),
     "unit": (("--stroke", "100V", *STAGE[2:]), "--stroke '100V': is in V"),
     "number": (("--stroke", "far", *STAGE[2:]), "--stroke 'far'"),
-    "falling": (("--stroke", "1um", "--voltage", "100:0V", "--rate", "1kHz"), "must rise"),
+    "falling": (("--stroke", "1um", "--voltage", "100:0V", "--rate", "1kHz"), "must be below the second one"),
     "negative": (("--stroke", "-1um", *STAGE[2:]), "actuators have 1e-09 to 0.1 m"),
     "length without a unit": (("--stroke", "60", *STAGE[2:]), "of which unit? Write 60um or 60nm"),
     "no actuator's stroke": (("--stroke", "60m", *STAGE[2:]), "--stroke: 60 m: actuators have"),

@@ -24,6 +24,9 @@ def test_a_period_with_a_missed_deadline_and_the_one_after_it_do_not_count():
 
 def test_it_says_how_many_periods_the_figure_is_of():
     kept = np.array([True, False, False, True, True])
-    assert missed_line(1.25e-8, kept) == "deadlines were missed; error of the 3 of 5 periods without: 12.5 nm RMS"
+    assert (
+        missed_line(1.25e-8, kept)
+        == "deadlines were missed; error of the 3 of 5 periods that they have not disturbed: 12.5 nm RMS"
+    )
     assert "no deadline" in missed_line(1e-8, np.ones(3, bool))
     assert "each of the 2 periods" in missed_line(np.nan, np.zeros(2, bool))

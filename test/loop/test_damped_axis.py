@@ -125,7 +125,7 @@ def test_under_an_observer_another_damping_of_the_same_order_is_taken_and_one_of
     made.run(np.full(100, 4e-6))
     made.apply(Change(0, "motion_controller", "retune", {"damping.irc.k": 900.0}))
     with pytest.raises(
-        ParameterError, match=r"damping\.type = 'none': gives the damped plant 3 states.* have 4: keep irc"
+        ParameterError, match=r"damping\.type = 'none': the damped plant would have 3 states.* for 4: keep irc"
     ):
         made.apply(Change(0, "motion_controller", "retune", {"damping.type": "none"}))
     assert np.abs(made.run(np.full(2000, 4e-6))["displacement"][-50:] - 4e-6).max() < 2e-7

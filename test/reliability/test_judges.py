@@ -146,7 +146,7 @@ def test_the_page_has_a_row_for_each_mishap_with_the_worst_figures_of_each_way(t
     assert fused.startswith("held: 0 … 5 V, step 1.00, safe after 0.15 s, back after 0.9 s") and "late" in fused
     assert composed.startswith("**not held, 1 of 1**: the axis does not follow")
     assert processes == "does not apply: it cannot fall"
-    with pytest.raises(ConfigurationError, match="the figures are of another"):
+    with pytest.raises(ConfigurationError, match="the results to add are of another"):
         results.and_of(replace(earlier, config="another"))
     assert "NOT HELD" in line(bad) and "NOT HELD" not in line(good)
 

@@ -419,7 +419,7 @@ def test_two_sweeps_do_not_write_into_one_file(tmp_path):
     path = tmp_path / "f.npz"
 
     def meanwhile(done):
-        with pytest.raises(ConfigurationError, match="another sweep writes this file"):
+        with pytest.raises(ConfigurationError, match="another sweep is writing this file"):
             sweep(*asked(), path, workers=1)
 
     sweep(*asked(), path, workers=1, progress=meanwhile)

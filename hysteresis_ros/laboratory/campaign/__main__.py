@@ -29,7 +29,7 @@ from hysteresis_ros.laboratory.campaign.results import Results, conditions, line
 from hysteresis_ros.laboratory.campaign.run import Campaign
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 
-#: A claim did not hold.
+#: Exit code when a claim did not hold.
 NOT_HELD = 4
 
 
@@ -66,7 +66,7 @@ def main() -> int:
 
 
 def _write(request: dict, mishaps: tuple[Mishap, ...], results: Results) -> None:
-    """Write the requested files."""
+    """Write the files that were asked for."""
     if request["json"]:
         results.save(pathlib.Path(request["json"]))
     for path in request["add"]:

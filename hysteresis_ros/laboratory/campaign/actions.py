@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The actions of fault cases, by their names in the catalogue: processes, machine, measurement, people."""
+"""The actions of fault cases, by their names in the catalogue: on processes, machine and measurement, and by people."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from hysteresis_ros.nodes.launcher import node_environment, started
 from hysteresis_ros.nodes.realtime import STARTING
 from hysteresis_ros.recordings.align import read_recording
 
-#: Part of the stroke by which an axis may creep without a new setpoint.
+#: Fraction of the stroke by which an axis may creep without a new setpoint.
 UNASKED = 0.03
-#: Processes that contain the plant.
+#: Names of processes that may contain the plant.
 WITH_PLANT = ("plant_simulator", AXIS)
 #: All processes of an axis.
 ALL = "all"
@@ -62,7 +62,7 @@ def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill a process (SIGKILL): the axis must stop, and stay stopped when the process is restarted."""
+    """Kill a process (SIGKILL): the axis must stop, and must stay stopped when the process is restarted."""
     witness, patience = rig.witness, rig.bounds.timeouts[mishap.safe] + STARTING
     rig.group.send(mishap.victim, signal.SIGKILL)
     time.sleep(rig.bounds.timeouts[mishap.safe] + SLACK)
@@ -75,7 +75,7 @@ def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Stop processes for some time (SIGSTOP, SIGCONT).
+    """Suspend processes for some time (SIGSTOP, SIGCONT).
 
     Units: ``amount`` [s].
     """
@@ -102,13 +102,13 @@ def _again(rig: Rig, victims) -> None:
 
 #: Keeps a core busy.
 BURN = "while True: sum(range(100000))"
-#: Part of a small disk that is used when nothing more fits, and the observed time after that [s].
+#: Used fraction of a small disk at which it counts as full, and the time observed after that [s].
 FILLED, AFTERWARDS = 0.75, 3.0
 #: Time in which a small disk becomes full [s].
 FULL = 60.0
-#: Longest missing end of a cut-off recording [s], and its length before [s].
+#: Longest end that a cut-off recording may lack [s], and its length before the cut [s].
 LOST, RECORDED = 1.5, 2.0
-#: Jumps of the time of day, and their duration [s].
+#: Jumps of the time of day [s], and the time between them [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
 
 
@@ -162,7 +162,9 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0  # messages may be late on a busy machine
+    missing = (
+        run.metadata["missing_samples"] if rig.way == FUSED else 0
+    )  # on a busy machine messages may be late, and samples missing
     if lost > LOST or missing:
         rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples in the rest")
 
@@ -188,12 +190,12 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 #: Time of the axis at which the faults of a fused loop begin, after its start and first move [s].
 SCHEDULE = 12.0
-#: Duration of a fault of the measurement, and its part after the time-out [s].
+#: Duration of a fault of the measurement, and how long it lasts beyond the time-out [s].
 LASTING, FURTHER = 3.0, 0.5
 
 
 def _lasts(mishap: Mishap, bounds: Bounds) -> float:
-    """Return the duration of a fault [s]: if the voltage must become safe, long enough for that."""
+    """Return the duration of a fault [s]; it is long enough for the voltage to become safe, if it must."""
     return bounds.timeouts[mishap.safe] + FURTHER if mishap.safe else LASTING
 
 
@@ -233,15 +235,15 @@ def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
 LONG, TURN = 3.0, 1e-3
 #: Repetitions between two moves of the axis.
 STEADY = 50
-#: Largest commands of a second sender, in strokes.
+#: Largest command of a second sender, in strokes.
 COMMANDED = 3.0
-#: Exit code and message of nodes that find others with their names.
+#: Exit code and message of nodes that find other nodes with the same names.
 REFUSED, ONE_MASTER = 2, "one axis has one master"
-#: Values that every parameter refuses.
+#: Values that every numerical parameter refuses.
 NONSENSE = (math.nan, -1e300, math.inf)
-#: Requested transitions of the lifecycle: all but shutdown, and some unknown ones.
+#: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints, and how many setpoints there are for each invalid one.
+#: Invalid setpoints; one setpoint in this number is invalid.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 
@@ -300,7 +302,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Change parameters while the axis moves, by a little or to invalid values; restore all at the end."""
+    """Change parameters while the axis moves, slightly or to invalid values; restore all of them at the end."""
     nodes = ("motion_controller", "hysteresis_compensator", "plant_simulator")
     before = {node: _numbers(rig, node) for node in nodes}
     refused = unanswered = 0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Evaluation of a campaign: its axis with the bounds of its figures, the observations, and the violated claims."""
+"""Evaluation of a campaign: the axis under test, the bounds of its figures, the observations, and violated claims."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from hysteresis_ros.loop.reach import single_axis
 
 #: Time in which the voltage may cross its range if the configuration sets no slew rate [s].
 CROSSING = 0.25
-#: Setpoints, as parts of the range from the lowest to the highest reference.
+#: Setpoints, as fractions of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
-#: Part of the stroke by which the displacement may leave the range between rest and setpoints, in addition to the
-#: movement that the slew rate allows while voltages are late and the plant has not yet tripped.
+#: Fraction of the stroke by which the displacement may leave the range between rest and setpoints. In addition it may
+#: move as far as the slew rate allows while voltages are late and the plant has not yet tripped.
 BEYOND = 0.1
-#: Part of the stroke within which a setpoint counts as reached.
+#: Fraction of the stroke within which a setpoint counts as reached.
 REACHED = 0.02
-#: Part of the range within which a voltage counts as safe.
+#: Fraction of the range within which a voltage counts as safe.
 SAFE = 0.01
 #: Additional time for a busy machine [s].
 SLACK = 0.5
@@ -43,7 +43,7 @@ class Bounds:
     minimum: float  #: minimum, maximum, safe: Voltages [V]: limits, and the safe one.
     maximum: float
     safe: float
-    step: float  #: Largest change of the voltage between two samples [V], one bit of the converter included.
+    step: float  #: Largest change of the voltage between two samples [V], including one bit of the converter.
     sample_time: float  #: Sample time, in the time of the stamps [s].
     low: float  #: low, high: Setpoints [m].
     high: float
@@ -80,7 +80,7 @@ def prepared(configuration: Configuration, way: str, namespace: str) -> AxisPara
     limits = {"limits__slew_rate": slew, "safe_slew_rate": min(plant.safe_slew_rate, slew)}
     factor = 1.0 if way == FUSED else min(MESSAGE_RATE / plant.sample_rate, 1.0)
     simulated = simulated.override("reference_generator", waveform__type="hold")
-    # the plant trips like a device, even if the file allows the simulation more late samples
+    # the plant must trip like a device, even if the file allows more late samples in a simulation
     simulated = simulated.override("plant_simulator", real_time_factor=factor, late_limit=0, **limits)
     simulated = simulated.override("hysteresis_compensator", **limits)
     return replace(single_axis(simulated), namespace=namespace)
@@ -121,12 +121,12 @@ class Samples:
     stamp: np.ndarray  #: shape (N,); Stamp of the sample [s].
     voltage: np.ndarray  #: voltage, displacement: shape (N,); Output voltage [V] and displacement [m] of the plant.
     displacement: np.ndarray
-    #: shape (N,); Number of restarts of the plant: after a restart it does not know the voltage before.
+    #: shape (N,); Number of restarts of the plant; a restarted plant does not know its previous voltage.
     life: np.ndarray
 
     @classmethod
     def of(cls, rows) -> Samples:
-        """Return the samples of rows with these five numbers."""
+        """Return the samples from rows of these five numbers."""
         table = np.array([tuple(row) for row in rows], dtype=np.float64).reshape(-1, 5).T
         return cls(*table)
 
@@ -155,7 +155,7 @@ class Trace:
     recovered: float
     asked: tuple[float, float]  #: Lowest and highest setpoint, rest included [m].
     samples: Samples  #: Samples from shortly before the fault to the recovery.
-    #: Other violations: died processes, tracebacks, unanswered calls.
+    #: Other violations: processes that died, tracebacks, unanswered calls.
     broken: tuple[str, ...] = ()
     said: str = ""  #: Most severe message of the nodes on ``/diagnostics``.
     notes: tuple[str, ...] = ()  #: Notes for the table.
@@ -166,7 +166,8 @@ class Trace:
         return replace(self, samples=samples.between(self.begun, last))
 
 
-#: Largest difference of the voltage for a safe command from the safe voltage, by the inverse [part of the range].
+#: Largest difference between the safe voltage and the voltage for a safe command, because of the inverse [fraction of
+#: the range].
 COMMANDED = 0.1
 #: Rounding error of compared numbers.
 ROUNDING = 1e-9
@@ -174,11 +175,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of a fault case, of one execution or the worst."""
+    """Figures of a fault case: those of one execution, or the worst of several."""
 
     lowest: float  #: lowest, highest: Output voltages of the plant [V].
     highest: float
-    step: float  #: Largest change between two samples over the allowed one.
+    step: float  #: Ratio of the largest change of the voltage between two samples to the allowed one.
     #: Largest distance of the displacement from the range between rest and setpoints, as a part of the stroke.
     beyond: float
     #: Time from the beginning until the voltage was and stayed safe [s]; NaN if not required, infinite if it was not.
@@ -196,7 +197,7 @@ class Verdict:
 
 
 def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> float:
-    """Return the largest change of the voltage over the change allowed in the time between two samples."""
+    """Return the largest ratio of the voltage's change between two samples to the change allowed in that time."""
     if samples.time.size < 2:
         return 0.0
     follow = np.diff(samples.life) == 0

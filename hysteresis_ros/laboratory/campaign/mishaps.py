@@ -24,7 +24,7 @@ MESSAGES = (COMPOSED, PROCESSES)
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
 #: Possible surroundings of an axis: a relay of its measurements, a nearly full disk, a device instead of the simulated
-#: plant, an adjustable time of day; or none, with a fresh axis.
+#: plant, an adjustable time of day; or none of these, but a newly started axis.
 RELAY, SMALL_DISK, DEVICE, CLOCK, FRESH = GRAPHS = ("relay", "small disk", "device", "clock", "fresh")
 
 #: Requirements of every fault case.
@@ -47,12 +47,12 @@ class Mishap:
     action: str  #: Name of the action in ``laboratory/campaign/actions.py``.
     victim: str = ""  #: Target: a node or a topic.
     amounts: tuple[float, ...] = (0.0,)  #: Amounts of the action, in its unit; each is executed once.
-    ways: tuple[str, ...] = WAYS  #: Applicable ones of :data:`WAYS`.
-    elsewhere: str = ""  #: Why it does not apply to the others.
+    ways: tuple[str, ...] = WAYS  #: Entries of :data:`WAYS` to which the case applies.
+    elsewhere: str = ""  #: Why the case does not apply to the other ways.
     #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out and the time of its return; empty: it need
     #: not be.
     safe: str = ""
-    #: Whether the displacement must stay between rest and setpoints, within a part of the stroke.
+    #: Whether the displacement must stay between rest and setpoints, within a tolerance.
     bounded: bool = True
     #: One of :data:`hysteresis_ros.loop.faults.FAULTS`, for fused nodes; empty: the action, as for other nodes.
     fault: str = ""

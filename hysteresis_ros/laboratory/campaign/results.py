@@ -66,15 +66,18 @@ class Results:
     after: Conditions
 
     def and_of(self, other: Results) -> Results:
-        """Return these results with those of another campaign."""
+        """Return these results together with those of another campaign."""
         if other.config != self.config:
-            raise ConfigurationError(f"the figures are of {other.config}, not of {self.config}")
+            raise ConfigurationError(
+                f"the results to add are of {other.config}, these are of {self.config}: add results of "
+                "the same configuration and rate"
+            )
         first = min((self.before, other.before), key=lambda when: when.date)
         last = max((self.after, other.after), key=lambda when: when.date)
         return Results(self.config, other.verdicts + self.verdicts, first, last)
 
     def save(self, path: pathlib.Path) -> None:
-        """Write the results as JSON, with the figures of the samples only."""
+        """Write the results as JSON; samples are left out, only their figures are written."""
         rows = [
             {"figures": asdict(one.figures), "failures": one.failures, "trace": _without_samples(one.trace)}
             for one in self.verdicts
@@ -124,9 +127,9 @@ every sample of the recording counts; composed and as processes, every message o
 """
 
 
-#: Most characters of a diagnostic message in the table.
+#: Maximum number of characters of a diagnostic message in the table.
 QUOTED = 90
-#: Smallest displacement beyond the setpoints that the table shows, as a part of the stroke.
+#: Smallest displacement beyond the setpoints that the table shows, as a fraction of the stroke.
 REMARKABLE = 0.05
 
 

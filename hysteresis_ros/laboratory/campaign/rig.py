@@ -39,10 +39,10 @@ from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.recordings.align import read_recording
 
-#: The process with all nodes, and the recorder beside nodes that exchange messages.
+#: Name of the process that contains all nodes, and of the recorder of nodes that exchange messages.
 AXIS, RECORDER = "hysteresis_axis", "recorder"
 
-#: Number of last printed words in a report about an ended process.
+#: Number of last printed words that a report about an ended process quotes.
 LAST_WORDS = 30
 
 
@@ -135,7 +135,9 @@ class Group:
             if self._processes[name].poll() is not None:
                 continue
             code = self.end(name)
-            if code and not (code == 1 and self._prefix):  # with a full disk it ends with an incomplete recording
+            if code and not (
+                code == 1 and self._prefix
+            ):  # with a full disk the recorder exits with code 1: its recording is incomplete
                 last = " ".join(self.printed().split()[-LAST_WORDS:])
                 found.append(f"{name} ended with exit code {code}: {last}")
             elif code is None:
@@ -158,7 +160,7 @@ time.time_ns = lambda: _time_ns() + 1_000_000_000 * _offset()
 
 
 def small_disk() -> tuple[str, ...]:
-    """Return the prefix of a command with a nearly full disk, which a limit on the size of files imitates."""
+    """Return the prefix of a command that imitates a nearly full disk by a limit on the size of files."""
     return "bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash"
 
 
@@ -166,8 +168,8 @@ class Clock:
     """An adjustable time of day for processes; monotonic clocks and DDS keep the machine's time.
 
     Libraries that replace the clocks of the C library (libfaketime 0.9.10) make every sleep of Python 3.11 fail, and
-    the clock of the machine affects all processes. Therefore the functions of Python are replaced, before any other
-    import.
+    changing the clock of the machine would affect all processes. Therefore Python's own functions are replaced, before
+    any other import.
     """
 
     def __init__(self, folder: pathlib.Path):
@@ -190,7 +192,7 @@ class Clock:
             file.write(struct.pack("q", offset))
 
     def close(self) -> None:
-        """Remove its file."""
+        """Remove the file that contains the offset."""
 
 
 class Device:
@@ -236,15 +238,16 @@ class Device:
         self._process.wait()
 
 
-#: Time for an axis to start [s], including compilation on a busy machine; to restart; and to follow a setpoint again.
+#: Time allowed for an axis to start, including compilation on a busy machine [s]; to restart [s]; and to follow a
+#: setpoint again [s].
 FIRST_START, START, RECOVERY = 300.0, 60.0, 40.0
-#: Moves without success after which an axis counts as not running.
+#: Number of unsuccessful moves after which an axis counts as not running.
 TRIES = 3
 #: Interval at which a setpoint is repeated [s], because a starting node may have missed it.
 AGAIN = 1.0
 #: Dwell time at a reached setpoint, and longest time from the start of a move to the fault [s].
 KEPT, MOVING = 0.1, 0.4
-#: Output that no process may print.
+#: Text that no process may print.
 TRACEBACK = "Traceback (most recent call last)"
 
 
@@ -276,7 +279,7 @@ class Rig:
         if not self.witness.rows:
             self._give_up("does not start")
         self.rest = self.witness.displacement
-        # four processes that start together on a busy machine may be late at first
+        # voltages may be late at first when four processes start together on a busy machine
         if not any(self.follows() for _ in range(TRIES)):
             self._give_up("does not follow setpoints")
 
@@ -287,7 +290,7 @@ class Rig:
         raise HysteresisError(f"the axis {what}, {self.way}, before any fault: {' / '.join(printed)}")
 
     def _go_on(self) -> None:
-        """Restart a tripped axis, as an operator would after a check."""
+        """Restart a tripped axis, as an operator would do after a check."""
         if self.witness.tripped and self.witness.trigger("plant_simulator", "start"):
             self.starts += 1
 
@@ -375,7 +378,7 @@ class Rig:
         return found
 
     def recorded(self) -> Samples:
-        """Return all samples in the recordings of a fused axis, in order."""
+        """Return the samples of all recordings of a fused axis, in order."""
         if self.way != FUSED:
             return Samples.of(())
         found = []

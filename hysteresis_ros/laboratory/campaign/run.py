@@ -59,7 +59,7 @@ class Campaign:
 
 
 class _Series:
-    """Fault cases in one way of running; those of one graph share an axis as long as it recovers."""
+    """Fault cases in one way of running; cases with the same graph share an axis as long as it recovers."""
 
     def __init__(self, axis, way: str, config: str, folder: pathlib.Path, random: np.random.Generator):
         self._axis, self._way, self._config, self._folder, self._random = axis, way, config, folder, random

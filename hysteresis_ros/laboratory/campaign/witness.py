@@ -37,12 +37,12 @@ PATIENCE = 10.0
 BRIEF = 0.5
 #: Polling interval [s].
 LOOK = 0.01
-#: Queue depth of the observer, for a busy machine.
+#: Queue depth of the observer; large, because the machine may be busy.
 DEPTH = 5000
 
 
 class Witness:
-    """The observer, in a separate thread, until it is closed."""
+    """The observer, which runs in a separate thread until it is closed."""
 
     def __init__(self, namespace: str):
         self.namespace = namespace
@@ -78,7 +78,7 @@ class Witness:
             self._places = [self._names.index(name) for name in ("voltage", place, "tripped")]
         voltage, displacement, tripped = (message.position[place] for place in self._places)
         if tripped == DEVICE_FAILED != self.tripped:
-            self.life += 1  # the output of a device that does not answer is unknown
+            self.life += 1  # counts as a restart: the output of a device that does not answer is unknown
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self.rows.append((time.time(), stamp, voltage, displacement, self.life))
         self.tripped = tripped
@@ -164,7 +164,7 @@ class Witness:
 #: Topic of the plant behind the relay, and its remapping.
 SOURCE = "joint_states_of_plant"
 REMAP = (f"plant_simulator:joint_states:={SOURCE}",)
-#: Measurements per spike.
+#: Number of measurements per spike.
 SPIKE_EVERY = 10
 #: Joint of a foreign message.
 FOREIGN = "gripper"

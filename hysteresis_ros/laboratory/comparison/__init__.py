@@ -9,6 +9,6 @@
 
 """Comparison of all controllers and compensators for an axis, under the same conditions.
 
-Read ``tasks`` (references and plants), ``candidates`` (the designs), ``rows`` (a candidate on plants), ``compare`` and
-``table``.
+Start with ``tasks`` (references and plants), ``candidates`` (the designs) and ``rows`` (a candidate on plants);
+``compare`` runs the comparison and ``table`` prints it.
 """

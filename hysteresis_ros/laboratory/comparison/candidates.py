@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The controllers and compensators of the comparison, designed from the models of an axis alone.
+"""The controllers and compensators of the comparison, designed only from the models of an axis.
 
-Designs take :class:`Known`, which is made from a configuration without the section of the plant; it cannot contain a
-drawn plant (:mod:`hysteresis_ros.laboratory.comparison.tasks`).
+Designs take :class:`Known`, which is made from a configuration without the section of the plant, so it cannot contain a
+random plant (:mod:`hysteresis_ros.laboratory.comparison.tasks`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
 from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import single_axis
 
-#: Tried kinds of damping, the simplest first, and the kind for a measured force.
+#: Kinds of damping that are tried, the simplest first; then the kind for a measured force.
 KINDS = ("irc", "ppf")
 BY_FORCE = ("iff",)
 
@@ -93,21 +93,21 @@ def _is_of(name: str, kind: str) -> bool:
     return name == "type" or name.startswith(f"{kind}.")
 
 
-#: Smallest measurement noise of a design, as a part of the stroke, because a filter needs some.
+#: Smallest measurement noise of a design, as a fraction of the stroke; a Kalman filter needs some noise.
 LEAST_NOISE = 1e-6
-#: Periods of the reference for the tuning of a PID.
+#: Number of periods of the reference for the tuning of a PID.
 TUNING_PERIODS = 8
-#: Kinds of learning by their controllers.
+#: Kinds of learning, by the name of the controller.
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
-#: Smallest mismatch of a design.
+#: Smallest mismatch that a design assumes.
 LEAST_MISMATCH = 1e-3
-#: Largest M_s of a loop whose gain and times deviate by the mismatch, as with an unmodelled sample of delay.
+#: Largest M_s of a loop whose gain and times deviate by the mismatch; the same as with an unmodelled sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
 @dataclass(frozen=True)
 class Known:
-    """Known data of an axis: a configuration whose plant is made of the models of compensator and controller."""
+    """What a design may know of an axis: a configuration whose plant consists of its two models."""
 
     configuration: Configuration  #: One axis.
 
@@ -131,7 +131,7 @@ class Known:
 
 
 def known(configuration: Configuration, bits: int) -> Known:
-    """Return the known data of the axis of a configuration, independent of its plant."""
+    """Return what a design may know of the axis of a configuration; it does not depend on the plant."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
     return Known(parse_configuration(text, configuration.source))
@@ -146,7 +146,7 @@ class Candidate:
     #: motion_controller, hysteresis_compensator: Parameters that differ from the configuration.
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
-    refused: str = ""  #: Why it cannot be designed; empty if it can.
+    refused: str = ""  #: Why the candidate cannot be designed; empty if it can.
     margins: Margins | None = None  #: Margins of its loop with its own model.
     #: Unmet requirements of its loop, with its model or with gain and times off by the mismatch; empty if all are met.
     marked: str = ""
@@ -159,7 +159,7 @@ def names(axis: AxisParameters) -> list[tuple[str, str]]:
 
 
 def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
-    """Return every combination, designed or refused by name."""
+    """Return every combination: designed, or with the reason why it is refused."""
     axis, found = given.axis, []
     gains: dict = {}
     learners = {learner(*one): one[1] for one in LEARNERS}
@@ -189,7 +189,7 @@ def _with_margins(given: Known, candidate: Candidate, mismatch: float) -> Candid
 
 
 def compensators(axis: AxisParameters) -> dict[str, dict]:
-    """Return the compensators of an axis: none, the best inverse of its model, and that with its creep."""
+    """Return the compensators of an axis: none, the best inverse of its model, and this inverse with creep."""
     given = axis.hysteresis_compensator
     block = given.hysteresis.model.block
     found = {"none": {"inverse.type": "none"}}
@@ -227,7 +227,7 @@ class Given:
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
-        """Return the change of the command's disturbance per sample by the mismatch [model units]."""
+        """Return by how much the mismatch changes the disturbance of the command per sample [model units]."""
         moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
         moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
         return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
@@ -241,7 +241,8 @@ class Given:
             "kalman.form": "current",
             "kalman.gain": "riccati",
             "kalman.r": float(noise**2),
-            # a filter without disturbance must trust the measurement, otherwise it does not correct the mismatch
+            # without an estimated disturbance the filter must trust the measurement, or it does not correct the
+            # mismatch
             "kalman.q": ((10.0 if disturbance == "none" else 0.1) * change) ** 2,
             "kalman.Q": (),
             "kalman.disturbance": disturbance,
@@ -252,8 +253,8 @@ class Given:
     def tuned(self, kind: str) -> dict:
         """Return gains for the fastest reference, tuned on the models of compensator and controller.
 
-        The tuning has no feedforward, also for a controller beside one: with exact models the feedforward leaves no
-        error, and all gains would be equal.
+        The tuning has no feedforward, even if the controller gets one: with exact models a feedforward leaves no error,
+        and all gains would be equally good.
         """
         key = (kind, *self.compensator.items())
         if key not in self.gains:

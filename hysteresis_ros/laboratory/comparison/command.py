@@ -30,7 +30,7 @@ SILENCE = 10.0
 @click.option("--draws", default=20, show_default=True, help="Plants drawn around the configured one; 0: none.")
 @click.option("--others", default=4, show_default=True, help="Plants of other classes than the model; 0: none.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
-@click.option("--robust", is_flag=True, help="Sliding modes for the worst of plants around the model.")
+@click.option("--robust", is_flag=True, help="Design sliding modes for the worst of the plants around the model.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
@@ -48,9 +48,10 @@ SILENCE = 10.0
 def compare(config, namespace, workers, json_path, best, outputs, sine, triangle, **others):
     """Rank all controllers and compensators for the axis of CONFIG.
 
-    Each is designed from the models in CONFIG, and follows a sine and a triangle on random plants around the configured
-    one. For plants of other classes each is designed from a model identified from their recordings. -o adds a
-    self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    Each one is designed from the models in CONFIG, and follows a sine and a triangle on random plants around the
+    configured plant. For each plant of another class it is designed from a model that was identified from a recording
+    of that plant. -o adds a self-contained HTML file with plots (needs the extra: pip install
+    "hysteresis_ros[report]").
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.identification.parameter_file import write_file
@@ -66,7 +67,7 @@ def compare(config, namespace, workers, json_path, best, outputs, sine, triangle
             require_page(page)  # before minutes of work
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
-    # shown after a while only, because an immediate refusal prints one line
+    # the bar is shown only after a while, because an immediate refusal prints just one line
     comparing = f"comparing on {conditions.draws} plants around it and {conditions.others} of other classes"
     with progress.during(comparing):
         options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}

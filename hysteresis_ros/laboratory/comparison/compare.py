@@ -90,12 +90,12 @@ class Comparison:
 
     @property
     def best(self) -> Row:
-        """The first row around the configured plant that has a rank on the plants of other classes too.
+        """The best row on plants around the configured one that also has a rank on the plants of other classes.
 
         A row with learning does not count, because learning is designed for the period of one reference.
         """
         for row in self.around.rows if self.around is not None else ():
-            learns = row.candidate is not None and row.candidate.learning  # different for each reference
+            learns = row.candidate is not None and row.candidate.learning  # its filters differ for each reference
             if row.ranked and not learns and (self.others is None or _ranked_in(self.others, row)):
                 return row
         raise ConfigurationError(
@@ -105,7 +105,7 @@ class Comparison:
 
 
 def _ranked_in(table: Table, row: Row) -> bool:
-    """Return whether a combination has a rank in another table, or does not occur there."""
+    """Return whether a combination has a rank in another table, or does not occur in it."""
     return all(other.ranked for other in table.rows if other.controller == row.controller and other.results)
 
 
@@ -114,7 +114,7 @@ class Tried(NamedTuple):
 
     seed: int  #: Seed of the plant.
     kind: str  #: Class of its hysteresis.
-    stroke: float  #: Stroke that errors are related to [m].
+    stroke: float  #: Stroke [m]; errors are given as fractions of it.
     rows: list[Row]
     yardstick: Row
 
@@ -152,7 +152,7 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     by_name = [{row.name: row for row in one.rows} for one in tried]
     rows = []
     for name in dict.fromkeys(name for found in by_name for name in found):
-        # without identified creep, the compensator with creep is the one without
+        # if no creep was identified, the compensator with creep is the same as the one without
         plain = name[0], name[1].removesuffix(WITH_CREEP)
         each = [row for found in by_name if (row := found.get(name, found.get(plain))) is not None]
         if len(each) == len(by_name):
@@ -244,8 +244,8 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
     """Return the trial on a plant of another class, and on plants that it may have become since its recording.
 
-    Everything except the plants follows from the recording, also the references, within the range of the model less the
-    mismatch.
+    Everything except the plants follows from the recording. The references are within the range of the model, reduced
+    by the mismatch.
     """
     bench = conditions_bench(conditions)
     plant = drawn(seed, bench)
@@ -271,14 +271,14 @@ def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]
     trial = trial_on_other(seed, conditions)
     plant = trial.plants[0]
     if not isinstance(plant, ForeignPlant):
-        raise TypeError(f"{type(plant).__name__}: not a plant of another class")
+        raise TypeError(f"{type(plant).__name__}: must be a ForeignPlant")
     measure, kind = yardstick(trial), plant.actuator.hysteresis
     rows = compared_with(trial.rows(only), measure)
     return f"plant {seed} of another class ({kind})", Tried(seed, kind, trial.stroke, rows, measure)
 
 
 def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
-    """Refuse combinations that the axis does not have, because they would silently be missing from the tables."""
+    """Refuse combinations that the axis does not have; otherwise the tables would silently lack them."""
     for position, kind in enumerate(("controller", "compensator")):
         known_names = list(dict.fromkeys(name[position] for name in possible))
         for name in (combination[position] for combination in only):
@@ -302,8 +302,8 @@ def compare(
     conditions = conditions or Conditions()
     axis = single_axis(configuration, namespace)
     axis.require_generator(
-        f"{configuration.source}: it has an inchworm's sequencer, and the comparison needs a reference generator; give "
-        "the configuration of a single actuator"
+        f"{configuration.source}: describes an inchworm motor, but the comparison needs a reference generator; give the "
+        "configuration of a single actuator"
     )
     if namespace is not None:
         configuration = parse_configuration(axis.configuration_text(), configuration.source)

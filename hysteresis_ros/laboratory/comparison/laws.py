@@ -44,10 +44,10 @@ class ComparedLaw:
 
 
 def _gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
-    """Return parameters with hyperplane, law and filter that keep the margins; ``place`` as for ``sliding_gains``.
+    """Return parameters with hyperplane, law and filter that keep the margins; ``place`` as in ``sliding_gains``.
 
-    The filter is never faster than the known noise and mismatch require. In a robust comparison the margins hold at the
-    corners of the mismatch, with and without one more sample of delay.
+    The filter is never faster than noise and mismatch require. In a robust comparison the margins hold at the corners
+    of the mismatch, with and without one more sample of delay.
     """
     node = given.axis.motion_controller
     surface = replace(lq_surface(node.sliding_mode, node.model.dynamics), eta=0.0, beta=0.0, delta=1.0)
@@ -78,7 +78,7 @@ def _integral_sliding_mode(given) -> dict:
 
 
 def _integral(given) -> dict:
-    """Return the simplest working controller: integral action beside static feedforward."""
+    """Return the simplest controller that works: static feedforward and integral action."""
     node = given.axis.motion_controller
     gains = design_integral(node.pid, given.dynamics, 1.0 / node.sample_rate).to_mapping()
     named = {f"pid.{name}": value for name, value in gains.items()}

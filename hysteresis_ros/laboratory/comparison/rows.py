@@ -9,8 +9,8 @@
 
 """A candidate on a set of plants: design from known data, a run on each plant, and comparison with a benchmark.
 
-Plants of other classes are treated as by a user: :func:`recorded` drives the plant and measures with its sensor;
-:func:`identified` runs the default identification on that recording and the data sheet of the bench.
+A plant of another class is treated as a user would treat it: :func:`recorded` drives the plant and measures with its
+sensor; :func:`identified` runs the default identification on this recording and the data sheets of the bench.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class Row:
     results: dict[str, Result] = field(default_factory=dict)  #: By name of the task; empty for a refused candidate.
     delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
     refused: str = ""  #: Why there are no results.
-    marked: str = ""  #: Unmet margins of its own model: it is run and shown, but not ranked.
-    #: By name of the task: smallest ratio of the benchmark's error to its own, over the plants.
+    marked: str = ""  #: Unmet margins on its own model; the candidate is run and shown, but not ranked.
+    #: By name of the task: smallest ratio of the benchmark's error to the error of this row, over the plants.
     better: dict[str, float] = field(default_factory=dict)
-    #: Time [s] and error [part of the stroke] on the worst plant of the candidate, by name of the task.
+    #: Time [s] and error [fraction of the stroke] on the worst plant of the candidate, by name of the task.
     errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    candidate: Candidate | None = None  #: Its parameters, if there is only one design.
+    candidate: Candidate | None = None  #: The candidate's parameters, if there is only one design.
 
     @property
     def name(self) -> tuple[str, str]:
@@ -80,7 +80,7 @@ class Row:
 
     @property
     def unstable(self) -> int:
-        """Number of plants with instability on one of the references."""
+        """Number of plants on which a run of one of the references was unstable."""
         return max((result.unstable for result in self.results.values()), default=0)
 
     @property
@@ -109,7 +109,7 @@ class Trial:
     given: Known  #: Data for the designs, with conditions and tasks.
     conditions: Conditions
     tasks: tuple[Task, ...]
-    stroke: float  #: What errors are parts of [m].
+    stroke: float  #: Stroke [m]; errors are given as fractions of it.
     plants: tuple[DrawnPlant, ...]  #: Plants of the runs.
 
     def rows(self, only=None) -> list[Row]:
@@ -149,7 +149,7 @@ def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows with the ratio of the benchmark's error to theirs on the worst plant of each."""
+    """Return the rows, each with the ratio of the benchmark's error to its own on its worst plant."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -159,7 +159,7 @@ def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
 
 
 def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) -> Row:
-    """Return the rows of one combination, each designed from the recording of one plant, as one row."""
+    """Combine the rows of one combination, each designed from the recording of one plant, into one row."""
     pairs = list(zip(rows, plants, strict=True))
     refused = "; ".join(f"{plant}: {row.refused}" for row, plant in pairs if row.refused)
     if refused:
@@ -182,7 +182,7 @@ CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
 #: Large changes of the logarithm of Ki, and of Kp, for the simplex.
 SCALES = (3.0, 1.0)
-#: Requirements of a controller on its own gains; here the plant itself decides, so none are refused.
+#: Requirements on the gains of a controller; here the plant itself decides, so no gains are refused.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
 #: Required gain margin as a factor: 6 dB.
 GAIN_MARGIN = 2.0
@@ -210,7 +210,7 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
 
 
 def _tuned(trial: Trial) -> PidParameters:
-    """Return the gains with the smallest score on the first plant among those with the margins of a candidate there.
+    """Return the gains with the smallest score on the first plant, among those with a candidate's margins on it.
 
     The loop must tolerate 6 dB more gain, and one more sample of delay.
     """
@@ -242,9 +242,9 @@ def _tuned(trial: Trial) -> PidParameters:
     return gains(restarted_nelder_mead(cost, min(starts, key=cost), scale=SCALES, settings=settings).x)
 
 
-#: Random plants around each one, besides itself and its worst corners.
+#: Number of random plants around each plant, besides the plant itself and its worst corners.
 DRAWS = 3
-#: Factors of deviation of a plant, and the :class:`ForeignParameters` that each multiplies.
+#: Factors of the deviation of a plant, and the :class:`ForeignParameters` that each factor multiplies.
 GAIN, OPENING, TIMES, CREEP = range(4)
 
 
@@ -304,10 +304,10 @@ def drawn(seed: int, bench: Bench) -> ForeignPlant:
 
 
 def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
-    """Return the plant, then possible changes of it since its recording: the worst corners, and a few draws.
+    """Return the plant, then plants that it may have become since its recording: at the corners, and random ones.
 
     Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by up to the mismatch;
-    at a corner the first three deviate fully, and the creep with the gain.
+    at a corner the first three deviate fully, and the creep deviates like the gain.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
@@ -333,7 +333,7 @@ def _deviated(actuator: ForeignParameters, factors) -> ForeignParameters:
 
 
 def excitation(bench: Bench) -> np.ndarray:
-    """Return the voltages [V] of a typical recording: minor loops, then many frequencies, then steps."""
+    """Return the voltages [V] of a typical recording: minor loops, then many frequencies at once, then steps."""
     rate = bench.sample_rate
     sample_time, parts = 1.0 / rate, []
     for name, changes in (

@@ -54,7 +54,7 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
 
 
 def _label_decades(axis) -> None:
-    """Label 1, 2 and 5 of each decade, or only 1 for many decades, so that the labels do not overlap."""
+    """Label 1, 2 and 5 of each decade, or if there are many decades only 1, so that the labels do not overlap."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
@@ -101,7 +101,8 @@ COSTS = (
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
-#: Controllers of plotted rows: those of both tables besides the best row, and one whose best row is plotted.
+#: Controllers of the plotted rows, besides the best row: those of both tables, and one of which the best row is
+#: plotted.
 SHOWN = "feedforward"
 
 
@@ -188,7 +189,7 @@ def marks(table: Table) -> list[str]:
 
 
 def unstable(table: Table) -> list[str]:
-    """Return the unstable rows with the number of plants, and whether they were marked."""
+    """Return the unstable rows with the number of unstable plants, and whether the row was marked."""
     return [
         f"{label(row)}: on {row.unstable} plants, {'marked beforehand' if row.marked else 'not marked beforehand'}"
         for row in table.rows
@@ -229,7 +230,7 @@ def write_comparison_page(comparison: Comparison, path) -> None:
 
 
 def to_json(comparison: Comparison) -> dict:
-    """Return everything JSON can hold, in SI units and parts of the stroke; rows in order of rank under ``rows``."""
+    """Return all data that JSON can hold, in SI units and fractions of the stroke; ``rows`` is in order of rank."""
     conditions = comparison.conditions
     return {
         "conditions": {name: getattr(conditions, name) for name in conditions.__dataclass_fields__},
@@ -325,7 +326,7 @@ def best_text(comparison: Comparison) -> str:
         f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
         f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
     )
-    # with an inverse of the dynamics, a waveform with steps needs the limits in the file
+    # with an inverse of the dynamics, a waveform with steps needs limits of motion in the file
     axis = AxisParameters.from_configuration(chosen, single_axis(comparison.configuration).namespace)
     text = with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)
     single_axis(parse_configuration(text, "the best combination"))
@@ -355,7 +356,7 @@ class Ranking(Comparison):  # numpydoc ignore=PR02
         Parameters
         ----------
         path : path-like
-            File to write; its suffix decides.
+            File to write; the suffix decides the content.
 
         Raises
         ------

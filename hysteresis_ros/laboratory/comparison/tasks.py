@@ -31,15 +31,15 @@ from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Time before the first evaluated sample, in which creep and start-up effects decay [s], and fewest periods.
+#: Time before the first evaluated sample, in which creep and start-up effects decay [s]; least number of periods.
 SETTLING = 2.0
 SETTLING_PERIODS = 2
-#: Fewest periods before the first evaluated sample of a controller with learning.
+#: Least number of periods before the first evaluated sample of a controller with learning.
 LEARNING_PERIODS = 10
-#: Evaluated time [s], and fewest periods.
+#: Evaluated time [s], and least number of evaluated periods.
 JUDGED = 4.0
 JUDGED_PERIODS = 4
-#: Longest constant delay of the displacement that does not count as error, as a part of the fastest period.
+#: Longest constant delay of the displacement that does not count as an error, as a fraction of the fastest period.
 ALLOWED_DELAY = 0.1
 
 
@@ -53,11 +53,12 @@ class Conditions:
     draws: int = 20  #: Number of plants around the configured one.
     others: int = 4  #: Number of plants of other classes.
     seed: int = 1  #: Seed of the first plant; the others follow.
-    #: Whether sliding modes are designed for the worst plants within the mismatch, and a sample later.
+    #: Whether sliding modes are designed for the worst plants within the mismatch, with and without another sample of
+    #: delay.
     robust: bool = False
     sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
     triangle_frequency: float = 10.0
-    sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Their peak-to-peak parts of the stroke.
+    sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Their peak-to-peak values, as fractions of the stroke.
     triangle_stroke: float = 0.2
 
     def __post_init__(self):
@@ -219,7 +220,7 @@ class ModelledPlant(DrawnPlant):
 
 @dataclass(frozen=True)
 class ForeignPlant(DrawnPlant):
-    """A plant of another class than any model, behind the limits and the sensor of a modelled one."""
+    """A plant of another class than any model, with the limits and the sensor of a modelled plant."""
 
     parameters: PlantNodeParameters  #: Limits, sensor and sample rate; the rest is not used.
     actuator: ForeignParameters
@@ -246,7 +247,7 @@ class _ForeignInLoop(ActuatorPlant):
     """An actuator with hysteresis, creep and dynamics of another class, in one block."""
 
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
-        # creep and dynamics in the file are models of this block
+        # this block contains creep and dynamics, of which the file has only models
         super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
         block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # instead of a hysteresis
         chain = self.actuator
@@ -256,12 +257,12 @@ class _ForeignInLoop(ActuatorPlant):
         self.arrays = self.arrays._replace(p=chain.ps, x=chain.xs)
 
 
-#: Number of tried delays, from 0 to the longest; a parabola interpolates the best.
+#: Number of delays that are tried, from 0 to the longest; a parabola interpolates between the best ones.
 DELAYS = 41
-#: A stable loop becomes periodic: largest RMS difference between two periods, as a part of the reference; the noise of
-#: a stable loop is far below.
+#: A stable loop becomes periodic. This is the largest RMS difference between two periods, as a fraction of the
+#: reference; the noise of a stable loop is far below.
 LOST = 0.1
-#: A limit cycle may lock to that period: smallest part of the time at the limits that shows one.
+#: A limit cycle may lock to the period of the reference; it shows by at least this fraction of the time at the limits.
 AT_LIMITS = 0.25
 #: Points of the first search for the delay.
 THIN = 4000
@@ -274,7 +275,7 @@ class Followed(NamedTuple):
     displacement: np.ndarray  #: shape (N,); True displacement [m].
     effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
     chattering: float  #: ``chattering_m`` of the command [m rms], as there.
-    saturated: float  #: Part of the evaluated samples at a limit.
+    saturated: float  #: Fraction of the evaluated samples at which the voltage is at a limit.
     #: Whether the plant tripped, was not periodic, or alternated between the limits.
     unstable: bool
 
@@ -288,8 +289,8 @@ class Followed(NamedTuple):
 
     @property
     def thin(self) -> Followed:
-        """The same run at fewer points."""
-        stride = max(len(self.time) // THIN, 1) | 1  # odd: all points within a sample occur
+        """The same run, evaluated at fewer points."""
+        stride = max(len(self.time) // THIN, 1) | 1  # odd, so that every point within a sample occurs
         return self._replace(time=self.time[::stride], displacement=self.displacement[::stride])
 
 
@@ -328,12 +329,12 @@ class Result:
     undelayed: np.ndarray  #: shape (plants,); RMS error against the reference itself, as parts of the stroke.
     effort: np.ndarray  #: shape (plants,); RMS rate of the voltage [V/s].
     chattering: np.ndarray  #: shape (plants,); Chattering of the command [m rms].
-    saturated: float  #: Part of the evaluated samples at a limit, the largest of the plants.
+    saturated: float  #: Fraction of the evaluated samples at a limit, the largest over the plants.
     unstable: int  #: Number of unstable plants.
 
     @property
     def worst(self) -> float:
-        """RMS error on the worst plant, as a part of the stroke."""
+        """RMS error on the worst plant, as a fraction of the stroke."""
         return float(np.max(self.rms))
 
 
@@ -352,13 +353,13 @@ def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float
 
 
 def _scores(mean_squares: dict[Task, np.ndarray]) -> np.ndarray:
-    """Return the logarithm of the score at each delay: that of the worst plant, summed over the references."""
+    """Return the logarithm of the score at each delay: that for the worst plant, summed over references."""
     smallest = np.finfo(float).tiny
     return np.sum([np.log(np.maximum(np.max(values, axis=0), smallest)) for values in mean_squares.values()], axis=0)
 
 
 def _parabola(places, values, fine) -> np.ndarray:
-    """Return the parabola through three points at the positions ``fine``."""
+    """Return the values, at the positions ``fine``, of the parabola through three points."""
     middle = places[1]
     return np.polyval(np.polyfit(places - middle, values, 2), fine - middle)
 

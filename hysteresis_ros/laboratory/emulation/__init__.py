@@ -9,6 +9,6 @@
 
 """Emulated devices, to test drivers and other programs without hardware.
 
-Read ``bench`` (plant, servo, faults) and ``server`` (the link), then a device: ``gcs`` with ``gcs_controller``,
-``iio``, ``nv200``. ``command`` is ``hysteresis emulate``.
+Start with ``bench`` (plant, servo, faults) and ``server`` (the link), then read a device: ``gcs`` with
+``gcs_controller``, ``iio`` or ``nv200``. ``command`` contains ``hysteresis emulate``.
 """

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inside of an emulated device: a plant with its own clock, amplifier and servo, and faults.
+"""The inside of an emulated device: a plant with its own clock, an amplifier, a servo, and faults.
 
 Faults are written like those of an axis, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's own
-clock from its start, or from the time when the fault is added. A fault of single lines affects the first lines in that
-time; the value is their number.
+clock, from its start or from the instant at which the fault is added. A fault of single lines affects the first lines
+in its time; the value is the number of these lines.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Kind(NamedTuple):
     """A kind of fault of a device."""
 
     description: str
-    #: Default of the value; None: it has none.
+    #: Default of the value; None: the fault has no value.
     value: float | None = None
     unit: str = ""
 
@@ -53,7 +53,7 @@ FAULTS = {
 }
 #: Faults of single lines.
 OF_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
-#: Random bytes of a line, with an end.
+#: Number of random bytes of a line, including its end.
 GARBAGE = b"\xff\x00=\xb5 1e9\n"
 
 
@@ -71,7 +71,7 @@ class DeviceFaults:
             self.add(text)
 
     def add(self, text: str) -> None:
-        """Add a fault, with times from now on; ``none`` ends all."""
+        """Add a fault, with times from now on; ``none`` ends all faults."""
         if text == "none":
             self._entries = []
             return
@@ -142,7 +142,7 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest time to catch up with [s], so that a device does not run fast after the machine was suspended.
+#: Longest time that a device catches up with [s]; after a suspend of the machine it must not run fast.
 LONGEST_CATCH_UP = 5.0
 
 #: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
@@ -189,7 +189,7 @@ class EmulatedPlant:
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
         self._actuator = Actuator(parameters, cycle)
-        self._actuator.advance(self._actuator.measure())  # compile now, not at the first query
+        self._actuator.advance(self._actuator.measure())  # compiles now instead of at the first query
         self._actuator.reset()
         self.cycle, self._clock = cycle, clock
         self.limits, self.gain = parameters.limits, self._actuator.hysteresis.gain
@@ -255,7 +255,8 @@ class Servo:
         return self.put_out(self.voltage + step)
 
 
-#: Sample time of an emulated device [s]: slower than a controller, so that Python keeps up beside an axis.
+#: Sample time of an emulated device [s], longer than that of a real controller, so that Python keeps up while an axis
+#: runs too.
 CYCLE = 2.0e-4
 
 
@@ -274,5 +275,5 @@ class Running:
 
     where: str  #: Description with its address.
     driver: Parameters  #: Parameters to open its driver.
-    faults: DeviceFaults  #: Faults may be added while it runs.
+    faults: DeviceFaults  #: The device's faults; more may be added while it runs.
     device: object = None  #: The device itself, to inspect its true state.

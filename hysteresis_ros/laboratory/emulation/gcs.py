@@ -127,7 +127,7 @@ def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, f
 
 
 def require_free(controller: Controller) -> None:
-    """Refuse while the controller has an error or is busy."""
+    """Refuse a command while the controller has an error or is busy."""
     lasting = controller.faults.value("error")
     if lasting is not None:
         raise Refusal(int(lasting))
@@ -137,8 +137,8 @@ def require_free(controller: Controller) -> None:
 
 #: Points of a table, and number of tables.
 LONGEST_WAVE, TABLES = 65536, 8
-#: Numbers after each type: length of the segment, amplitude, offset, length of the curve, start, and those of its
-#: shape; for single points the first one, their number, and the points.
+#: Numbers after each type: length of the segment, amplitude, offset, length of the curve, start, and numbers of its
+#: shape; for single points: the first point, their number, and the points.
 SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}
 
 
@@ -796,7 +796,7 @@ class EmulatedControllerParameters(Parameters):
     model: str = parameter("E-754", choices=tuple(MODELS), description="which controller")
     host: str = parameter("127.0.0.1", description="address to listen on")
     port: int = parameter(50000, description="TCP port; 0: a free one", low=0, high=65535)
-    masters: int = parameter(1, description="most simultaneous connections", low=1, high=100)
+    masters: int = parameter(1, description="maximum number of simultaneous connections", low=1, high=100)
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The emulated GCS controller: its axes in front of plants of the package, wave generator, data recorder and errors."""
+"""The emulated GCS controller: axes with plants of the package, wave generator, data recorder and errors."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ OPTIONS = {
     OPEN_LOOP: "Open-Loop Control of axis",
     VOLTAGE: "Voltage of output chan",
 }
-#: Triggers: the wave generator, also any move, immediately.
+#: Triggers: the wave generator; any move too; immediately.
 BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
@@ -112,7 +112,8 @@ class Recorder:
         return lines + [" ".join(f"{column[row]:.7g}" for column in columns) for row in range(length)]
 
 
-#: Assumed: largest velocity of the servo [m/s], its window [m] and the time in it until it has arrived [s].
+#: Assumed: largest velocity of the servo [m/s], its window [m], and the time within the window after which it has
+#: arrived [s].
 VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
 
 
@@ -140,7 +141,7 @@ class Axis:
 
     @property
     def unit(self) -> float:
-        """Metres of a unit of the axis."""
+        """Metres per unit of the axis."""
         return UNITS[str(self.values[AXIS_UNIT]).lower()]
 
     @property
@@ -242,7 +243,7 @@ class Model:
     axes: int
     #: Number of input signals of sensors and analog inputs.
     inputs: int
-    #: Whether its answers omit leading zeros of parameter numbers.
+    #: Whether answers of the controller omit leading zeros of parameter numbers.
     strips: bool = False
 
 
@@ -272,7 +273,7 @@ class Controller:
         self.recorder = Recorder(names)
         self.axes = {name: Axis(name, EmulatedPlant(plant, cycle, clock), self.recorder) for name in names}
         self.waves: dict[int, list[float]] = {}
-        #: Of each generator: its wave table, number of cycles, and samples per point.
+        #: For each generator: its wave table and number of cycles; then samples per point.
         self.chosen: dict[str, int] = {}
         self.repeats, self.wave_rate = dict.fromkeys(names, 0), 1
         self._error = NO_ERROR

@@ -99,14 +99,14 @@ class Converters:
         if not here:
             self._make(self.input, ADC, self._input_files())
         with contextlib.suppress(OSError, ValueError, IndexError):
-            # an incompletely written number keeps the previous value
+            # while a number is incompletely written, the previous value stays
             told = int((self.output / "out_voltage0_raw").read_text(encoding="ascii").split()[0])
             off = (self.output / "out_voltage0_powerdown").read_text(encoding="ascii").startswith("1")
             self._put_out = 0 if off else min(max(told, 0), LEVELS - 1)
         self._plant.advance()
         raw = self.input / "in_voltage0_raw"
         if "error" in self._faults or "busy" in self._faults:
-            # a folder cannot be read as a file, which imitates a driver that reports an error
+            # reading a folder as a file fails, which imitates a driver that reports an error
             raw.unlink(missing_ok=True) if raw.is_file() else raw.mkdir(exist_ok=True)
         elif "silent" not in self._faults:
             if raw.is_dir():

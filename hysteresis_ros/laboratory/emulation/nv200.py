@@ -10,7 +10,8 @@
 """An emulated NV200/D NET amplifier with its protocol and a simulated plant.
 
 The commands follow the help texts of the manufacturer's package ``nv200`` 1.6. A line is a command with comma-separated
-values; its answer is between XOFF and XON, and empty for a setting; an empty line requests the device's name.
+values. Its answer is enclosed by XOFF and XON, and is empty for a setting. An empty line requests the name of the
+device.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The link of an emulated device over TCP or a serial port, with connections of clients and faults."""
+"""The link of an emulated device over TCP or a serial port: connections of clients, and faults."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def serving(
 
 @contextlib.contextmanager
 def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFaults) -> Iterator[str]:
-    """Serve an emulated device in a separate thread while the context lasts; give the path of its port."""
+    """Serve an emulated device at a serial port, in a thread, while the context lasts; give the port's path."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     leaving, garbler = threading.Event(), Garbler(faults)

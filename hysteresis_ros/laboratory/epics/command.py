@@ -20,16 +20,21 @@ from hysteresis_ros.cli.options import ConfigurationName
 
 @click.command(short_help="Serve axes as EPICS motor records.")
 @click.argument("config", type=ConfigurationName())
-@click.option("--attach", is_flag=True, help="The axes run already: only serve them.")
+@click.option("--attach", is_flag=True, help="Only serve axes that already run.")
 @click.option("--prefix", default="hysteresis:", show_default=True, help="Prefix of the records' names.")
 @click.option("--namespace", help="Only the axis in this namespace.")
 @click.option("--egu", default="um", show_default=True, help="Engineering unit: um, nm, mm, m …")
-@click.option("--precision", default=4, show_default=True, help="Digits behind the point.")
+@click.option("--precision", default=4, show_default=True, help="Digits after the decimal point.")
 @click.option(
-    "--tolerance", type=float, help="Distance that counts as arrived [EGU]; by default trajectory.goal_tolerance."
+    "--tolerance",
+    type=float,
+    help="Distance from the target within which a move has arrived [EGU]; by default trajectory.goal_tolerance.",
 )
 @click.option(
-    "--timeout", default=10.0, show_default=True, help="Time for a move beyond its duration at full speed [s]."
+    "--timeout",
+    default=10.0,
+    show_default=True,
+    help="Time-out of a move, in addition to its duration at full speed [s].",
 )
 @click.option(
     "--interface",
@@ -40,8 +45,8 @@ from hysteresis_ros.cli.options import ConfigurationName
 def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, interface, port):
     """Start the axes of CONFIG, which follow setpoints only, and serve each as an EPICS motor record.
 
-    The record of an axis in the namespace left is hysteresis:left, that of an axis without namespace hysteresis:m1.
-    Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
+    The record of an axis in the namespace `left` is hysteresis:left; the record of an axis without namespace is
+    hysteresis:m1. Exit code 0: after Ctrl-C; 1: a node has died; 2: wrong input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):

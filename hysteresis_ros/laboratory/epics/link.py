@@ -86,7 +86,7 @@ class AxisLink:
                 alarm = STOPPED
             elif not math.isfinite(self._measured):
                 alarm = UNMEASURED
-            # a stopped motor keeps its setpoint but stays where it is
+            # a stopped motor keeps its setpoint, but does not move to it
             setpoint = self._measured if self._stopped else self._setpoint
             return Seen(self._measured, setpoint, alarm)
 

@@ -23,7 +23,7 @@ from hysteresis_ros.references.approach import HIGH, LOW, effective_limits
 from hysteresis_ros.references.moves import Arrival
 from hysteresis_ros.units import UNITS
 
-#: Part of the range that counts as arrived, for an axis without goal tolerance.
+#: Fraction of the range within which a move has arrived, for an axis without goal tolerance.
 NEAR = 0.01
 #: Time for which an inchworm motor's slider must stay near its setpoint [s].
 DWELL = 0.1
@@ -42,9 +42,9 @@ class MotorSettings:
     high: float
     velocity: float  #: velocity, acceleration: Limits of the approach [m/s], [m/s²]; 0: unlimited.
     acceleration: float
-    tolerance: float  #: tolerance, dwell: Distance [m] and dwell time [s] that count as arrived.
+    tolerance: float  #: tolerance, dwell: A move has arrived after the dwell time [s] within this distance [m].
     dwell: float
-    timeout: float  #: Time for a move beyond its duration at full speed [s].
+    timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
     unit: str  #: Engineering unit, one of length.
     precision: int  #: Decimal places.
 
@@ -61,8 +61,8 @@ class RecordOptions:
     prefix: str  #: Prefix of their names.
     unit: str  #: Engineering unit.
     precision: int  #: Decimal places.
-    timeout: float  #: Time for a move beyond its duration at full speed [s].
-    #: Distance that counts as arrived, in engineering units; by default that of the axis.
+    timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
+    #: Distance within which a move has arrived, in engineering units; by default that of the axis.
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
@@ -238,7 +238,9 @@ class MotorRecord:
         self._go(user, now)
 
     def _put_dval(self, dial: float, now: float) -> None:
-        if self.fields["SET"] == "Use":  # the zero of the axis is not that of the record
+        if (
+            self.fields["SET"] == "Use"
+        ):  # otherwise the write changes the record's zero, which is not the zero of the axis
             self._go(self._user(dial), now)
 
     def _put_rlv(self, distance: float, now: float) -> None:
@@ -372,7 +374,7 @@ class MotorRecord:
         if seen.setpoint == target:
             self._taken = True
         elif self._taken or now - self._begun > TAKEN:
-            self._end(MISSED)  # the axis got another setpoint, or does not accept this one
+            self._end(MISSED)  # the axis got another setpoint, or did not accept this one
             return
         if seen.alarm != Alarm() or now - self._begun > self._allowed:
             self._end(MISSED)

@@ -165,7 +165,7 @@ for _name, _field in WRITTEN.items():
 
 
 class RefusedWrites(logging.Filter):
-    """Logs in one line why a write was refused, as reported to the client, without the traceback of caproto."""
+    """Logs a refused write in one line, with the reason that the client gets, without the traceback of caproto."""
 
     def filter(self, record) -> bool:
         """Remove the traceback from the log record of a refused write."""
@@ -179,7 +179,7 @@ class RefusedWrites(logging.Filter):
 
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
     """Serve records until the end."""
-    logging.getLogger("caproto").setLevel(logging.ERROR)  # no messages about busy moments
+    logging.getLogger("caproto").setLevel(logging.ERROR)  # no messages about short overloads
     logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}
 

@@ -40,7 +40,7 @@ def require_caproto() -> None:
 
 
 def interfaces(given: str | None) -> list[str]:
-    """Return the addresses to listen on: given, or of ``EPICS_CAS_INTF_ADDR_LIST``, or the loopback address."""
+    """Return the addresses to listen on: given, else in ``EPICS_CAS_INTF_ADDR_LIST``, else the loopback address."""
     text = given or os.environ.get("EPICS_CAS_INTF_ADDR_LIST", "")
     return text.replace(",", " ").split() or [LOOPBACK]
 
@@ -65,7 +65,7 @@ def serve(
     """Serve motor records until a request to exit or the end of the server; return its exit code."""
     require_ros()
     require_caproto()
-    # clients find starting axes when these can move
+    # clients find an axis only when it can move
     served = {"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses), "wait": bool(axes)}
     request = json.dumps(served)
     with contextlib.ExitStack() as stack:

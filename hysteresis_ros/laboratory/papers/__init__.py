@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repetition of published experiments: one folder per paper, with each claim beside its reproduction.
+"""Repetition of published experiments, one folder per paper: each claim is compared with its reproduction.
 
-Read ``claims`` and ``runs``, then ``reproduction`` of a paper; its ``axis`` has the published values.
+Start with ``claims`` and ``runs``, then read ``reproduction`` of a paper; its ``axis`` contains the published values.
 """

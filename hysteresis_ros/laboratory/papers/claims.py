@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Claims of a paper beside their reproduction, one row per claim: as a table, as JSON, and as a page with plots."""
+"""Claims of a paper and their reproduction, one row per claim: as a table, as JSON, and as a page with plots."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 
 
 def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
-    """Return the figure of the displacements of several runs of one reference [µm, s]: whole, and a part of it.
+    """Return the figure of the displacements of several runs of one reference [µm, s]: whole, and in a window.
 
     Units: ``window`` [s].
     """
@@ -80,7 +80,7 @@ def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
 
 
 def prediction_figure(run: Recording):
-    """Return the figure of a model and the truth over time, and of the error [µm, s]."""
+    """Return the figure of a model and the true displacement over time, and of the error [µm, s]."""
     figure, (whole, error) = new_figure(3.6, 2)
     for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
         label = "truth" if name == "displacement" else "model"
@@ -113,7 +113,7 @@ def response_figure(frequency, measured, fitted):
 
 
 def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
-    """Return the figure of errors over time [µm, s], first all of them, then without the large ones."""
+    """Return the figure of errors over time [µm, s]: first all runs, then those without large errors."""
     figure, axes = new_figure(3.6, 2 if smaller else 1)
     for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
         axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)

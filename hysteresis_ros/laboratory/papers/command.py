@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis reproduce``: a paper's experiments, with each claim beside its reproduction."""
+"""``hysteresis reproduce``: a paper's experiments; each claim is compared with its reproduction."""
 
 from __future__ import annotations
 
@@ -34,10 +34,12 @@ from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
     type=click.Choice(["offline", "ros"]),
     default="offline",
     show_default=True,
-    help="Run the axes by simulation, or by their nodes in lockstep: slower, the same rows.",
+    help="Run the axes by simulation, or by their nodes in lockstep, which is slower and gives the same rows.",
 )
 @click.option(
-    "--jobs", type=click.IntRange(1, 50), help="Graphs of nodes side by side with --through ros; default: cores."
+    "--jobs",
+    type=click.IntRange(1, 50),
+    help="With --through ros: number of graphs of nodes that run in parallel; default: number of cores.",
 )
 def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str, jobs: int | None) -> None:
     """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
@@ -70,7 +72,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
 
 
 def _reproduce_through_nodes(module, jobs: int | None):
-    """Repeat the experiments in the nodes: a simulation first collects all runs, which then run in parallel."""
+    """Repeat the experiments with the nodes: a simulation first collects all runs, then the nodes execute them."""
     import os
 
     from hysteresis_ros.laboratory.papers.graph_runner import GraphRunner, describe

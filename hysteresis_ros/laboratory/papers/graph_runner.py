@@ -28,7 +28,7 @@ from hysteresis_ros.recordings.files import load_run
 
 
 class GraphRunner:
-    """Runs an axis composed, with a recorder, in an isolated ROS domain.
+    """Runs an axis as composed nodes, with a recorder, in an isolated ROS domain.
 
     A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis with an earlier run is not run again,
     because lockstep repeats bit for bit.

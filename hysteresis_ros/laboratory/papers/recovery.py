@@ -9,7 +9,8 @@
 
 """Results of the identification procedures of the three papers on simulated truth, as quoted in the documentation.
 
-The truth is never of the fitted class, except for paper B, where the parameters themselves must be recovered.
+The simulated truth is never of the class of the fitted model, except for paper B, where the parameters themselves must
+be recovered.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ _runner: contextvars.ContextVar[Runner] = contextvars.ContextVar("runner", defau
 
 @contextlib.contextmanager
 def through(runner: Runner):
-    """Use ``runner`` for every axis of the experiments inside the context."""
+    """Use ``runner`` for every axis of the experiments while the context lasts."""
     token = _runner.set(runner)
     try:
         yield
@@ -75,7 +75,7 @@ def run(configuration: Configuration, duration: float) -> Recording:
 class StepFigures:
     """Figures of a run of steps between 0 and one level, of the worst step."""
 
-    #: 2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
+    #: 2 % settling time [s], around the value finally reached; the length of the hold if a step does not settle.
     settling: float
     peak: float  #: Largest displacement [m].
     residual: float  #: Largest magnitude finally reached at zero reference after a motion [m].
@@ -84,7 +84,7 @@ class StepFigures:
 
 
 def step_figures(run: Recording) -> StepFigures:
-    """Evaluate a run of steps by its true displacement less the preload's offset."""
+    """Evaluate a run of steps by its true displacement minus the preload's offset."""
     displacement = run["displacement"] - axis_settings(run).offset
     reference = judged_reference(run)
     responses = step_responses(run.time, reference, displacement)

@@ -9,5 +9,6 @@
 
 """Sweeps: many runs of an axis with varied parameters.
 
-Read ``plan`` (which runs), ``study`` (one run and its figures), ``sweep`` (all of them), ``summary`` and ``page``.
+Start with ``plan`` (which runs), ``study`` (a run and its figures) and ``sweep`` (all runs), then ``summary`` and
+``page``.
 """

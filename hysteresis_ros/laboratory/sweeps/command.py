@@ -48,14 +48,14 @@ REFUSED = 2
     "metrics",
     multiple=True,
     metavar="NAME",
-    help="By default rms_error_m, of an inchworm motor final_error_rms_m; repeatable.",
+    help="Metric to store; by default rms_error_m, for an inchworm motor final_error_rms_m; repeatable.",
 )
 @click.option(
     "--bound",
     "bounds",
     multiple=True,
     metavar="NAME=MAXIMUM",
-    help="Or NAME=MINIMUM:MAXIMUM: which share of the axes meets it; repeatable.",
+    help="Bound of a metric, or NAME=MINIMUM:MAXIMUM; prints the share of the axes that meets all bounds; repeatable.",
 )
 @click.option("--confidence", type=click.FloatRange(0.5, 0.999999), default=0.95, show_default=True)
 @click.option(
@@ -80,9 +80,9 @@ REFUSED = 2
 def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, outputs, json_path, **others):
     """Run CONFIG offline many times with varied parameters, and summarise the metrics.
 
-    All levels are combined, with the same draws of the distributions. Only the named parameters change: with
-    plant_simulator.… the models of compensator and controller stay. Finished runs are stored in F.part; the same
-    command continues there.
+    All levels are combined with each other, and each combination gets the same draws of the distributions. Only the
+    named parameters change: plant_simulator.… does not change the models of compensator and controller. Finished runs
+    are stored in F.part; the same command continues from there.
     """
     from hysteresis_ros.laboratory.sweeps import summary
     from hysteresis_ros.laboratory.sweeps import sweep as outcome
@@ -115,7 +115,7 @@ def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, 
         with progress.during("sweeping", lambda: f"{done[0]} of {plan.runs} runs", lambda: done[0] / plan.runs):
             found = run(Study(axis, variations, names), plan, path, **options)
     except KeyboardInterrupt:
-        click.echo(f"{done[0]} of {plan.runs} runs are stored; the same command continues there", err=True)
+        click.echo(f"{done[0]} of {plan.runs} runs are stored; repeat the same command to continue", err=True)
         raise
     summed = summary.Summary(found, plan, allowed, confidence)
     if page:

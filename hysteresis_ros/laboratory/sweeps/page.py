@@ -24,7 +24,7 @@ from hysteresis_ros.laboratory.sweeps.summary import Summary, lines
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BOUND = dict(color="#222222", linewidth=1.0, linestyle=(0, (4, 3)))
-#: Most points of a scatter plot; of more runs every n-th is drawn.
+#: Maximum number of points of a scatter plot; of more runs only every n-th is drawn.
 POINTS = 5000
 
 
@@ -45,7 +45,9 @@ def share_figure(column: Column, ends: Sequence[float]):
     """Return the figure of the empirical distribution of a metric."""
     figure, (axis,) = new_figure(3.2)
     known = np.sort(column.shown[np.isfinite(column.values)])
-    share = 100.0 * np.arange(1, known.size + 1) / len(column.values)  # all runs count, also without a value
+    share = (
+        100.0 * np.arange(1, known.size + 1) / len(column.values)
+    )  # the share is of all runs, also those without a value
     axis.step(known, share, where="post", color=_COLOURS[0], linewidth=1.4)
     for end in ends:
         axis.axvline(end * column.factor, **_BOUND)
@@ -128,7 +130,7 @@ def write_sweep_page(path, title: str, *, figures: Sequence[tuple[str, object]],
     write_page(path, render_page("sweep.html.j2", title=title, plots=plots, **contents))
 
 
-#: Most parameters against which a metric is drawn.
+#: Maximum number of parameters against which a metric is drawn.
 MOST_DRAWN = 6
 
 

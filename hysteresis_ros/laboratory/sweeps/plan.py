@@ -9,13 +9,14 @@
 
 """Varied parameters with their ranges, and the resulting runs: levels, draws, or the points of a sensitivity analysis.
 
-``1um:5um:lin10`` and ``0.1:2:log20`` are levels evenly spaced or in a constant ratio, ``12,14,16`` are single levels.
-``±5%`` is evenly distributed around the configured value, as ``±2nm`` is; ``uniform(A,B)``, ``loguniform(A,B)``,
-``normal(MEAN,DEVIATION)`` and, around the configured value, ``normal(±5%)``, whose 5 % is the standard deviation.
+Levels: ``1um:5um:lin10`` (evenly spaced), ``0.1:2:log20`` (in a constant ratio) and ``12,14,16`` (single ones).
+Distributions: ``±5%`` and ``±2nm`` (uniform around the configured value), ``uniform(A,B)``, ``loguniform(A,B)``,
+``normal(MEAN,DEVIATION)`` and ``normal(±5%)`` (around the configured value; 5 % is the standard deviation).
 
-Run i has level i mod L of the L combinations of levels and draw i div L of the distributions, so that all levels have
-the same draws, and a longer sweep begins with the shorter one. Draw j of D distributions is numbers j D … (j + 1) D - 1
-of the PCG64 generator of the seed: a point depends only on seed and number, not on the process that computes it.
+Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. So all levels have
+the same draws, and a longer sweep begins with the runs of a shorter one. Draw j of D distributions consists of the
+numbers j D … (j + 1) D - 1 of the PCG64 generator of the seed. So a point depends only on seed and run number, not on
+the process that computes it.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Effects of a number on the configured value.
+#: What a number does to the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
-#: Most levels of one parameter.
+#: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance of the drawn numbers, so that none is at an end, where a normal distribution is infinite.
+#: Half the distance between drawn numbers; it keeps them off the ends, where a normal distribution is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -55,11 +56,11 @@ WAYS = "write 0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), logunifo
 
 
 class Range(ABC):
-    """Range of a parameter, in SI units or in parts of the configured value."""
+    """Range of a parameter, in SI units or relative to the configured value."""
 
     @abstractmethod
     def over(self, row: ParameterRow) -> Levels | Spread:
-        """Return the levels or the distribution for a parameter; raise ValueError if they do not suit it."""
+        """Return the levels or the distribution for a parameter; raise ValueError if they are not possible for it."""
 
     @abstractmethod
     def words(self, unit: str = "") -> str:
@@ -185,7 +186,7 @@ class Spread:
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Positions to check before any run; a normal distribution has no ends, only its mean."""
+        """Positions to check before any run: the ends; for a normal distribution, which has none, the mean."""
         return (0.5,) if self.kind == "normal" else (0.0, 1.0)
 
     def at(self, place: float) -> float:
@@ -206,9 +207,9 @@ class Within(Range):
     Parameters
     ----------
     width : float
-        Largest deviation to each side: a part of the configured value (0.05 is 5 %), or in SI units.
+        Largest deviation to either side: a fraction of the configured value (0.05 is 5 %), or in SI units.
     relative : bool
-        Whether the width is a part of the configured value.
+        Whether the width is a fraction of the configured value.
 
     Examples
     --------
@@ -241,9 +242,9 @@ class Normal(Range):
     mean : float or None
         Mean in SI units; None for the configured value.
     deviation : float
-        Standard deviation in SI units, or a part of the configured value.
+        Standard deviation in SI units, or a fraction of the configured value.
     relative : bool
-        Whether the deviation is a part of the configured value; ``mean`` is None then.
+        Whether the deviation is a fraction of the configured value; ``mean`` is None then.
 
     Examples
     --------
@@ -268,7 +269,7 @@ class Normal(Range):
         Parameters
         ----------
         deviation : float
-            Standard deviation: a part of the configured value (0.05 is 5 %), or in SI units.
+            Standard deviation: a fraction of the configured value (0.05 is 5 %), or in SI units.
         relative : bool
             Whether the deviation is a part of the configured value.
 
@@ -389,12 +390,12 @@ def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float,
 
 
 def _written(value: float, unit: str = "") -> str:
-    """Return a number that reads back as the same bits; a length has its unit."""
+    """Return the text of a number that reads back as the same bits; a length gets its unit."""
     return repr(float(value)).removesuffix(".0") + (unit if unit == "m" else "")
 
 
 def _percent(part: float) -> str:
-    """Return a part in per cent, such that it reads back as the same bits if possible."""
+    """Return a fraction as a text in per cent that, if possible, reads back as the same bits."""
     percents = 100.0 * part
     near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
     return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
@@ -465,7 +466,7 @@ def refused(text: str, value, remedy: str) -> ParameterError:
     return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
-#: Deviations of a plant as a whole, which the models on the controller's side do not include.
+#: Deviations of the plant as a whole; the models of compensator and controller do not follow them.
 DEVIATIONS = {
     "gain": "factor on the displacement of the plant's hysteresis",
     "opening": "factor on the width of its loops",
@@ -503,7 +504,7 @@ class Variation:
     def setting(self, present, place: float):
         """Return the new value of the parameter, and its number in the results."""
         drawn = self.over.at(place)
-        if isinstance(present, tuple) and self.place is None:  # a range of a whole array is a factor
+        if isinstance(present, tuple) and self.place is None:  # the range of a whole array is a factor
             return tuple(drawn * value for value in present), drawn
         before = present if self.place is None else present[self.place]
         value = drawn
@@ -615,7 +616,7 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
     value = present[place] if place is not None else present
     if over.does == FACTOR and not np.any(value):
         raise refused(
-            target, words, "is configured as 0, and a relative change has no effect: give ± with a unit, or values"
+            target, words, "is configured as 0, so a relative change has no effect: give ± with a unit, or values"
         )
 
 
@@ -654,7 +655,7 @@ def _deviating(plant, gain=1.0, opening=1.0, slowness=1.0, creep_rate=1.0):
 
 #: Default number of runs with distributions.
 DRAWS = 1000
-#: Most runs of one sweep.
+#: Maximum number of runs of one sweep.
 MOST_RUNS = 10**9
 RANDOM, SOBOL, MORRIS = "random", "sobol", "morris"
 MORRIS_LEVELS = 4

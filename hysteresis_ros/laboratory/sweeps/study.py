@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One run of a sweep with its metrics, and several runs as a job for any process."""
+"""A run of a sweep with its metrics, and jobs of several runs that any process can execute."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParam
 
 #: Metric: number of moves that did not arrive.
 NOT_ARRIVED = "not_arrived"
-#: Figures of moves: which one of all moves counts, and its label.
+#: Figures of moves: function that selects the move that counts, and label.
 _WORST: dict[str, tuple[Callable, str]] = {
     "final_error_rms_m": (max, "Final error, worst move"),
     "final_error_max_m": (max, "Final error, largest, worst move"),
@@ -53,7 +53,7 @@ _WORST: dict[str, tuple[Callable, str]] = {
     "overshoot_m": (max, "Overshoot, worst move"),
     "walking_speed_m_s": (min, "Speed of walking, slowest move"),
 }
-#: Figures that a motor without arrival does not have.
+#: Figures that a motor that did not arrive does not have.
 _OF_ARRIVALS = ("final_error_rms_m", "final_error_max_m", "time_s")
 #: Figures of the configuration and of clocks, which do not depend on a run.
 _OF_GAITS = ("gait_speed_m_s", "stroke_m", "period_s", "clamp_threshold_v")
@@ -78,8 +78,8 @@ def judged_motor(
 ) -> list[float]:
     """Return metrics of a run of an inchworm motor; NaN for those without meaning.
 
-    All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a place the worst one
-    counts, and a run in which one did not arrive has neither time nor final error.
+    All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a setpoint the worst
+    one counts, and a run in which a move did not arrive has neither time nor final error.
     """
     recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
     found = figures_of(inchworm_run(recording, settings), recording)
@@ -124,12 +124,13 @@ def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) ->
 
 
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
-    """Return metrics of a new run; NaN for those without meaning.
+    """Return metrics of a run; NaN for those without meaning.
 
-    Errors are those of the true displacement between the samples, less the preload of the controller's model, against
-    the reference delayed by its preview. The reference is linear between samples, except at jumps. All else is defined
-    at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of a plant with a
-    camera, and all metrics of an inchworm motor (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+    Errors are those of the true displacement, also between the samples, minus the preload offset of the controller's
+    model, against the reference delayed by its preview. The reference is linear between samples, except at jumps. All
+    other metrics are defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), and so are the
+    errors of a plant with a camera and all metrics of an inchworm motor
+    (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)
@@ -151,7 +152,7 @@ def _between_samples(
 ) -> dict[str, float]:
     """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one.
 
-    The integral, which takes a large part of the time of a short run, is computed only on request.
+    The integral is computed only on request, because it takes a large part of the time of a short run.
     """
     reference = delayed(signals["reference"], settings.preview)
     sample_time = actuator.dynamics.sample_time
@@ -171,7 +172,7 @@ def _between_samples(
 
 
 def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
-    """Return the change of the reference within each sample: up to the next sample, but 0 before a jump."""
+    """Return the change of the reference from each sample to the next; 0 before a jump."""
     around = np.concatenate([[0.0], np.abs(step), [0.0]])
     before, size, after = around[:-2], around[1:-1], around[2:]
     return np.where(size - np.maximum(before, after) > JUMP * stroke, 0.0, step)
@@ -179,8 +180,8 @@ def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
 
 #: Lock for compilation and Python code, which run in one thread of a worker at a time.
 _ONE_AT_A_TIME = threading.Lock()
-#: A block of this size [bytes] is allocated and freed before the runs; the C library of Linux then keeps the freed
-#: memory of the runs. Otherwise the system maps every page of their tables again, 440 pages per run.
+#: A block of this size [bytes] is allocated and freed before the runs. The C library of Linux then keeps the memory
+#: that runs free; otherwise the system would map every page of their tables again, 440 pages per run.
 KEPT = 31 * 2**20
 
 
@@ -208,15 +209,15 @@ class Study:
 
     @functools.cached_property
     def _of_plant(self) -> bool:
-        """Whether only the plant varies, which does not affect the expected range of an axis."""
+        """Whether only the plant varies; the expected range of an axis then stays the same."""
         return all(one.node == PLANT for one in self.variations)
 
     def runs(self, first: int, points: np.ndarray) -> Runs:
         """Execute some runs, each from rest."""
         if self.version != hysteresis_ros.__version__:
             raise ConfigurationError(
-                f"version {hysteresis_ros.__version__} of the package is installed on the worker, and the sweep needs "
-                f"{self.version}: install the same version"
+                f"version {hysteresis_ros.__version__} of the package is installed on the worker, but the "
+                f"sweep needs {self.version}: install the same version"
             )
         np.empty(KEPT, dtype=np.uint8)
         found = Runs(first, [], {})

@@ -12,8 +12,8 @@
 The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it contains all shares for which the
 observation is not too unlikely, and covers any true share with at least the stated confidence.
 
-The sensitivities are SALib's (Herman and Usher, J. Open Source Software 2 (9), 2017), on the runs of a plan for this
-purpose: Saltelli's for Sobol, trajectories for Morris.
+SALib computes the sensitivities (Herman and Usher, J. Open Source Software 2 (9), 2017) from runs that are planned for
+them: Saltelli's points for Sobol, trajectories for Morris.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Bound:
     high: float
 
     def met(self, values: np.ndarray) -> np.ndarray:
-        """Return whether each value lies within; NaN does not."""
+        """Return whether each value lies within the bound; NaN does not."""
         return (values >= self.low) & (values <= self.high)
 
     def __str__(self) -> str:
@@ -72,14 +72,14 @@ class Bound:
 class Yield:
     """Yield: the share of the runs that meet all bounds."""
 
-    good: int  #: good, runs: Number of runs that meet them, and of all.
+    good: int  #: good, runs: Number of runs that meet the bounds, and of all runs.
     runs: int
     low: float  #: low, high: Interval of the share.
     high: float
 
     @property
     def share(self) -> float:
-        """Part of the runs that meet all bounds."""
+        """Fraction of the runs that meet all bounds."""
         return self.good / self.runs
 
     def __str__(self) -> str:
@@ -145,7 +145,7 @@ class Sensitivity:
 
     metric: str
     labels: tuple[str, ...]  #: What varies.
-    #: shape (variations,); For Sobol ``first`` and ``total``, parts of the variance; for Morris ``mean`` (of the
+    #: shape (variations,); For Sobol ``first`` and ``total``, fractions of the variance; for Morris ``mean`` (of the
     #: absolute effects) and ``deviation``, in SI. ``…_interval`` is half the width of each confidence interval.
     columns: dict[str, np.ndarray]
     why: str = ""  #: Why there is no sensitivity.
@@ -189,9 +189,9 @@ def _morris(plan: Plan, values: np.ndarray, confidence: float) -> dict[str, np.n
     return {"mean": found["mu_star"], "mean_interval": found["mu_star_conf"], "deviation": found["sigma"]}
 
 
-#: Most combinations of levels that are listed.
+#: Maximum number of combinations of levels that are listed.
 LISTED = 25
-#: Part of the runs beyond the stated quantile.
+#: Fraction of the runs beyond the stated quantile.
 TAIL = 0.05
 SIX = 6  # digits of a printed parameter
 
@@ -204,7 +204,7 @@ class Summary:
     plan: Plan
     bounds: tuple[Bound, ...] = ()
     confidence: float = 0.95  #: Confidence of all intervals.
-    #: Sensitivity of each metric, if the plan is made for it.
+    #: Sensitivity of each metric, if the plan is made for a sensitivity analysis.
     sensitivities: tuple[Sensitivity, ...] = field(init=False)
 
     def __post_init__(self):

@@ -9,8 +9,8 @@
 
 """Execution of a sweep: the runs of a plan in parallel, stored as they finish, and resumed after an interruption.
 
-The first line of the journal defines the sweep, each further line contains some runs. Numbers read back as the same
-doubles. A line that was cut off is ignored, and its runs are repeated.
+The first line of the journal defines the sweep; each further line contains some runs. Numbers read back as the same
+doubles. A cut-off line is ignored, and its runs are repeated.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from hysteresis_ros.files import read_arrays, replacing
 from hysteresis_ros.laboratory.sweeps.plan import RANDOM, Plan, settings
 from hysteresis_ros.laboratory.sweeps.study import Runs, Study, make_runs
 
-#: Suffix of the journal, after the name of the results.
+#: Suffix of the journal, appended to the name of the results.
 SUFFIX = ".part"
-#: Beginning of the first line.
+#: Beginning of the first line of a journal.
 KIND = "hysteresis sweep 1"
 
 
@@ -51,7 +51,7 @@ class Journal:
         except OSError:
             self._file.close()
             raise ConfigurationError(
-                f"{self.path}: another sweep writes this file; choose another -o, or wait"
+                f"{self.path}: another sweep is writing this file; choose another -o, or wait"
             ) from None
         try:
             self.found = self._read(about)
@@ -210,11 +210,11 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
     return {name: table[name].to_numpy() for name in table.column_names}, text
 
 
-#: Samples of one job, about a third of a second of work, and most runs per job.
+#: Number of samples of one job, about a third of a second of work, and maximum number of runs per job.
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
-#: Number of workers above which jobs get longer, so that their distribution keeps up.
+#: Number of workers above which jobs get longer, so that distributing them keeps up.
 CROWD = 64
-#: Samples below which parallel processes are not worthwhile.
+#: Number of samples below which parallel processes do not pay off.
 FEW = 3_000_000
 
 

@@ -29,7 +29,7 @@ from hysteresis_ros.laboratory.watch.server import Server
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 
-#: Time that open pages get at the end, and interval at which other events are checked [s].
+#: Time that open pages get to close at the end [s], and interval at which other events are checked [s].
 PATIENCE, LOOK = 1.0, 0.2
 
 

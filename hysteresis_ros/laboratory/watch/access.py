@@ -9,9 +9,9 @@
 
 """Access control and request format of the page of an axis; no ROS, no web server.
 
-A foreign page that is open in a browser of the laboratory can send requests to this machine. It cannot send this
-server's origin (``Origin``) or name (``Host``; under "DNS rebinding" the name stays the foreign one), and it does not
-know the token. Every request is checked before it reaches the axis.
+A foreign page that is open in a browser of the laboratory can send requests to this machine. But it cannot send the
+origin of this server (``Origin``) or its name (``Host``; with "DNS rebinding" it remains the name of the foreign page),
+and it does not know the token. Every request is checked before it reaches the axis.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ class Access:
         """Return why a request's ``Host`` is refused; empty when it is accepted."""
         name = _host_name(host)
         if is_loopback(self.address):
-            return "" if name and is_loopback(name) else f"Host {host!r}: this page is called by localhost or 127.0.0.1"
+            return "" if name and is_loopback(name) else f"Host {host!r}: open this page as localhost or 127.0.0.1"
         own = socket.gethostname().lower()
         try:
             ipaddress.ip_address(name)
         except ValueError:
             known = ("localhost", own, f"{own}.local", socket.getfqdn().lower())
-            return "" if name in known else f"Host {host!r}: this page is called by its address, or by {own}"
+            return "" if name in known else f"Host {host!r}: open this page by its address, or as {own}"
         return ""
 
     def refuses_token(self, given: str) -> str:
@@ -98,7 +98,7 @@ class Access:
 
 
 class Control:
-    """Write access for one of several pages: the first, until it closes or another one takes over."""
+    """Write access for one of several pages: the first page has it until it closes or another page takes over."""
 
     def __init__(self) -> None:
         self._holder: int | None = None
@@ -137,7 +137,7 @@ class Control:
 #: Services of an inchworm motor that a page may call.
 SERVICES = ("home", "release", "learn", "freeze", "forget")
 
-#: Longest text of a marker, most parameters in one request, longest value.
+#: Longest text of a marker, maximum number of parameters in one request, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
 #: Allowed windows of time [s] and columns of the screen.
 WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)

@@ -117,7 +117,7 @@ def _unused(path: pathlib.Path) -> pathlib.Path:
 LOOK, ANSWER = 1.0, 5.0
 #: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Nodes to start, in this order; nodes that stop the motion when the plant is not one of this package.
+#: Nodes to start, in this order; nodes to stop if the plant is not one of this package.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 #: Time in which the nodes must notice that the plant has started, and polling interval [s].
@@ -205,7 +205,7 @@ class AxisLink:
 
     @staticmethod
     def _do(job: Callable[[], Any], answer: Future) -> None:
-        """Do something for a page unless its request was cancelled; an error becomes the answer."""
+        """Execute a job for a page, unless its request was cancelled; an error becomes the answer."""
         if not answer.set_running_or_notify_cancel():
             return
         try:
@@ -236,13 +236,13 @@ class AxisLink:
             try:
                 self.values[node] = values_of(self._client, self._client.full_name(node))
             except AbsentError:
-                return  # the node is starting or exiting: the next check decides
+                return  # the node is starting or exiting; the next check will show which
             self.version += 1
         if self._axis is None and len(self.values) >= len(signals.kind_of(self.values).nodes):
             self._introduce()
 
     def _introduce(self) -> None:
-        """All nodes are present: read what the axis is, and how its samples are published."""
+        """All nodes are present: read the parameters of the axis, and how it publishes its samples."""
         try:
             self._axis = axis_of(self.namespace, self.values)
         except HysteresisError as error:
@@ -291,7 +291,9 @@ class AxisLink:
     def _take(self, block: Block) -> None:
         if self._axis is None or not block.numbers.size:
             return
-        if not self.memory.add(block):  # the axis has restarted: its parameters may have changed
+        if not self.memory.add(
+            block
+        ):  # the samples do not follow: the axis has restarted, and its parameters may have changed
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
@@ -331,7 +333,7 @@ class AxisLink:
     # -- state for the page ----------------------------------------------------------------------------------------
 
     def tables(self) -> dict:
-        """Return what a page shows beside the signals: parameters with units and ranges, and limits."""
+        """Return what a page shows besides the signals: parameters with units and ranges, and limits."""
         values = dict(self.values)
         axis = self._axis
         return {
@@ -373,7 +375,7 @@ class AxisLink:
         deadline = time.monotonic() + HEARS
         for node in [node for node in STARTED if node in self.values]:
             answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
-            # the plant has started: the other nodes notice it with their next sample
+            # after the start of the plant the other nodes notice it with their next sample
             while not answer.success and said and time.monotonic() < deadline:
                 time.sleep(AGAIN)
                 answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
@@ -385,7 +387,7 @@ class AxisLink:
         return "started"
 
     def hold(self) -> str:
-        """Hold the reference where it is; return the text of the answer."""
+        """Hold the reference at its present value; return the text of the answer."""
         self.call("stop")
         return "the reference holds; start resumes it"
 

@@ -18,11 +18,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import signal
 
-#: Most samples that are kept: one minute at 20 kHz, less at higher rates.
+#: Maximum number of stored samples: one minute at 20 kHz, less at higher rates.
 MOST_SAMPLES = 1_200_000
 #: Spectrum: largest and smallest segment length [samples], and number of segments.
 LONGEST, SHORTEST, SEGMENTS = 16384, 64, 4
-#: Most points of a spectrum, logarithmically spaced in frequency.
+#: Maximum number of points of a spectrum, logarithmically spaced in frequency.
 POINTS = 320
 
 
@@ -75,7 +75,7 @@ def extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return the points of a curve of several signals where one of them has its minimum or maximum in a bin."""
+    """Return the points of a curve of several signals at which one of them has its minimum or maximum in a bin."""
     rows = len(table)
     if length <= 2 * rows:
         return table

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""State of a watched axis: the samples of the last minute, figures of them, and the state of a motor.
+"""State of a watched axis: the samples of the last minute, figures computed from them, and the state of a motor.
 
 Samples of an axis whose nodes exchange messages are assembled from the ``~/state`` of each node.
 """
@@ -28,9 +28,9 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.samples import SECOND, Block
 from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
 
-#: An incomplete sample is shown when a sample is newer by this time [ns].
+#: An incomplete sample is shown when there is a sample that is newer by this time [ns].
 PART_PATIENCE = 300_000_000
-#: Most incomplete samples that are kept.
+#: Maximum number of incomplete samples that are kept.
 MOST_PENDING = 20_000
 
 
@@ -67,7 +67,7 @@ class Collector:
         return self._places[key]
 
     def take(self) -> Block:
-        """Return the complete samples, and the older ones that will stay incomplete."""
+        """Return the complete samples, and the older samples that will stay incomplete."""
         whole = sum(self._bits.values())
         newest = max(self._pending, default=0)
         ready = [stamp for stamp, (_, seen) in self._pending.items() if seen == whole or stamp < newest - PART_PATIENCE]
@@ -135,7 +135,7 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        # a motor's controller follows the slider minus an origin; while walking this is the extender
+        # the controller of a motor measures the slider minus an origin, which is the extender while the motor walks
         origin = table[signals.ORIGIN] if self.motor else 0.0
         own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
         return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])
@@ -178,7 +178,7 @@ class Memory:
         return View(window, columns, self.rate, self.epoch, self.motor)
 
     def figures(self) -> dict[str, float | None]:
-        """Return the rms and the largest error of the last seconds [m], and the last values of the signals."""
+        """Return RMS and largest error of the last seconds [m], and the last values of the signals."""
         error = self.last("error", FIGURES)
         known = error[np.isfinite(error)]
         values = {"rms": float("nan"), "largest": float("nan")}

@@ -38,7 +38,7 @@ LONGEST, WAITING = 64 * 1024, 32
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
 #: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0
-#: Most open pages; most connections; time in which a new connection must send a request [s].
+#: Maximum numbers of open pages and of connections; time in which a new connection must send a request [s].
 MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0
 #: Headers for the browser: nothing from other origins, no embedding in other pages, no caching.
 HEADERS = {
@@ -49,7 +49,7 @@ HEADERS = {
 }
 _PAGE = pathlib.Path(__file__).with_name("page")
 _ASSETS = pathlib.Path(__file__).resolve().parents[2] / "analysis" / "assets"
-#: Everything that GET serves beside the socket.
+#: Everything that GET serves besides the socket.
 FILES = {
     "/": _PAGE / "index.html",
     **{f"/{path.name}": path for path in sorted(_PAGE.iterdir()) if path.suffix in (".js", ".css", ".svg")},
@@ -108,7 +108,7 @@ class Server:
         if refused:
             return web.Response(status=403, text=f"hysteresis watch: {refused}\n", headers=HEADERS)
         if request.path == "/" and request.query.get("token"):
-            # redirect, so that the token is in no browser history and no screenshot
+            # redirect, so that the token does not appear in a browser history or a screenshot
             response: web.StreamResponse = web.Response(status=303, headers={"Location": "/", **HEADERS})
             response.set_cookie(COOKIE, given, httponly=True, samesite="Strict")
             return response
@@ -182,7 +182,7 @@ class Server:
         return socket
 
     async def _heard(self, page: Page, message) -> None:
-        """Queue a request; a stop is done at once."""
+        """Queue a request; a stop is executed at once."""
         try:
             if message.type != WSMsgType.TEXT:
                 raise RequestError("a request must be text, in JSON")
@@ -212,7 +212,7 @@ class Server:
             await page.say(answer=request.number, ok=False, text=" ".join(str(error).split()))
 
     async def _draw(self, page: Page) -> None:
-        """Send a page its frames; a slow page gets fewer frames, each with all samples since the last one."""
+        """Send a page its frames; a slow page gets fewer frames, each with all samples since the previous frame."""
         memory = self.link.memory
         while True:
             begun = time.monotonic()

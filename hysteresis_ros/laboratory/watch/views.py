@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Data of a page: frames of the samples, and a table of the parameters in use; no ROS, no web server.
+"""Data of a page: frames of the samples, and a table of the parameters in use. Needs neither ROS nor a web server.
 
 A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, followed by
 numbers, float32, little-endian: for each signal in the header and each column of the screen the minimum and the maximum
@@ -31,7 +31,8 @@ from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, Node
 from hysteresis_ros.references.waveforms import Waveform
 from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
 
-#: Signals over time (from the row or calculated here), and signals of the loops: displacement over voltage and command.
+#: Signals over time (from the row or calculated here), and signals of the loops: displacement against voltage and
+#: command.
 SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
 LOOP = ("voltage", "command", "measured")
 #: The same for an inchworm motor; command and voltage are those of its extender.
@@ -39,7 +40,7 @@ MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", 
 MOTOR_LOOP = ("voltage", "command", "extender")
 #: Longest window of the loops [s], and number of bins in it.
 LOOP_TIME, LOOP_COLUMNS = 4.0, 1000
-#: Time that is kept [s].
+#: Length of the stored history [s].
 MEMORY = 60.0
 
 
@@ -52,7 +53,7 @@ class Part:
     next: int = -1  #: Next bin to send; -1: none sent yet.
 
     def due(self, history: History) -> tuple[bool, int, np.ndarray]:
-        """Return whether the page restarts, the first bin that is due, and the samples of all bins that are due."""
+        """Return whether the page restarts, the number of the first due bin, and the samples of all due bins."""
         end = history.end // self.length
         begin = max(-(-history.begin // self.length), end - self.bins)
         fresh = not begin <= self.next <= end
@@ -106,7 +107,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters in use: of several models and laws only those of the selected one."""
+    """Yield the names of the parameters in use; of models and laws only the parameters of the selected one are."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:

@@ -106,7 +106,7 @@ def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dic
         if not mark:
             problems.append(Problem(word, None, f"write NAME=VALUE; names are {', '.join(rows)}"))
         elif name not in rows:
-            allowed = f"there is no such parameter; there are {', '.join(rows)}{did_you_mean(name, rows)}"
+            allowed = f"there is no such parameter; the parameters are {', '.join(rows)}{did_you_mean(name, rows)}"
             problems.append(Problem(name, text, allowed))
         else:
             try:

@@ -35,7 +35,7 @@ REDUCTION = {"pid": 95.42, "inverse": 97.82}  # %
 
 # Computed for the assumed experiment, see the assumptions below.
 LIMITED_IAE = {"pid": 9.65e-6, "inverse": 8.09e-6}  # m s, 0 … 150 V
-#: Reduction by the inverse with a parameter of its model off by that part [%]: lowest, highest.
+#: Reduction [%] by an inverse with a parameter of its model wrong by the given fraction: lowest, highest.
 OFF = {("d_e", 0.01): (92.0, 93.0), ("alpha", 0.05): (85.0, 87.0)}
 STROKE_150 = 17.19e-6  # m
 MISPRINTED = 93.9e-6  # m
@@ -85,7 +85,7 @@ CAMERA = "camera: 25 frames a second, 50 nm rms of noise, no delay; the whole ax
 
 
 def at_rate(configuration: Configuration, rate: float) -> Configuration:
-    """Return the axis sampled at ``rate`` [Hz], the dynamics of plant and model discretised anew from G2."""
+    """Return the axis sampled at ``rate`` [Hz]; the dynamics of plant and model are discretised again from G2."""
     (gain,), (_, damping, stiffness) = G2
     A, B = zero_order_hold([[0.0, 1.0], [-stiffness, -damping]], [0.0, gain], 1.0 / rate)
     changed = configuration.override("", sample_rate=rate)
@@ -163,5 +163,5 @@ def mean_error(recording: Recording) -> float:
 
 
 def reduction(value: float, without: float) -> float:
-    """Return by how much ``value`` is less than ``without`` [%]."""
+    """Return by what percentage ``value`` is less than ``without``."""
     return 100.0 * (1.0 - value / without)

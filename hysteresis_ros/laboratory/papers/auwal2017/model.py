@@ -96,7 +96,7 @@ def identified() -> Identified:
     loading = auwal.PEAK_VOLTAGE * (1.0 - np.abs(time / 4.0 - 1.0))
     voltage = np.where(time < 8.0, loading, np.where(time % 1.0 < 0.5, auwal.PEAK_VOLTAGE, 0.0))
     noise = auwal.IDENTIFICATION["mse"] ** 0.5 * np.random.default_rng(SEED).standard_normal(time.size)
-    # in µm, the paper's unit
+    # displacements in µm, the unit of the paper
     measured = simulate_transfer_function(*PUBLISHED_G4, voltage, sample_time, "zoh") + noise
     poles = np.roots(PUBLISHED_G4[1])
     fit = fit_transfer_function(voltage, measured, sample_time, Structure(4, 1), search=Search(1, poles))
@@ -111,7 +111,7 @@ def bouc_wen_found() -> PaperB:
 
 
 def misprinted(peak: float) -> float:
-    """Return the displacement [m] after a triangle to ``peak`` [V] and back with |V̇| V in place of |V̇| h (eq. 7)."""
+    """Return the displacement [m] after a triangle to ``peak`` [V] and back, with |V̇| V instead of |V̇| h (eq. 7)."""
     p = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME).p
     h, step = 0.0, peak / STEPS
     for k in range(2 * STEPS):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The scanner of Fleming, Aphale & Moheimani 2010 as far as the paper's abstract describes it, and its controllers."""
+"""The scanner of Fleming, Aphale & Moheimani 2010, as far as the abstract describes it, and its controllers."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
 def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerParameters:
     """Return damping and tracking as in the paper: an integrator in front of C₂(s) = −k/(s − k D_f).
 
-    Here the law's output enters behind C₂, so the law has the pole of C₂ as well: gain k/(γ s (s + N)), N = −k D_f, is
-    a PID with derivative filter N.
+    Here the law's output enters after C₂, so the law must contain the pole of C₂ too. The law gain k/(γ s (s + N)) with
+    N = −k D_f is a PID with derivative filter N.
 
     Units: ``gain`` [1/s], ``k`` [1/s].
     """

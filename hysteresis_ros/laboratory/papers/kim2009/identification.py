@@ -124,7 +124,7 @@ def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -
     u = random.standard_normal(samples)
     y = LinearDynamics(LinearParameters(**structure, output_scale=1e-6), 1.0 / rate).simulate(u)
     y += noise * y.std() * random.standard_normal(samples)
-    # a block responds at the end of its sample: u[k] affects y[k], not only the next sample
+    # a block returns the response at the end of its sample: u[k] already affects y[k]
     response = welch_response(u[1:], y[:-1], 1.0 / rate, segment=8192).band(135.0, 1135.0)
     fit = identify_matrix_fraction(response)
     mode = fit.model.modes[0]

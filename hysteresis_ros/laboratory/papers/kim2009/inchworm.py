@@ -10,7 +10,7 @@
 """Figures of the inchworm axis: moves in both directions, spread of the step length, speed, and random sequences.
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.inchworm`` prints them all; ``--moves``, ``--plants`` and
-``--sequences`` say how many.
+``--sequences`` set the numbers of runs.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Move:
     """Result of one setpoint."""
 
     setpoint: float  #: [m].
-    error: float  #: RMS of displacement less setpoint over the last part of the move [m].
+    error: float  #: RMS of displacement minus setpoint over the last part of the move [m].
     overshoot: float  #: Largest displacement beyond the setpoint in the direction of the move [m].
     duration: float  #: Time until the sequencer reports arrival, to the next eighth of a second [s].
     steps: int  #: Steps made.
@@ -86,7 +86,7 @@ def _place(axis: Axis) -> float:
 
 
 def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0) -> Move:
-    """Go to ``setpoint`` [m] and stay there for ``hold`` [s] after a wait of as long."""
+    """Go to ``setpoint`` [m], wait for ``hold`` [s], and evaluate the next ``hold`` [s]."""
     rate, x = axis.sample_rate, sequencer_of(axis).x
     way = np.sign(setpoint - _place(axis))
     steps, beyond, elapsed, arrived = x[at.TOTAL_STEPS], 0.0, 0.0, False

@@ -10,9 +10,9 @@
 """Figures of continuous walking over the phase: deviation of the slider from its path before and after learning.
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor differs from its models: its
-extender is drawn around the configured one, and its voltages come a sample late. It is simulated at four times the
-sample rate, and its errors are those of the true displacement there. The correction learned at one speed is used at
-others.
+extender is drawn at random around the configured one, and its voltages are a sample late. The motor is simulated at
+four times the sample rate, and errors are those of the true displacement at this rate. The correction that was learned
+at one speed is used at other speeds.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hysteresis_ros.references.inchworm_walk import carried
 
 #: Simulated points per sample.
 INSTANTS = 4
-#: Speed of learning [m/s], and walking speeds as parts of it.
+#: Speed of learning [m/s], and walking speeds as multiples of it.
 SPEED = 5.0e-5
 PARTS = (0.2, 0.5, 1.0, 2.0, 3.0)
 #: Numbers of learned cycles, of cycles before an evaluated part, and of evaluated cycles.
@@ -48,7 +48,7 @@ LAG = 1.5e-5
 
 
 def contacts(kick: float) -> dict[str, float]:
-    """Return the plant's parameters with contacts of compliance 20 nm/N and a kick of ``kick`` [m/N]; 0: rigid ones."""
+    """Return the plant's parameters with contacts of 20 nm/N and a kick of ``kick`` [m/N]; 0: rigid contacts."""
     if not kick:
         return {}
     found = {"inchworm__slider__damping": 0.03, "inchworm__slider__substeps": 0}
@@ -71,10 +71,10 @@ def _finer(plant) -> InchwormPlantParameters:
 class Deviation:
     """Deviation of the slider from a constant speed."""
 
-    #: RMS of path less slider over whole cycles [m]; the path has the speed that was asked for, and begins in each
-    #: cycle where the slider stands.
+    #: RMS of path minus slider over whole cycles [m]. The path has the requested speed, and begins each cycle at the
+    #: position of the slider.
     off_path: float
-    ripple: float  #: The same against the mean speed and position of the slider, which leaves the periodic part [m].
+    ripple: float  #: RMS deviation from the mean speed and position of the slider, that is of the periodic part [m].
     speed_error: float  #: Relative error of the mean speed.
 
 
@@ -179,7 +179,7 @@ CASES: dict[str, dict[str, Any]] = {
 def main(arguments=None) -> None:
     """Print the figures at each speed, for the motors with the smallest and with the largest improvement."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plants", type=int, default=5, help="how many motors are drawn")
+    parser.add_argument("--plants", type=int, default=5, help="number of random motors")
     parser.add_argument("--case", choices=CASES, help="only this one")
     options = parser.parse_args(arguments)
     for name in [options.case] if options.case else CASES:
