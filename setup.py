@@ -38,6 +38,7 @@ NODES = {
     "recorder": "hysteresis_ros.nodes.recorder:main",
     "displacement_camera": "hysteresis_ros.nodes.displacement_camera:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
+    "hysteresis_stage": "hysteresis_ros.nodes.stage:main",
 }
 #: SPDX expression: the package itself, and uPlot, which its pages carry in themselves.
 LICENCE = "Apache-2.0 AND MIT"

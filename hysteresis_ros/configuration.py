@@ -467,8 +467,8 @@ class Configuration:
         """Refuse a file with coupled axes; for callers that need a single axis."""
         if self.stage is not None:
             raise ConfigurationError(
-                f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the "
-                "axes of a stage run together, so far in `hysteresis simulate` and hr.simulate only "
+                f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the axes of a "
+                "stage run together, so far in `hysteresis simulate`, hr.simulate and `hysteresis up` only "
                 "(docs/coupled_axes.md)"
             )
 
@@ -625,6 +625,8 @@ def _represent_float(dumper, value):
 
 
 _Dumper.add_representer(float, _represent_float)
+# the parser of ROS takes these for true and false, as YAML 1.1 says
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("[yYnN]"), list("yYnN"))
 _Dumper.add_representer(
     tuple, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", list(value), flow_style=True)
 )

@@ -31,6 +31,7 @@ EXECUTABLES = {
     "recorder",
     "displacement_camera",
     "hysteresis_axis",
+    "hysteresis_stage",
     "hysteresis",
 }
 SHARES = {

@@ -14,7 +14,7 @@ from __future__ import annotations
 import pathlib
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -150,15 +150,19 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     the recording, not from the disk.
     """
     from hysteresis_ros.errors import RecordingError
-    from hysteresis_ros.loop.repeated import recorded_axis
+    from hysteresis_ros.loop.repeated import recorded_axis, recorded_stage
     from hysteresis_ros.loop.simulation import differences
+    from hysteresis_ros.loop.stage_simulation import stage_differences
     from hysteresis_ros.recordings.files import load_run
 
     with shown(f"reading {recording.name}"):
         run = load_run(recording, namespace)
-    with recorded_axis(run, str(recording)) as (axis, notes):
+    repeated: Any = recorded_stage if run.axes else recorded_axis
+    compared: Any = stage_differences if run.axes else differences
+    with repeated(run, str(recording)) as (found, notes):
         simulated = run.metadata.get("source") == "offline simulation"
-        if not simulated and axis.plant_simulator.time_mode == "realtime":
+        mode = found.stage.time_mode if run.axes else found.plant_simulator.time_mode
+        if not simulated and mode == "realtime":
             raise RecordingError(
                 f"{recording}: is a run in real time, whose result depends on the times of messages; only "
                 "lockstep and fused runs can be repeated"
@@ -166,8 +170,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         for note in notes:
             click.echo(f"hysteresis: note: {note}", err=True)
         with shown("repeating the run"):
-            found = differences(run, axis)
-    wrong = unlike(recording, run, found)
+            unequal = compared(run, found)
+    wrong = unlike(recording, run, unequal)
     if wrong:
         click.echo(f"hysteresis: {wrong}", err=True)
         sys.exit(1)

@@ -56,7 +56,10 @@ from hysteresis_ros.cli.options import (
     show_default=True,
     help="external: a node of yours replaces plant_simulator and publishes joint_states.",
 )
-@click.option("--namespace", help="Start only the axis in this namespace.")
+@click.option(
+    "--namespace",
+    help="Start only the axis in this namespace; of a stage the one that has the faults or the reference.",
+)
 @click.option("--watch", is_flag=True, help="Show each axis in the browser, as hysteresis watch does.")
 @click.option(
     "--verify",
@@ -107,21 +110,30 @@ def up(
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.loop.parameters import in_time, require_carried
     from hysteresis_ros.loop.reach import axes, reach_warnings
-    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.nodes.launcher import Graph, require_messages
 
     rate = _time_mode(rate, fused, processes)
-    configuration = _overridden(reference.put_into(laid_under(config, laid_over)), rate, factor, force, plant)
+    configuration = laid_under(config, laid_over)
+    coupled = configuration.stage is not None
+    configuration = reference.put_into(configuration, namespace if coupled else None)
+    configuration = _overridden(configuration, rate, factor, force, plant)
     configuration = splitting(configuration, max_bag_size, max_bag_duration)
+    stage = None
     with reference.named():
-        found = axes(configuration, namespace)
+        if coupled:
+            stage = _stage(configuration, faults, namespace if faults or not reference.kind else None, duration)
+            require_messages(stage)
+            found = list(stage.axes)
+        else:
+            found = axes(configuration, namespace)
     for axis in found:
         for warning in reach_warnings(axis):
             click.echo(f"hysteresis: warning: {warning}", err=True)
-    if faults:
+    if faults and stage is None:
         found = [axis.with_faults(faults) for axis in found]
-    if duration is not None:
+    if duration is not None and stage is None:
         found = [axis.with_duration(duration) for axis in found]
-    if rate is None and processes is None:
+    if rate is None and processes is None and stage is None:
         found = [in_time(axis) for axis in found]
     for axis in found:
         require_carried(axis)
@@ -130,9 +142,13 @@ def up(
         click.echo("stopping")
         return
     pages = _pages(found) if watch else None
-    graph = Graph(found, composed=processes is False, record=record, log_level=log_level)
-    for axis in found:
-        for line in (_what_runs(axis, processes is False), *axis.timeouts()):
+    graph = Graph(found, stage=stage, composed=processes is False, record=record, log_level=log_level)
+    if stage is not None:
+        click.echo(f"axes {', '.join(stage.names)}: {_what_runs(found[0], processes is False)}")
+    ranges = [None] * len(found) if stage is None else stage.travel().tolist()
+    for axis, travel in zip(found, ranges, strict=True):
+        own = [_what_runs(axis, processes is False)] if stage is None else []
+        for line in (*own, *axis.timeouts(travel)):
             click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
     with graph, pages or contextlib.nullcontext():
         ended = graph.wait(lambda: bool(requested) or (pages is not None and pages.over()))
@@ -143,6 +159,14 @@ def up(
         sys.exit(pages.exit_code())
     if verify:
         _verify(graph)
+
+
+def _stage(configuration, faults, namespace: str | None, duration: float | None):
+    """Return the stage of a configuration, with faults in the axis that ``namespace`` names."""
+    from hysteresis_ros.loop.stage_simulation import chosen_stage
+
+    stage = chosen_stage(configuration, faults, namespace)
+    return stage if duration is None else stage.with_duration(duration)
 
 
 def _pages(axes):
@@ -208,7 +232,8 @@ def _say_limited(graph) -> None:
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.recordings.align import read_recording
 
-    for axis, bag in zip(graph.axes, graph.bags, strict=False):
+    bags = graph.bags * len(graph.axes) if graph.stage is not None else graph.bags
+    for axis, bag in zip(graph.axes, bags, strict=False):
         if sum(path.stat().st_size for path in pathlib.Path(bag).rglob("*")) > LOOKED_AT:
             continue
         try:
@@ -232,8 +257,17 @@ def _verify(graph) -> None:
     from hysteresis_ros.cli.recording import equal, unlike
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.loop.simulation import differences
+    from hysteresis_ros.loop.stage_simulation import stage_differences
     from hysteresis_ros.recordings.align import read_recording
 
+    if graph.stage is not None:
+        (bag,) = graph.bags
+        recorded = read_recording(bag, further=True)
+        wrong = unlike(bag, recorded, stage_differences(recorded, graph.stage))
+        if wrong:
+            raise HysteresisError(wrong)
+        click.echo(equal(bag, recorded.time.size))
+        return
     for axis, bag in zip(graph.axes, graph.bags, strict=True):
         recorded = read_recording(bag, axis.namespace, further=True)
         wrong = unlike(bag, recorded, differences(recorded, axis))

@@ -856,8 +856,11 @@ class AxisParameters:
         nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
         return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
 
-    def timeouts(self) -> list[str]:
-        """Return a line for each time-out: its name, its length in seconds and samples, and its effect."""
+    def timeouts(self, travel: tuple[float, float] | None = None) -> list[str]:
+        """Return a line for each time-out: its name, its length in seconds and samples, and its effect.
+
+        ``travel`` is the allowed range of the measurement [m] of an axis of a stage, which depends on the other axes.
+        """
         rate, external = self.plant_simulator.sample_rate, self.plant_simulator.external_plant
         lines = []
         for (name, timeout), what in TIMEOUTS.items():
@@ -872,7 +875,7 @@ class AxisParameters:
             lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
         watched = self.plant_simulator.type == "actuator" and self.plant_simulator.overtravel >= 0.0
         if watched and not external:
-            low, high = self.plant_simulator.allowed_travel
+            low, high = travel or self.plant_simulator.allowed_travel
             text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
             lines.append(f"{text} until ~/start")
         return lines

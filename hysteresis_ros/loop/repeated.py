@@ -16,10 +16,11 @@ import pathlib
 import tempfile
 from collections.abc import Iterator
 
-from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import configured, in_force, note_on_disk, require_same, whole
 
@@ -47,6 +48,20 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
 
     Its files exist while the context lasts.
     """
+    with _recorded_configuration(recorded, name) as (configuration, notes):
+        yield single_axis(configuration, recorded.metadata.get("namespace")), notes
+
+
+@contextlib.contextmanager
+def recorded_stage(recorded: Recording, name: str) -> Iterator[tuple[StageParameters, list[str]]]:
+    """Give the stage of a recording, and lines as :func:`recorded_axis` does."""
+    with _recorded_configuration(recorded, name) as (configuration, notes):
+        yield StageParameters.from_configuration(configuration), notes
+
+
+@contextlib.contextmanager
+def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Configuration, list[str]]]:
+    """Give the configuration of a recording with the recorded contents of its files, and lines about these."""
     text = in_force(recorded)
     if not text:
         raise RecordingError(
@@ -57,16 +72,18 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
     notes: list[str] = []
     words = recorded.metadata.get("files", {})
     contents = whole(words)
-    namespace = recorded.metadata.get("namespace")
+    space = str(recorded.metadata.get("namespace") or "")
+    spaces = [f"{space}/{axis}" for axis in recorded.axes] or [space]
+    named = [(one, *found) for one in spaces for found in file_parameters(text, one)]
     with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
-        for index, (node, parameter, path) in enumerate(file_parameters(text, namespace or "")):
+        for index, (one, node, parameter, path) in enumerate(named):
             if str(path) in contents:
                 content = contents[str(path)]
                 notes += filter(None, [note_on_disk(str(path), content)])
                 # readers recognise a table by its suffix
                 copy = pathlib.Path(folder) / f"{index}{path.suffix.lower()[:8]}"
                 copy.write_bytes(content)
-                configuration = configuration.override(node, **{parameter: str(copy)})
+                configuration = configuration.override(f"{one}/{node}".lstrip("/"), **{parameter: str(copy)})
             elif str(path) in words:
                 require_same(str(path), words[str(path)])
-        yield single_axis(configuration, namespace), notes
+        yield configuration, notes

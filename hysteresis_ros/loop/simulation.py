@@ -17,7 +17,7 @@ compensator's and the controller's models do not change.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -204,11 +204,16 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
         absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
         given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
-    columns = {"time": (recorded.time, twin.time)}
     # the true displacement of a device is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
     if parameters.displacement_camera is not None:
         unknown = {"measured"}  # of the plant; in a recording the controller's input replaces it
+    return unequal(recorded, twin, unknown)
+
+
+def unequal(recorded: Recording, twin: Recording, unknown: Collection[str] = ()) -> dict[str, int]:
+    """Return in how many samples each signal of a run differs from its twin, but for those that are ``unknown``."""
+    columns = {"time": (recorded.time, twin.time)}
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
     found = {}

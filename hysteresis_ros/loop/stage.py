@@ -15,7 +15,8 @@ compensates and puts out its voltage; the structure goes on by one sample.
 
 A row of an axis has its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``) and its actuator
 (``voltage``, ``plant_voltage``). What the compensators are given are the commands times the decoupling; what they
-achieve comes back through its inverse. A stage stops whole: an axis whose plant trips stops the others.
+achieve comes back through its inverse. A stage stops whole: an axis whose plant trips stops the others, and while the
+measurement of an axis is stale the controllers of the others go to their safe commands, too.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.compensator import compensate, note_output
-from hysteresis_ros.loop.controller import carried_out, control
+from hysteresis_ros.loop.controller import RETURNING, STOP, carried_out, control
 from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
     PARTNER_LOST,
@@ -45,6 +46,7 @@ from hysteresis_ros.loop.plant import (
 )
 from hysteresis_ros.loop.source import refer
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.watch import is_stale
 from hysteresis_ros.models import limits as limiting
 from hysteresis_ros.models.actuator import DISPLACEMENT, PRELOAD, ActuatorArrays
 from hysteresis_ros.models.block import each, kernel, nested, specialised
@@ -109,6 +111,16 @@ class CoupledPlant(ActuatorPlant):
     def resting_drive(self) -> float:
         """Input of the structure at rest, before any voltage is received."""
         return self.actuator.dynamics.output()
+
+    @property
+    def stopped_with_stage(self) -> bool:
+        """Whether it is stopped because another axis of the stage is."""
+        return bool(self._watch_x.trip[TRIP] == PARTNER_LOST) and not self.lost
+
+    def stop_with_stage(self) -> None:
+        """Stop because another axis of the stage is stopped; an own reason is kept."""
+        if not self.tripped:
+            self._watch_x.trip[TRIP] = PARTNER_LOST
 
     def note_rest(self, displacement: float) -> None:
         """Take the sensor to where the structure rests [m]."""
@@ -216,10 +228,27 @@ def confirm_axis(laws, parts, row):
     carried_out(parts.controller, row[at.APPLIED])
 
 
+#: Value of a controller's ``STOP`` while the measurement of another axis of its stage is stale; 1: a user stopped it.
+WITH_STAGE = 2.0
+
+
+@kernel
+def hold_with_stage(own, held):
+    """Stop a controller (``held`` 1) with its stage, or let it go on (0); ``own`` is its own state."""
+    if held != 0.0 and own[STOP] == 0.0:
+        own[STOP] = WITH_STAGE
+    elif held == 0.0 and own[STOP] == WITH_STAGE:
+        own[STOP] = 0.0
+        own[RETURNING] = 1.0
+
+
 @each
 def find_trip(laws, parts, row):
-    """Write the reason for which a plant has stopped into its row."""
+    """Write into a row why the plant has stopped, and whether the measurement is stale."""
     row[at.TRIPPED] = parts.plant.watch_x.trip[TRIP]
+    row[at.CONTROLLER_MODE] = 0.0
+    if is_stale(parts.controller.watch_p.guard, parts.controller.watch_x.guard):
+        row[at.CONTROLLER_MODE] = 1.0
 
 
 @each
@@ -227,6 +256,12 @@ def stop_axis(laws, parts, row):
     """Stop one axis because another one of its stage is stopped."""
     if parts.plant.watch_x.trip[TRIP] == 0.0:
         parts.plant.watch_x.trip[TRIP] = PARTNER_LOST
+
+
+@each
+def hold_axis(laws, parts, row):
+    """Hold the controller of one axis while the measurement of another one is stale, as its row says."""
+    hold_with_stage(parts.controller.watch_x.own, row[at.CONTROLLER_MODE])
 
 
 def stage_ticks(laws, parts, group, given, columns, rows):
@@ -251,33 +286,29 @@ def stage_ticks(laws, parts, group, given, columns, rows):
             for j in range(rows.shape[1]):
                 columns[i, j, k] = rows[i, j]
         find_trip(laws, parts, rows)
-        stopped = 0.0
+        stopped = stale = 0.0
         for i in range(rows.shape[0]):
             stopped = max(stopped, abs(rows[i, at.TRIPPED]))
+            stale = max(stale, rows[i, at.CONTROLLER_MODE])
         if stopped != 0.0:
             stop_axis(laws, parts, rows)
+        for i in range(rows.shape[0]):
+            rows[i, at.CONTROLLER_MODE] = stale - rows[i, at.CONTROLLER_MODE]
+        hold_axis(laws, parts, rows)
 
 
-class Stage:
-    """The parts of all axes of a stage in closed loop, without ROS."""
+class Coupling:
+    """What the axes of a stage have in common: the structure between their actuators and sensors, and the matrices."""
 
     def __init__(self, parameters: StageParameters):
-        self.parameters = parameters
-        count = len(parameters.axes)
-        self.structure = Structure(parameters.stage.structure, 1.0 / parameters.sample_rate)
-        drive, shown = np.zeros(count), np.zeros(count)
-        plants = [
-            CoupledPlant(axis.plant_simulator, drive[i : i + 1], shown[i : i + 1], travel)
-            for i, (axis, travel) in enumerate(zip(parameters.axes, parameters.travel(), strict=True))
-        ]
-        self.plants = tuple(plants)
-        self.axes = tuple(Axis(axis, plant) for axis, plant in zip(parameters.axes, plants, strict=True))
-        stage, none = parameters.stage, np.zeros((0, 0))
-        self._group = GroupArrays(
+        count, stage, none = len(parameters.axes), parameters.stage, np.zeros((0, 0))
+        self.structure = Structure(stage.structure, 1.0 / parameters.sample_rate)
+        self._travel = parameters.travel()
+        self.arrays = GroupArrays(
             p=self.structure.p,
             x=self.structure.x,
-            drive=drive,
-            shown=shown,
+            drive=np.zeros(count),
+            shown=np.zeros(count),
             sensor_matrix=stage.matrix("sensor_matrix") if stage.sensor_matrix else none,
             decoupling=stage.matrix("decoupling") if stage.decoupling else none,
             recoupling=parameters.recoupling() if stage.decoupling else none,
@@ -285,18 +316,33 @@ class Stage:
             asked=np.zeros(count),
             scratch=np.zeros(2 * count),
         )
-        self.sample = 0
-        self._settle()
 
-    def _settle(self) -> None:
-        """Put the structure to rest at the voltages at which the axes begin."""
-        group = self._group
-        group.drive[:] = [plant.resting_drive for plant in self.plants]
+    def plant(self, place: int, parameters: PlantNodeParameters) -> CoupledPlant:
+        """Return the actuator and the sensor of the axis with this index."""
+        own = slice(place, place + 1)
+        return CoupledPlant(parameters, self.arrays.drive[own], self.arrays.shown[own], self._travel[place])
+
+    def settle(self, plants: Sequence[CoupledPlant]) -> None:
+        """Put the structure to rest at the voltages at which the plants of all axes begin."""
+        group = self.arrays
+        group.drive[:] = [plant.resting_drive for plant in plants]
         group.commands[:] = group.asked[:] = 0.0
         self.structure.settle(group.drive)
         structure_output(group.p, group.x, group.drive, group.shown)
-        for plant, displacement in zip(self.plants, group.shown, strict=True):
+        for plant, displacement in zip(plants, group.shown, strict=True):
             plant.note_rest(float(displacement))
+
+
+class Stage:
+    """The parts of all axes of a stage in closed loop, without ROS."""
+
+    def __init__(self, parameters: StageParameters):
+        self.parameters = parameters
+        self._coupling = Coupling(parameters)
+        self.plants = tuple(self._coupling.plant(i, axis.plant_simulator) for i, axis in enumerate(parameters.axes))
+        self.axes = tuple(Axis(axis, plant) for axis, plant in zip(parameters.axes, self.plants, strict=True))
+        self.sample = 0
+        self._coupling.settle(self.plants)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -373,7 +419,7 @@ class Stage:
             return
         some = np.ascontiguousarray(columns[:, :, first:until])
         laws = tuple(axis.laws for axis in self.axes)
-        arguments = laws, tuple(axis.parts for axis in self.axes), self._group, given, some, rows
+        arguments = laws, tuple(axis.parts for axis in self.axes), self._coupling.arrays, given, some, rows
         specialised(stage_ticks, *arguments)(*arguments)
         columns[:, :, first:until] = some
 
@@ -386,6 +432,6 @@ class Stage:
         """Return all parts to their initial states."""
         for axis in self.axes:
             axis.reset()
-        self.structure.reset()
-        self._settle()
+        self._coupling.structure.reset()
+        self._coupling.settle(self.plants)
         self.sample = 0

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from hysteresis_ros.configuration import STAGE, Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.simulation import changes_of, unequal
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.models.linear import StateSpace
@@ -73,6 +74,17 @@ def simulate_stage(
         "stage": f"{parameters.namespace}/{STAGE}",
     }
     return Recording.of_axes(axes, metadata)
+
+
+def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[str, int]:
+    """Compare a recorded run of a stage in lockstep with its offline twin, bit for bit; see :func:`differences`."""
+    axes = {name: recorded.axis(name) for name in parameters.names}
+    twin = simulate_stage(
+        parameters,
+        setpoints={name: one["setpoint"] for name, one in axes.items()},
+        changes={name: changes_of(one) for name, one in axes.items()},
+    )
+    return unequal(recorded, twin)
 
 
 def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) -> Configuration:

@@ -27,12 +27,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.configuration import node_names
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.security.policy import enclave_of
 
 if TYPE_CHECKING:
     from hysteresis_ros.loop.parameters import AxisParameters
+    from hysteresis_ros.loop.stage_parameters import StageParameters
 
 _PR_SET_PDEATHSIG = 1
 
@@ -74,6 +76,7 @@ STOP_ORDER = (
     "motion_controller",
     "hysteresis_compensator",
     "hysteresis_axis",
+    "hysteresis_stage",
     "plant_simulator",
     "displacement_camera",
     "recorder",
@@ -84,6 +87,22 @@ EXTERNAL_PLANT = "--external-plant"
 
 #: Time for a node to exit before it is killed [s].
 PATIENCE = 10.0
+
+
+def require_messages(stage: StageParameters) -> None:
+    """Refuse a stage that messages between its nodes cannot run: fused, or at a high rate in real time."""
+    from hysteresis_ros.loop.parameters import HIGHEST_MESSAGE_RATE
+
+    mode = stage.stage.time_mode
+    lockstep = "give lockstep (hysteresis up CONFIG --rate lockstep)"
+    if mode == "fused":
+        raise ParameterError([Problem("time_mode", mode, f"a stage has no fused loop so far: {lockstep}")])
+    rate = max(axis.plant_simulator.real_time_factor for axis in stage.axes) * stage.sample_rate
+    if mode == "realtime" and rate > HIGHEST_MESSAGE_RATE:
+        raise ConfigurationError(
+            f"time_mode = 'realtime': {rate:g} samples/s are too many for the messages between the nodes of a stage, "
+            f"which hold never more than {HIGHEST_MESSAGE_RATE:g} Hz: {lockstep}, or slow the time down (--factor)"
+        )
 
 
 def require_ros() -> None:
@@ -133,12 +152,13 @@ class NodeProcess:
 
 
 class Graph:
-    """The processes of one or several axes."""
+    """The processes of one or several axes, or of a stage of coupled axes."""
 
     def __init__(
         self,
         axes: list[AxisParameters],
         *,
+        stage: StageParameters | None = None,
         composed: bool = False,
         record=None,
         log_level: str = "warn",
@@ -150,7 +170,12 @@ class Graph:
         self.record = pathlib.Path(record) if record is not None else None
         self.bags: list[pathlib.Path] = []
         self.log_level = log_level
-        self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
+        if stage is None:
+            self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
+        else:
+            self.axes = self._with_one_bag(axes)
+        #: The stage of the axes, which have common processes and one bag; None: they are independent.
+        self.stage = stage
         self.processes: list[NodeProcess] = []
         #: Recorders that died or stopped recording while the axis continued.
         self.lost: list[NodeProcess] = []
@@ -164,11 +189,21 @@ class Graph:
         if self.record is None:
             return axis
         bag = self.record / (axis.namespace.strip("/").replace("/", "_") or "axis") if several else self.record
+        return axis.with_recorder(self._new_bag(bag))
+
+    def _with_one_bag(self, axes: list[AxisParameters]) -> list[AxisParameters]:
+        if self.record is None:
+            return axes
+        bag = self._new_bag(self.record)
+        return [axis.with_recorder(bag) for axis in axes]
+
+    def _new_bag(self, bag: pathlib.Path) -> str:
+        """Return the path of a bag that the recorder can create."""
         if bag.exists():
             raise ConfigurationError(f"{bag}: exists already; choose another folder for the recording or remove it")
         _require_creatable(bag)
         self.bags.append(bag)
-        return axis.with_recorder(str(bag.resolve()))
+        return str(bag.resolve())
 
     def __enter__(self) -> Graph:
         try:
@@ -184,7 +219,9 @@ class Graph:
     def start(self) -> None:
         """Start all processes and return at once; DDS connects them."""
         folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_")))
-        for number, axis in enumerate(self.axes):
+        if self.stage is not None:
+            self._start_stage(self.stage, folder / "stage.yaml")
+        for number, axis in enumerate(self.axes if self.stage is None else ()):
             path = folder / f"axis{number}.yaml"
             axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
             path.write_text(axis.configuration_text(), encoding="utf-8")
@@ -210,6 +247,16 @@ class Graph:
         if steered and os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
             words = [sys.executable, "-m", "hysteresis_ros.nodes.remote.session"]
             self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
+
+    def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
+        """Start the nodes of all axes: a process for those of one kind, or one process."""
+        axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
+        path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
+        names = ["hysteresis_stage"] if self.composed else list(node_names(False))
+        for name in ["recorder", *names] if self.record is not None else names:
+            own = [] if name == "hysteresis_stage" else [name]
+            command = node_command("hysteresis_stage", stage.namespace, path, *own, log_level=self.log_level)
+            self.processes.append(NodeProcess(name, stage.namespace, started(command, self.environment)))
 
     def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
         command = node_command(name, namespace, path, *more, log_level=self.log_level)
@@ -245,7 +292,7 @@ class Graph:
         """
         if node.name != "recorder" or node.process.poll() in (None, 0, 2):
             return False
-        axis = next(axis for axis in self.axes if axis.namespace == node.namespace)
+        axis = next(axis for axis in self.axes if self.stage is not None or axis.namespace == node.namespace)
         return axis.plant_simulator.time_mode != "lockstep"
 
     def wait(self, stop_requested=lambda: False) -> bool:
@@ -282,10 +329,11 @@ class Graph:
 
 def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn") -> list[str]:
     """Return the command line of a node, or of all nodes of an axis in one process."""
-    module = "axis" if name == "hysteresis_axis" else name
+    module = name.removeprefix("hysteresis_") if name in ("hysteresis_axis", "hysteresis_stage") else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
     command += ["--params-file", str(path), "--log-level", log_level, "--enclave", enclave_of(namespace, name)]
-    return [*command, "-r", f"__ns:={namespace}"] if namespace else command
+    # the nodes of a stage are in the namespaces of its axes
+    return [*command, "-r", f"__ns:={namespace}"] if namespace and name != "hysteresis_stage" else command
 
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:

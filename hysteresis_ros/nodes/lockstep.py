@@ -283,14 +283,21 @@ class LockstepResponder(Lockstep):
 
     def advance(self) -> None:
         """Answer the present sample if all its inputs have arrived."""
+        if self.may_answer():
+            self.node.answer(self.take_stamp())
+
+    def may_answer(self) -> bool:
+        """Return whether all inputs of the present sample have arrived."""
         node = self.node
         if self._stamp is None or self._lacks() is not None:
-            return
-        if not node.active or node.failure or not (self._matched or self.matched()):
-            return
-        node.pace.tick()
+            return False
+        return node.active and not node.failure and (self._matched or self.matched())
+
+    def take_stamp(self):
+        """Return the stamp of the present sample, which is answered now."""
+        self.node.pace.tick()
         stamp, self._stamp = self._stamp, None
-        node.answer(stamp)
+        return stamp
 
     def missing_partner(self) -> str:
         """Return the partner whose input for the present sample is missing."""

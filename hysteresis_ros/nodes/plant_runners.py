@@ -108,20 +108,39 @@ class LockstepPlant(Lockstep):
 
     def advance(self) -> None:
         """Publish the present sample when partners and recorder are ready."""
+        if self.may_begin() and self.begin_sample():
+            self.node.publish_sample()
+
+    def may_begin(self) -> bool:
+        """Return whether the present sample has not begun, and partners and recorder are ready for it."""
         node = self.node
         if self.is_measured or self._ended or node.failure or not node.running or not node.active:
-            return
-        if not self.matched() or self._recorder_behind():
-            return
+            return False
+        return self.matched() and not self._recorder_behind()
+
+    def begin_sample(self) -> bool:
+        """Await the voltages of the present sample; return False after the last one, which ends the run."""
+        node = self.node
         if node.parameters.samples and node.sample >= node.parameters.samples:
             self._ended = True
             node.finish()
-            return
+            return False
         self.is_measured = True
         self._came.clear()
         self.reset_pending = False
         node.pace.tick()
-        node.publish_sample()
+        return True
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether all voltages of the present sample have come."""
+        return self.is_measured and len(self._came) == len(self.node.inputs)
+
+    def finish_sample(self) -> None:
+        """Hold the voltages of the present sample and go on to the next one."""
+        self.is_measured = False
+        self.node.finish_sample()
+        self.advance()
 
     def _recorder_behind(self) -> bool:
         parameters = self.node.parameters
@@ -144,10 +163,8 @@ class LockstepPlant(Lockstep):
         self.heard()
         node.receive(input_, message.data)
         self._came.add(input_.topic)
-        if len(self._came) == len(node.inputs):
-            self.is_measured = False
-            node.finish_sample()
-            self.advance()
+        if self.is_answered:
+            self.finish_sample()
 
     def acknowledged_by_recorder(self, message) -> None:
         """Store the last sample acknowledged by the recorder."""
@@ -428,15 +445,10 @@ class RealTimePlant(RealTime):
                 self._pause(PAUSE)
                 deadline = time.monotonic()
                 continue
-            if self._unaligned:
-                self._align()
+            if self.align_now():
                 deadline = time.monotonic()
             with node.lock:
-                node.pace.tick()
-                self.is_measured = True
-                self._published[(self._asked + 1) % PUBLISHED] = time.monotonic()
-                self._asked += 1
-                node.publish_sample()
+                self.begin_sample()
                 published = self._runs
             deadline += period
             if not self._wait_until(deadline):
@@ -447,33 +459,56 @@ class RealTimePlant(RealTime):
             with node.lock:
                 if self._runs != published:
                     continue  # a reset has intervened: there is no sample
-                self.is_measured = False
-                if not self._settle():
-                    self._drop_late()
-                self._finish_sample()
-                self._look_for_losses()
-                if behind or node.stamps.are_off_clock:
-                    node.stamps.go_on(node.sample)
-                if node.parameters.samples and node.sample >= node.parameters.samples:
-                    self._ended = True
-                    node.finish()
+                self.end_sample(behind)
+
+    def begin_sample(self) -> None:
+        """Publish the present sample; called with the lock held."""
+        self.ask()
+        self.node.publish_sample()
+
+    def ask(self) -> None:
+        """Note that the voltages of the present sample are asked for."""
+        self.node.pace.tick()
+        self.is_measured = True
+        self._published[(self._asked + 1) % PUBLISHED] = time.monotonic()
+        self._asked += 1
+
+    def end_sample(self, behind: bool) -> None:
+        """Hold the voltages that have come and go on to the next sample; called with the lock held."""
+        self.close_answers()
+        before = self.node.part.tripped
+        self.node.finish_sample()
+        self.go_to_next(before, behind)
+
+    def close_answers(self) -> None:
+        """Take no more voltages for the present sample, and drop late ones.
+
+        Voltages that are missing because a node has left the loop do not count as late.
+        """
+        self.is_measured = False
+        if not self._settle():
+            self._drop_late()
+        if self.node.leaving:
+            self.node.part.forgive()
+
+    def go_to_next(self, before: bool, behind: bool) -> None:
+        """Handle what follows from a sample: ``before``: the axis was stopped; ``behind``: the schedule is shifted."""
+        node = self.node
+        late = node.part.tripped and not before and not node.part.failure
+        if late and self._is_open:
+            node.part.start()
+        self._look_for_losses()
+        if behind or node.stamps.are_off_clock:
+            node.stamps.go_on(node.sample)
+        if node.parameters.samples and node.sample >= node.parameters.samples:
+            self._ended = True
+            node.finish()
 
     def _pause(self, duration: float) -> None:
         """Wait a moment between samples and keep the device alive."""
         with self.node.lock:
             self.node.part.refresh()
         self._leaving.wait(duration)
-
-    def _finish_sample(self) -> None:
-        """Finish a sample; voltages that are missing because a node has left the loop do not count as late."""
-        node = self.node
-        before = node.part.tripped
-        if node.leaving:
-            node.part.forgive()
-        node.finish_sample()
-        late = node.part.tripped and not before and not node.part.failure
-        if late and self._is_open:
-            node.part.start()
 
     @property
     def _is_open(self) -> bool:
@@ -497,6 +532,18 @@ class RealTimePlant(RealTime):
     def _is_behind(self, input_) -> bool:
         """Return whether only voltages of earlier samples have arrived: Float64 messages are assigned by count."""
         return bool(input_.received) and self._given.get(input_.topic, 0) < self._asked
+
+    @property
+    def is_unaligned(self) -> bool:
+        """Whether the count of voltages has to start anew before the next sample."""
+        return self._unaligned
+
+    def align_now(self) -> bool:
+        """Wait until no voltage is pending if the count has to start anew; return whether it had to."""
+        if self._unaligned:
+            self._align()
+            return True
+        return False
 
     def _align(self) -> None:
         """Wait until no voltage is pending, and start the count there."""
@@ -526,13 +573,18 @@ class RealTimePlant(RealTime):
         waits = node.parameters.wait_for_recorder
         patience = time.monotonic() + STARTUP_TIMEOUT
         while time.monotonic() < patience and not self._leaving.wait(0.02):
-            complete = node.readers() >= READERS + waits
-            complete = complete and all(node.count_publishers(input_.full_name) for input_ in node.inputs)
-            if complete and not (waits and self._acknowledged < 0):
+            if self.is_awaited(waits):
                 break
         with node.lock:
             if not node.sample:
                 node.stamps.go_on(node.sample)
+
+    def is_awaited(self, recorded: bool) -> bool:
+        """Return whether the loop is complete, and with ``recorded`` the recorder is there."""
+        node = self.node
+        complete = node.readers() >= READERS + recorded
+        complete = complete and all(node.count_publishers(input_.full_name) for input_ in node.inputs)
+        return complete and not (recorded and self._acknowledged < 0)
 
     def _wait_until(self, deadline: float) -> bool:
         """Wait; return False when the node exits."""

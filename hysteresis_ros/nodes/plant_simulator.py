@@ -218,7 +218,7 @@ class PlantSimulatorNode(AxisNode):
                 "up --plant external` does), or set it to false"
             )
         self.parameters = parameters
-        self.part = fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
+        self.part = self.make_part(parameters)
         self.stamps = Stamps(parameters)
         self.inputs = [VoltageInput(*given) for given in self.axis_kind.voltages]
         self.row = [0.0] * signals.MOTOR_ROW
@@ -235,6 +235,10 @@ class PlantSimulatorNode(AxisNode):
         self._tolerance = output_tolerance(given, given)
         self._limited = LimitedTime()
         self._clear()
+
+    def make_part(self, parameters):
+        """Return the part of the loop that stands for the plant."""
+        return fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
 
     def _tell_device(self) -> None:
         # two calls, because rclpy binds each call site to one severity
@@ -291,6 +295,11 @@ class PlantSimulatorNode(AxisNode):
         """Names in ``joint_states``."""
         names: tuple[str, ...] = self.part.joint_names
         return names
+
+    @property
+    def joint_states(self) -> JointState:
+        """The last message on ``joint_states``."""
+        return self._message
 
     def _joint_states_message(self) -> JointState:
         names = self.joint_names
@@ -355,11 +364,7 @@ class PlantSimulatorNode(AxisNode):
             return super()._on_start(request, response)
         if not self.is_fused:
             with self.lock:
-                if not self.runner.missing_partners():
-                    self.part.start()
-                    if not self.part.tripped:
-                        self.runner.go_on()
-                    self.log_change("start")
+                self.go_on()
         elif self.running:
             self.fused.go_on()
         answer = super()._on_start(request, response)
@@ -368,6 +373,14 @@ class PlantSimulatorNode(AxisNode):
             if self.hindrance():
                 answer.success, answer.message = False, f"not running: {self.hindrance()}"
         return answer
+
+    def go_on(self) -> None:
+        """Let the stopped axis go on unless a node of it is lost; called with the lock held."""
+        if not self.runner.missing_partners():
+            self.part.start()
+            if not self.part.tripped:
+                self.runner.go_on()
+            self.log_change("start")
 
     def stopped(self) -> str:
         """Say what ``~/stop`` has done: fused it is an emergency stop, elsewhere the time stands still."""
@@ -407,8 +420,12 @@ class PlantSimulatorNode(AxisNode):
 
     def publish_sample(self) -> None:
         """Measure the present sample and publish it."""
-        before = self._message.position[0]
         self.sense()
+        self.publish_measured()
+
+    def publish_measured(self) -> None:
+        """Publish the present sample, which is in the row."""
+        before = self._message.position[0]
         if not self.sample:
             self._first = time.monotonic()
         self._publish_measured(self.stamps.of(self.sample), before if self.sample else self.row[signals.MEASURED])
@@ -447,6 +464,11 @@ class PlantSimulatorNode(AxisNode):
 
     def finish_sample(self) -> None:
         """Hold the received voltages, NaN for missing ones, and advance to the next sample."""
+        self.hold_voltages()
+        self.close_sample()
+
+    def hold_voltages(self) -> None:
+        """Hold the received voltages, NaN for missing ones."""
         for input_ in self.inputs:
             self.row[input_.signal] = input_.value
             input_.value = math.nan
@@ -455,6 +477,9 @@ class PlantSimulatorNode(AxisNode):
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
             self.held_back += int(differs)
+
+    def close_sample(self) -> None:
+        """Publish the state of the present sample and advance to the next one."""
         self._publish_row()
         self.sample += 1
 

@@ -405,16 +405,26 @@ class RealTimeResponder(RealTime):
 
     def _command(self, input_, data: float) -> None:
         """Answer a message that needs no measurement."""
+        if self.take_command(input_, data):
+            self.node.respond()
+            self.pair_answer()
+
+    def take_command(self, input_, data: float) -> bool:
+        """Put a message that needs no measurement into the row; return False when it is not to be answered."""
         node = self.node
         if self._has_waited():
-            return
+            return False
         if not math.isfinite(data):
             node.refuse_value(input_, data)
-            return  # as if it had not arrived
+            return False  # as if it had not arrived
         node.pace.tick()
         self._arrived()
         node.take(input_, data)
-        node.respond()
+        return True
+
+    def pair_answer(self) -> None:
+        """Publish ``~/state`` of the last answer if its measurement has come."""
+        node = self.node
         # one message is from the plant and one from the controller, so their order is random
         values = node.state_values()
         stamp = self._pairing.answer(values, self._last)

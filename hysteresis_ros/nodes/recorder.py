@@ -74,6 +74,8 @@ class RecorderNode(AxisNode):
 
     identity = ("path",)
     has_state = False
+    #: Whether the diagnostics of all nodes are in its bag by this node.
+    hears_diagnostics = True
     parameters: RecorderNodeParameters
 
     def __init__(self, **options):
@@ -103,16 +105,26 @@ class RecorderNode(AxisNode):
         loggers = {*self._axis_kind.nodes}
         self._loggers = loggers - {PLANT} if parameters.external_plant else loggers
         self._further = [_topic_and_type(entry) for entry in parameters.topics]
+        self.recording = self.open_bag(parameters)
+        self._entries_taken.clear()
+        self.reset_blocks()
+
+    def open_bag(self, parameters) -> GuardedBag:
+        """Return a new bag, with the origin of the run and the files that its configuration names."""
         require_space(parameters.path, parameters.min_space)
         split = {"max_bag_size": parameters.max_bag_size, "max_bag_duration": parameters.max_bag_duration}
         bag = BagWriter(parameters.path, **split)
         bag.describe(RECORD, provenance())
-        files = packed_files(named_files(self._configuration, self.get_namespace()))
+        named = [path for space in self.described for path in named_files(self._configuration, space)]
+        files = packed_files(named)
         if files:
             bag.describe(FILES, files)
-        self.recording = GuardedBag(bag, parameters.chunk_time - self._period)
-        self._entries_taken.clear()
-        self.reset_blocks()
+        return GuardedBag(bag, parameters.chunk_time - self._period)
+
+    @property
+    def described(self) -> tuple[str, ...]:
+        """Namespaces of the axes whose files are in the bag."""
+        return (self.get_namespace(),)
 
     @property
     def _period(self) -> float:
@@ -177,7 +189,8 @@ class RecorderNode(AxisNode):
         self._record(CHANGES, String, self.changes_qos(), "transient_local")
         if self._axis_kind.motor:
             self._record("speed", Float64, setpoint_qos(), "volatile")
-        self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
+        if self.hears_diagnostics:
+            self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
         for topic, message_type in self._further:
             self._record(topic, message_type, setpoint_qos(), "volatile")
         self._acknowledge = self.publisher(UInt64, "~/acknowledged", latched_qos())
@@ -379,7 +392,7 @@ class RecorderNode(AxisNode):
             self.take_samples()
             self._samples = self._reader = None
             try:
-                self.recording.finish()
+                self.finish_bag()
             except RecordingError as error:
                 self.recording.stopped = str(error)
         if self.recording.stopped:
@@ -390,6 +403,10 @@ class RecorderNode(AxisNode):
         missing = [f"{topic} {self.end_of_run - count}" for (topic, *_), count in pairs if count < self.end_of_run]
         if missing:
             self.get_logger().warning(f"messages missing from the recording: {', '.join(missing)}")
+
+    def finish_bag(self) -> None:
+        """Finish the bag."""
+        self._opened.finish()
 
     def health(self):
         """Report the recorded data, and whether messages are missing."""

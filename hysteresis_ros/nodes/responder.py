@@ -197,6 +197,10 @@ class Responder(AxisNode):
         """Run the part of the loop and publish its outputs."""
         self.before_step()
         self.step()
+        self.close_answer()
+
+    def close_answer(self) -> None:
+        """Publish the outputs that are in the row and advance to the next sample."""
         self.publish_outputs()
         self.sample += 1
         self.after_step()

@@ -12,16 +12,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from hysteresis_ros.configuration import STAGE
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import read_json
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.dataset import LATENESS, Recording, note_output, output_tolerance
-from hysteresis_ros.recordings.provenance import FILES, RECORD, configured
+from hysteresis_ros.recordings.provenance import FILES, RECORD, configured, stage_of
 from hysteresis_ros.signals import (
     COLUMNS,
     COMPENSATOR,
@@ -93,7 +95,8 @@ def read_recording(path, namespace: str | None = None, *, further: bool = False)
     """Read a bag and align it; see :func:`align`."""
     bag = read_bag(path)
     try:
-        return align(bag, namespace, further=further)
+        stage = _stage(bag) if namespace is None else None
+        return align(bag, namespace, further=further) if stage is None else _align_stage(bag, *stage, further)
     except RecordingError as error:
         raise error if str(path) in str(error) else RecordingError(f"{path}: {error}") from None
 
@@ -135,6 +138,51 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
     if len(found) > 1:
         raise RecordingError(f"{bag.path}: several axes ({listed}); choose one with --namespace")
     return found[0]
+
+
+#: Metadata that all axes of a stage have in common.
+OF_ALL = ("configuration", "provenance", "files", "source")
+
+
+def _stage(bag: Bag) -> tuple[str, tuple[str, ...]] | None:
+    """Return namespace and axes of the stage whose recording a bag is; None: its axes are independent."""
+    for prefix in namespaces(bag):
+        found = stage_of(_configuration(bag, prefix, []))
+        if found is not None:
+            return found
+    return None
+
+
+def _align_stage(bag: Bag, namespace: str, names: tuple[str, ...], further: bool) -> Recording:
+    """Return the recording of a stage: the samples that all its axes have."""
+    axes = {name: align(bag, f"{namespace}/{name}", further=further) for name in names}
+    stamps = {
+        name: one.metadata["start_time_ns"] + np.rint(1e9 * one.time).astype(np.int64) for name, one in axes.items()
+    }
+    common = functools.reduce(np.intersect1d, stamps.values())
+    if not common.size:
+        raise RecordingError(f"{bag.path}: the axes {', '.join(names)} of the stage have no samples in common")
+    first = axes[names[0]].metadata
+    whole = {key: first[key] for key in (*OF_ALL, "complete", "recorded_ns", "timing")}
+    missing, own = 0, {}
+    for name, one in axes.items():
+        rows = np.isin(stamps[name], common)
+        within = (stamps[name] >= common[0]) & (stamps[name] <= common[-1])
+        missing += one.metadata["missing_samples"] + int(np.count_nonzero(within & ~rows))
+        own[name] = {key: value for key, value in one.metadata.items() if key not in OF_ALL}
+        signals = {key: values[rows] for key, values in one.signals.items()}
+        axes[name] = Recording((common - common[0]) / 1e9, signals, one.units)
+    metadata = {
+        **whole,
+        "namespace": namespace,
+        "stage": f"{namespace}/{STAGE}",
+        "missing_samples": missing,
+        "missing_changes": sum(one["missing_changes"] for one in own.values()),
+        "start_time_ns": int(common[0]),
+        "notes": list(dict.fromkeys(note for one in own.values() for note in one["notes"])),
+        "axes": own,
+    }
+    return Recording.of_axes(axes, metadata)
 
 
 def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> Recording:

@@ -38,7 +38,7 @@ class Recording:
     units: dict[str, str] = field(default_factory=dict)
     #: Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
     #: ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, fused, ``lateness_…_s``),
-    #: ``namespace``, ``source``.
+    #: ``namespace``, ``source``; of a stage ``axes``: those of each axis by its name.
     metadata: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -130,7 +130,7 @@ class Recording:
             self.time,
             {short: self.signals[key] for key, short in names.items()},
             {short: self.units[key] for key, short in names.items()},
-            {**self.metadata, "namespace": space},
+            {**self.metadata, "namespace": space, **self.metadata.get("axes", {}).get(name, {})},
         )
 
     @classmethod

@@ -24,8 +24,8 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 
-from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
-from hysteresis_ros.errors import HysteresisError, RecordingError
+from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
@@ -38,6 +38,16 @@ def described(text: str, node: str, namespace: str = "") -> bool:
     """Return whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
     configuration = _parsed(text)
     return configuration is not None and configuration.describes(node, namespace)
+
+
+def stage_of(text: str) -> tuple[str, tuple[str, ...]] | None:
+    """Return the namespace of the stage that a configuration in a recording describes, and the names of its axes."""
+    configuration = _parsed(text)
+    with contextlib.suppress(ConfigurationError):
+        if configuration is not None and configuration.stage is not None:
+            names = configuration.node(STAGE, configuration.stage).get("axes", ())
+            return configuration.stage, tuple(map(str, names))
+    return None
 
 
 def configured(text: str, node: str, namespace: str = "") -> dict:
@@ -54,13 +64,19 @@ def in_force(recording: Recording) -> str:
 
     The log of the nodes also has values of the command line and changes before the first sample.
     """
-    known = recording.metadata.get("parameters", {})
-    if not known.keys() >= LOGGED:
-        return recording.configuration
-    namespace = recording.metadata.get("namespace", "")
-    nodes = {node: configured(recording.configuration, node, namespace) for node in OPTIONAL} | known
-    given = {node: {name: value for name, value in values.items() if value != []} for node, values in nodes.items()}
-    return dump_configuration({f"{namespace}/{node}": values for node, values in given.items() if values})
+    text, found = recording.configuration, {}
+    for one in [recording.axis(name) for name in recording.axes] or [recording]:
+        known = one.metadata.get("parameters", {})
+        if not known.keys() >= LOGGED:
+            return text
+        namespace = one.metadata.get("namespace", "")
+        nodes = {node: configured(text, node, namespace) for node in OPTIONAL} | known
+        found |= {f"{namespace}/{node}": values for node, values in nodes.items()}
+    if recording.axes:
+        namespace = recording.metadata.get("namespace", "")
+        found[f"{namespace}/{STAGE}"] = configured(text, STAGE, namespace)
+    given = {node: {name: value for name, value in values.items() if value != []} for node, values in found.items()}
+    return dump_configuration({node: values for node, values in given.items() if values})
 
 
 @functools.lru_cache(maxsize=4)

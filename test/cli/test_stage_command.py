@@ -78,8 +78,6 @@ def test_the_setpoints_of_a_run_of_a_stage_are_replayed(tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        ("up", "xy_scanner"),
-        ("up", "xy_scanner", "--namespace", "x"),
         ("frf", "xy_scanner"),
         ("commission", "xy_scanner"),
         ("urdf", "xy_scanner"),
@@ -99,10 +97,30 @@ def test_validate_refuses_the_plant_of_a_stage(tmp_path):
         assert "stage of coupled axes" in said
 
 
-def test_verify_refuses_the_recording_of_a_stage(tmp_path, run):
-    path = tmp_path / "run.npz"
+def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
+    path, wrong = tmp_path / "run.npz", tmp_path / "wrong.npz"
     run.save(path)
-    assert "stage of coupled axes" in hysteresis("verify", path, code=2)
+    assert "2000 samples equal the offline twin bit for bit" in hysteresis("verify", path)
+    found = load_run(path)
+    found.signals["y/command"][700] += 1e-12
+    save_run(found, wrong)
+    assert "y/command: 1 samples" in hysteresis("verify", wrong, code=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "10000 samples/s are too many for the messages between the nodes of a stage"),
+        (("--fused",), "a stage has no fused loop so far"),
+        (("--namespace", "x"), "run together: an axis is named for its faults only"),
+        (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
+        (("--plant", "external", "--factor", "0.01"), "external_plant"),
+    ],
+)
+def test_up_refuses_what_a_stage_cannot_do(words, message):
+    said = hysteresis("up", "xy_scanner", *words, code=2)
+    assert message in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.parametrize(
@@ -125,7 +143,7 @@ def test_what_a_stage_cannot_do_is_refused(words, message, tmp_path):
 def test_a_wrong_stage_is_refused_by_the_command(tmp_path):
     path = tmp_path / "wrong.yaml"
     text = load_configuration("xy_scanner").text
-    path.write_text(text.replace("axes: [x, y]", "axes: [x, x]"), encoding="utf-8")
+    path.write_text(text.replace('axes: [x, "y"]', "axes: [x, x]"), encoding="utf-8")
     said = hysteresis("simulate", path, "-o", tmp_path / "never.npz", code=2)
     assert "'x' is there twice" in said
 

@@ -302,8 +302,8 @@ def compare(
     conditions = conditions or Conditions()
     axis = single_axis(configuration, namespace)
     axis.require_generator(
-        f"{configuration.source}: describes an inchworm motor, but the comparison needs a reference generator; give the "
-        "configuration of a single actuator"
+        f"{configuration.source}: describes an inchworm motor, but the comparison needs a reference generator; give "
+        "the configuration of a single actuator"
     )
     if namespace is not None:
         configuration = parse_configuration(axis.configuration_text(), configuration.source)

@@ -1,0 +1,566 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+"""Executable ``hysteresis_stage``: the nodes of all axes of a stage, of one kind or of all kinds, in one process.
+
+Each axis has its four nodes in its own namespace, as a single axis has, with the same topics, services and parameters.
+The nodes of one kind of all axes share a process. Plants are coupled there by the structure, compensators by the
+decoupling; references and controllers are those of a single axis. ``hysteresis_stage KIND`` has the nodes of one kind,
+without a kind it has all of them; the parameter file of the stage follows ``--params-file``.
+"""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import sys
+import threading
+from array import array
+from collections import deque
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from hysteresis_ros import signals
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
+from hysteresis_ros.loop.controller import STOP
+from hysteresis_ros.loop.stage import (
+    WITH_STAGE,
+    Coupling,
+    advance_structure,
+    hold_with_stage,
+    to_actuators,
+    to_axes,
+    to_pose,
+)
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.watch import is_stale
+from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+from hysteresis_ros.nodes.launcher import require_messages
+from hysteresis_ros.nodes.lockstep import LockstepResponder
+from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
+from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.nodes.realtime import RealTimeResponder
+from hysteresis_ros.nodes.recorder import RecorderNode
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+from hysteresis_ros.nodes.spin import run
+
+
+class Group:
+    """Nodes of one kind of all axes of a stage, in one process; their rows are those of one table."""
+
+    def __init__(self, parameters: StageParameters):
+        self.parameters = parameters
+        self.coupling = Coupling(parameters)
+        self.rows = np.zeros((len(parameters.axes), signals.MOTOR_ROW))
+        self.nodes: list = []
+
+    @property
+    def runners(self) -> list:
+        """What decides when the nodes deal with a sample; empty until all are configured."""
+        configured = len(self.nodes) == len(self.rows) and all(node.parameters is not None for node in self.nodes)
+        return [node.runner for node in self.nodes] if configured else []
+
+
+class StagePlants(Group):
+    """The plants of a stage: one sample of all actuators, with the structure between them."""
+
+    def __init__(self, parameters: StageParameters):
+        super().__init__(parameters)
+        self.lock = threading.RLock()
+        #: Set while the timing thread stops.
+        self.leaving = threading.Event()
+        self.stamps = None
+        self._publisher = None
+
+    def settle(self) -> None:
+        """Put the structure to rest at the voltages at which the plants begin, as soon as all are there."""
+        parts = [node.part for node in self.nodes]
+        if len(parts) == len(self.rows) and None not in parts:
+            self.coupling.settle(parts)
+
+    def publish_sample(self) -> None:
+        """Measure the present sample of all axes and publish it, on the topics of the axes and that of the stage."""
+        for node in self.nodes:
+            node.sense()
+        to_pose(self.coupling.arrays, self.rows)
+        for node in self.nodes:
+            node.publish_measured()
+        self.publish_joint_states()
+
+    def publish_joint_states(self) -> None:
+        """Publish the joints of all axes in one message."""
+        messages = [node.joint_states for node in self.nodes]
+        whole = JointState(header=messages[0].header, name=[message.name[0] for message in messages])
+        for field in ("position", "velocity", "effort"):
+            setattr(whole, field, array("d", [getattr(message, field)[0] for message in messages]))
+        self._publisher.publish(whole)
+
+    def connect(self, node) -> None:
+        """Create the topic of all joints, by the first of the plants."""
+        if node is self.nodes[0]:
+            topic = f"{self.parameters.namespace}/joint_states"
+            self._publisher = node.publisher(JointState, topic, node.qos())
+
+    def finish_sample(self) -> None:
+        """Hold the received voltages of all axes and advance to the next sample."""
+        for node in self.nodes:
+            node.hold_voltages()
+        advance_structure(self.coupling.arrays)
+        for node in self.nodes:
+            node.close_sample()
+
+    def stop_together(self) -> None:
+        """Stop all axes when one of them is stopped."""
+        if any(node.part.tripped for node in self.nodes):
+            for node in self.nodes:
+                node.part.stop_with_stage()
+
+
+class LockstepStagePlant(LockstepPlant):
+    """Publishes sample k of all axes at once, and continues with k+1 when all their voltages of k have arrived."""
+
+    def advance(self) -> None:
+        """Publish the present sample when partners and recorder of all axes are ready."""
+        runners = self.node.group.runners
+        if runners and all(one.may_begin() for one in runners) and all([one.begin_sample() for one in runners]):
+            self.node.group.publish_sample()
+
+    def finish_sample(self) -> None:
+        """Go on to the next sample when the voltages of all axes have come."""
+        runners = self.node.group.runners
+        if all(one.is_answered for one in runners):
+            for one in runners:
+                one.is_measured = False
+            self.node.group.finish_sample()
+            self.node.group.stop_together()
+            self.advance()
+
+    def missing_voltage(self) -> str:
+        """Return the partner whose input for the present sample is missing; the plants of other axes report theirs."""
+        return "" if self.is_answered else super().missing_voltage()
+
+
+class RealTimeStagePlant(RealTimePlant):
+    """Starts each sample of all axes at its scheduled time, in one thread, which the first of the plants has."""
+
+    def __init__(self, node):
+        super().__init__(node)
+        self._leaving = node.group.leaving
+
+    @property
+    def _first(self):
+        return self.node.group.nodes[0].runner
+
+    def start_time(self) -> None:
+        """Start the timing thread when the plants of all axes are active."""
+        if all(node.active for node in self.node.group.nodes):
+            RealTimePlant.start_time(self._first)
+
+    def stop_time(self) -> None:
+        """Stop the timing thread: without one of its plants a stage has no samples."""
+        if self._first is not None:
+            RealTimePlant.stop_time(self._first)
+
+    def is_awaited(self, recorded: bool) -> bool:
+        """Return whether the loops of all axes are complete, and with ``recorded`` the recorder is there."""
+        return all(RealTimePlant.is_awaited(one, recorded) for one in self.node.group.runners)
+
+    def align_now(self) -> bool:
+        """Wait until no voltage of any axis is pending if the count of one has to start anew."""
+        runners = self.node.group.runners
+        if any(one.is_unaligned for one in runners):
+            for one in runners:
+                one.align()
+                RealTimePlant.align_now(one)
+            return True
+        return False
+
+    def begin_sample(self) -> None:
+        """Publish the present sample of all axes; called with the lock held."""
+        for one in self.node.group.runners:
+            one.ask()
+        self.node.group.publish_sample()
+
+    def end_sample(self, behind: bool) -> None:
+        """Hold the voltages that have come and go on to the next sample; called with the lock held."""
+        group = self.node.group
+        runners = group.runners
+        for one in runners:
+            one.close_answers()
+        before = [one.node.part.tripped for one in runners]
+        group.finish_sample()
+        for one, stopped in zip(runners, before, strict=True):
+            one.go_to_next(stopped, behind)
+        group.stop_together()
+
+
+class StagePlantNode(PlantSimulatorNode):
+    """The plant of one axis of a stage; the plants of the other axes are in the same process."""
+
+    lockstep_runner = LockstepStagePlant
+    real_time_runner = RealTimeStagePlant
+
+    def __init__(self, group: StagePlants, **options):
+        self.group, self.place = group, len(group.nodes)
+        super().__init__(**options)
+        self.lock = group.lock
+        group.nodes.append(self)
+
+    @property
+    def others(self) -> list:
+        """The plants of the other axes."""
+        return [node for node in self.group.nodes if node is not self]
+
+    def build(self, parameters) -> None:
+        """Create actuator and sensor of this axis."""
+        super().build(parameters)
+        self.row = self.group.rows[self.place]
+        self.row[:] = 0.0
+        # all axes of a sample have the same stamp
+        self.stamps = self.group.stamps = self.group.stamps or self.stamps
+
+    def make_part(self, parameters):
+        """Return the actuator and the sensor of this axis."""
+        return self.group.coupling.plant(self.place, parameters)
+
+    def connect(self) -> None:
+        """Create the topics of the axis, and once those of the stage."""
+        super().connect()
+        self.group.connect(self)
+
+    def _clear(self) -> None:
+        super()._clear()
+        self.group.settle()
+
+    def reset_blocks(self) -> None:
+        """Restart the plants of all axes at sample 0; in lockstep reset all other nodes first."""
+        with self.lock:
+            for node in reversed(self.group.nodes):  # the first one starts the time
+                if node is not self:
+                    node.runner.clear()
+                super(StagePlantNode, node).reset_blocks()
+
+    def on_running(self, running: bool) -> None:
+        """Pause the time of the stage (``~/stop`` of any of its plants), or resume it (``~/start``)."""
+        for node in self.others:
+            if node.parameters is not None and node.running != running:
+                node.running = running
+                node.pace.restart()
+        for node in self.group.nodes:
+            super(StagePlantNode, node).on_running(running)
+
+    def go_on(self) -> None:
+        """Let the stopped stage go on unless a node of it is lost."""
+        if not any(node.runner.missing_partners() for node in self.group.nodes):
+            for node in self.group.nodes:
+                super(StagePlantNode, node).go_on()
+
+    def explain_trip(self) -> str:
+        """Return why the plant has stopped the axis: for a reason of its own, or because another axis has stopped."""
+        if not self.part.stopped_with_stage:
+            return super().explain_trip()
+        cause = next((node for node in self.others if node.part.tripped and not node.part.stopped_with_stage), None)
+        if cause is None:
+            return "another axis of the stage was stopped; ~/start lets it go on"
+        return f"{cause.get_namespace()} has stopped the stage: {cause.explain_trip()}"
+
+    def health(self):
+        """Report the voltage, late commands and saturation, and which axis has stopped the stage."""
+        level, text, values = super().health()
+        return level, f"axis stopped: {self.explain_trip()}" if self.part.stopped_with_stage else text, values
+
+
+class StageCompensators(Group):
+    """The compensators of a stage with a decoupling: the command of each actuator depends on those of all axes."""
+
+    def __init__(self, parameters: StageParameters):
+        super().__init__(parameters)
+        #: Achieved commands of the actuators [m].
+        self.achieved = np.zeros(len(self.rows))
+
+    def answer(self, nodes) -> None:
+        """Compute the voltages of these axes, whose commands are in their rows, and publish them."""
+        for node in self.nodes:
+            if node not in nodes:
+                node.row[signals.COMMAND] = math.nan
+        for node in nodes:
+            node.before_step()
+        to_actuators(self.coupling.arrays, self.rows)
+        for node in nodes:
+            node.step()
+        self.note_achieved(nodes)
+        for node in nodes:
+            node.close_answer()
+
+    def note_achieved(self, nodes) -> None:
+        """Put the achieved commands of the degrees of freedom into the rows; ``nodes`` have new ones of actuators."""
+        for node in nodes:
+            self.achieved[node.place] = node.row[signals.APPLIED]
+        self.rows[:, signals.APPLIED] = self.achieved
+        to_axes(self.coupling.arrays, self.rows)
+
+
+class LockstepTogether(LockstepResponder):
+    """Answers sample k of all axes when their measurements and all their other inputs have arrived."""
+
+    def advance(self) -> None:
+        """Answer the present sample if the inputs of all axes have arrived."""
+        runners = self.node.group.runners
+        if runners and all(one.may_answer() for one in runners):
+            stamps = [one.take_stamp() for one in runners]
+            self.node.group.answer(self.node.group.nodes)
+            for one, stamp in zip(runners, stamps, strict=True):
+                one.node.report(stamp)
+
+
+class RealTimeTogether(RealTimeResponder):
+    """Answers the commands of all axes when they have come.
+
+    An axis whose command has not come by the next one of another axis misses this sample; one that has been silent for
+    its time-out is not awaited.
+    """
+
+    has_command = False
+
+    def clear(self) -> None:
+        """Restart with the next command."""
+        super().clear()
+        self.has_command = False
+
+    def _command(self, input_, data: float) -> None:
+        """Answer when the commands of all axes have come."""
+        runners = self.node.group.runners
+        if self.has_command:
+            self._answer_all(runners)
+        if self.take_command(input_, data):
+            self.has_command = True
+            if all(one.has_command or not one.is_live for one in runners):
+                self._answer_all(runners)
+
+    def _answer_all(self, runners) -> None:
+        answered = [one for one in runners if one.has_command]
+        self.node.group.answer([one.node for one in answered])
+        for one in answered:
+            one.has_command = False
+            one.pair_answer()
+
+
+class StageCompensatorNode(HysteresisCompensatorNode):
+    """The compensator of one axis of a stage with a decoupling; those of the other axes are in the same process."""
+
+    lockstep_runner = LockstepTogether
+    real_time_runner = RealTimeTogether
+
+    def __init__(self, group: StageCompensators, **options):
+        self.group, self.place = group, len(group.nodes)
+        super().__init__(**options)
+        self.row = group.rows[self.place]
+        group.nodes.append(self)
+
+    def reset_blocks(self) -> None:
+        """Reset the compensator to rest."""
+        super().reset_blocks()
+        self.group.coupling.arrays.commands[self.place] = self.group.achieved[self.place] = 0.0
+
+    def miss(self, samples: int) -> None:
+        """Process samples without a command, and publish the result."""
+        for _ in range(samples):
+            self.miss_sample()
+        self.group.note_achieved([self])
+        self.publish_outputs()
+
+
+class StageControllers(Group):
+    """The controllers of a stage: while the measurement of an axis is stale, the others go to safe, too."""
+
+    def look_for_stale(self) -> None:
+        """Stop or start the controllers, once all of them have answered a sample."""
+        if not self.runners or (self.nodes[0].runner.exact and len({node.sample for node in self.nodes}) > 1):
+            return
+        stale = [is_stale(node.part.arrays.watch_p.guard, node.part.arrays.watch_x.guard) for node in self.nodes]
+        for node, own in zip(self.nodes, stale, strict=True):
+            hold_with_stage(node.part.arrays.watch_x.own, float(any(stale) and not own))
+
+
+class StageControllerNode(MotionControllerNode):
+    """The controller of one axis of a stage; those of the other axes are in the same process."""
+
+    def __init__(self, group: StageControllers, **options):
+        self.group = group
+        super().__init__(**options)
+        group.nodes.append(self)
+
+    def after_missing(self) -> None:
+        """Log changes of mode, and look whether the measurement of an axis is stale."""
+        super().after_missing()
+        self.group.look_for_stale()
+
+    def health(self):
+        """Report stale and rejected measurements, saturated commands, and that another axis holds this one."""
+        found = super().health()
+        if self.part.arrays.watch_x.own[STOP] != WITH_STAGE:
+            return found
+        return 2, "the measurement of another axis of the stage is stale: safe until it is back", found[2]
+
+
+class StageSources(Group):
+    """The reference generators of a stage, which take setpoints of several axes for the same sample."""
+
+    def take(self, given: dict[str, float]) -> str:
+        """Take setpoints [m] by the names of axes, all or none; return why they are refused, empty when taken."""
+        nodes = dict(zip(self.parameters.names, self.nodes, strict=True))
+        unknown = [name for name in given if name not in nodes]
+        if unknown:
+            return f"there is no axis '{unknown[0]}' in the stage: it has {', '.join(nodes)}"
+        for name, value in given.items():
+            reason = nodes[name].part.generator.refuse(value)
+            if reason:
+                return f"{name}: {reason}"
+        sample = max(node.sample for node in self.nodes)
+        for name, value in given.items():
+            nodes[name].coming.append((sample, value))
+        return ""
+
+
+class StageReferenceNode(ReferenceGeneratorNode):
+    """The reference generator of one axis of a stage; those of the other axes are in the same process."""
+
+    def __init__(self, group: StageSources, **options):
+        self.group = group
+        #: Setpoints [m] of the topic of the stage, each with the number of its first sample.
+        self.coming: deque = deque()
+        super().__init__(**options)
+        group.nodes.append(self)
+
+    def connect(self) -> None:
+        """Create the topics of the axis; the first of the nodes also takes the setpoints of the stage."""
+        super().connect()
+        if self is self.group.nodes[0]:
+            topic = f"{self.group.parameters.namespace}/setpoints"
+            self.subscriber(Float64MultiArray, topic, self._on_setpoints, setpoint_qos())
+
+    def reset_blocks(self) -> None:
+        """Reset: waveform at its start, setpoint as configured."""
+        super().reset_blocks()
+        self.coming.clear()
+
+    def before_step(self) -> None:
+        """Put the setpoint into the row."""
+        while self.coming and self.coming[0][0] <= self.sample:
+            self._take(self.coming.popleft()[1])
+        super().before_step()
+
+    def _on_setpoints(self, message) -> None:
+        """Take setpoints of several axes: their names, separated by commas, label the dimension; without: all axes."""
+        if len(self.group.runners) < len(self.group.rows):
+            return
+        label = message.layout.dim[0].label if message.layout.dim else ""
+        names = [name.strip() for name in label.split(",")] if label else list(self.group.parameters.names)
+        if len(set(names)) != len(names) or len(names) != len(message.data):
+            reason = f"setpoints has {len(message.data)} numbers for {', '.join(names)}; one for each, no name twice"
+        else:
+            reason = self.group.take(dict(zip(names, message.data, strict=True)))
+        if reason:
+            self.refuse("setpoints", f"{reason}; all setpoints are kept")
+
+
+class StageRecorders(Group):
+    """The recorders of a stage: one for the topics of each axis, and one bag for all."""
+
+    def __init__(self, parameters: StageParameters):
+        super().__init__(parameters)
+        self.recording = None
+        self.at_work: set = set()
+
+
+class StageRecorderNode(RecorderNode):
+    """Records the topics of one axis of a stage; those of the other axes are in the same process and bag."""
+
+    def __init__(self, group: StageRecorders, **options):
+        self.group = group
+        self.hears_diagnostics = not group.nodes
+        super().__init__(**options)
+        group.nodes.append(self)
+
+    def open_bag(self, parameters):
+        """Return the bag of the stage, which the first of its recorders creates."""
+        if self.group.recording is None or self.group.recording.bag is None:
+            self.group.recording = super().open_bag(parameters)
+        return self.group.recording
+
+    @property
+    def described(self) -> tuple[str, ...]:
+        """Namespaces of the axes whose files are in the bag."""
+        return tuple(axis.namespace for axis in self.group.parameters.axes)
+
+    def begin(self) -> None:
+        """Write the configuration first, then tell the plant of the axis that it may begin."""
+        self.group.at_work.add(self)
+        super().begin()
+
+    def finish_bag(self) -> None:
+        """Finish the bag when no other recorder works."""
+        self.group.at_work.discard(self)
+        if not self.group.at_work:
+            super().finish_bag()
+
+
+def stage_factories(parameters: StageParameters, kinds) -> list:
+    """Return what makes the nodes of these kinds, of all axes; the first node is the last to exit."""
+    plants, recorders = StagePlants(parameters), StageRecorders(parameters)
+    compensators, sources = StageCompensators(parameters), StageSources(parameters)
+    controllers = StageControllers(parameters)
+
+    def compensator(**options):
+        if not parameters.stage.decoupling:
+            return HysteresisCompensatorNode(**options)
+        return StageCompensatorNode(compensators, **options)
+
+    made = {
+        "recorder": lambda **options: StageRecorderNode(recorders, **options),
+        "plant_simulator": lambda **options: StagePlantNode(plants, **options),
+        "hysteresis_compensator": compensator,
+        "motion_controller": lambda **options: StageControllerNode(controllers, **options),
+        "reference_generator": lambda **options: StageReferenceNode(sources, **options),
+    }
+
+    def factory(kind: str, namespace: str):
+        return lambda: made[kind](namespace=namespace)
+
+    return [factory(kind, axis.namespace) for kind in made if kind in kinds for axis in parameters.axes]
+
+
+#: Kinds of nodes that an axis of a stage has.
+KINDS = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+
+
+def main(arguments=None) -> int:
+    """Run the nodes of one kind, or of all kinds, of all axes; returns the exit code."""
+    arguments = list(sys.argv if arguments is None else arguments)
+    kinds = [word for word in arguments if word in (*KINDS, "recorder")]
+    try:
+        if "--params-file" not in arguments[:-1]:
+            raise ConfigurationError("the stage has no parameters: give its file with --ros-args --params-file FILE")
+        path = pathlib.Path(arguments[arguments.index("--params-file") + 1])
+        parameters = StageParameters.from_configuration(parse_configuration(path.read_text("utf-8"), str(path)))
+        require_messages(parameters)
+        factories = stage_factories(parameters, kinds or KINDS)
+    except (HysteresisError, OSError) as error:
+        for problem in error.problems if isinstance(error, ParameterError) else (error,):
+            print(f"error: {problem}", file=sys.stderr)
+        return 2
+    return run(factories, [word for word in arguments if word not in kinds])
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

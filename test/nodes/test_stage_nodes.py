@@ -1,0 +1,201 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+"""The nodes of a stage of coupled axes: the numbers of its offline twin, bit for bit, and a common stop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import until  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
+
+SAMPLES = 300
+#: Both axes move within some hundred samples, and no matrix is the same when its axes are exchanged.
+MOVING = {
+    "stage": {"sensor_matrix": [1.0, 0.02, -0.01, 1.0], "decoupling": [1.0, -0.05, -0.03, 1.0]},
+    "x/reference_generator": {"waveform__type": "sine", "waveform__frequency": 100.0, "waveform__amplitude": 2e-6},
+    "y/reference_generator": {"waveform__type": "sine", "waveform__frequency": 60.0, "waveform__amplitude": 3e-6},
+}
+
+
+def stage(overrides: dict, samples: int = SAMPLES, **common) -> StageParameters:
+    """Return xy_scanner with other values, by node with double underscores for dots."""
+    configuration = load_configuration("xy_scanner").override("", **({"time_mode": "lockstep"} | common))
+    for node, values in overrides.items():
+        configuration = configuration.override(node, **values)
+    one = StageParameters.from_configuration(configuration)
+    return one.with_duration(samples / one.sample_rate) if samples else one
+
+
+def write(path, parameters: StageParameters) -> str:
+    path.write_text(parameters.configuration_text(), encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("how", ["--composed", "--processes"])
+def test_a_recorded_run_of_a_stage_equals_its_offline_twin_bit_for_bit(processes, tmp_path, how):
+    from hysteresis_ros.loop.stage_simulation import simulate_stage, stage_differences
+    from hysteresis_ros.recordings.bag_reader import read_bag
+    from hysteresis_ros.recordings.files import load_run
+
+    parameters = stage(MOVING)
+    path, bag = write(tmp_path / "stage.yaml", parameters), tmp_path / "bag"
+    twin = simulate_stage(parameters)  # before the run: the first one compiles the loop, which takes a minute
+    run = processes.command("up", path, how, "--record", str(bag), "--verify")
+    assert run.wait() == 0, run.output
+    assert f"{SAMPLES} samples equal the offline twin bit for bit, none missing" in run.output
+    assert "axes x, y: in lockstep" in run.output
+    # every signal of both axes, from the topics of a single axis
+    recorded = load_run(bag, further=True)
+    assert recorded.axes == ("x", "y")
+    assert recorded.metadata["missing_samples"] == 0
+    assert {name for name in twin.signals if name not in recorded} <= {f"{axis}/skipped" for axis in "xy"}
+    assert stage_differences(recorded, parameters) == {}
+    for name in "xy":
+        assert np.ptp(twin[f"{name}/displacement"]) > 15e-6
+        assert len(read_bag(bag).topics[f"/{name}/voltage"].data) == SAMPLES
+        alone = load_run(bag, name)
+        assert np.array_equal(alone["displacement"], recorded[f"{name}/displacement"])
+    verified = processes.command("verify", str(bag))
+    assert verified.wait() == 0, verified.output
+    assert "bit for bit" in verified.output
+    reported = processes.command("report", str(bag))
+    assert reported.wait() == 0, reported.output
+    assert "bag x" in reported.output and "bag y" in reported.output
+
+
+def test_an_axis_that_trips_stops_the_stage_in_the_nodes_as_in_the_twin(processes, tmp_path):
+    from hysteresis_ros.recordings.files import load_run
+
+    path = write(tmp_path / "stage.yaml", stage(MOVING | {"plant_simulator": {"late_limit": 5}}))
+    words = ("--fault", "lost_voltage:0.01:0.002", "--namespace", "y")
+    run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify", *words)
+    assert run.wait() == 0, run.output
+    assert "/y has stopped the stage" in run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    for name in "xy":
+        stopped = np.flatnonzero(recorded[f"{name}/tripped"])
+        assert 100 < stopped[0] < 110
+        assert stopped[-1] == SAMPLES - 1
+        # to the safe voltage, 0 V, at the safe slew rate of 0.1 V a sample
+        assert np.max(np.diff(recorded[f"{name}/plant_voltage"][stopped])) <= 0.0
+
+
+def test_a_stage_of_one_axis_gives_the_bits_of_the_axis(processes, tmp_path):
+    from hysteresis_ros.loop.axis import Axis
+    from hysteresis_ros.loop.parameters import AxisParameters
+    from hysteresis_ros.recordings.files import load_run
+
+    mode = {"A": (0.9, 0.42, -0.42, 0.89), "B": (0.095, 0.42), "C": (1.0, 0.0)}
+    moving = {"x/reference_generator": MOVING["x/reference_generator"]}
+    entries = load_configuration("xy_scanner").entries
+    configuration = replace(
+        load_configuration("xy_scanner"), entries=tuple(entry for entry in entries if not entry[0].startswith("/y/"))
+    ).override("", time_mode="lockstep")
+    for node, values in moving.items():
+        configuration = configuration.override(node, **values)
+    configuration = configuration.override("plant_simulator", dynamics__delay=0.0, dynamics__sample_time=0.0)
+    structure = {f"structure__{name}": matrix for name, matrix in mode.items()}
+    coupled = configuration.override(
+        "stage", axes=["x"], structure__inputs=1, structure__outputs=1, decoupling=[], **structure
+    )
+    single = replace(configuration, entries=tuple(entry for entry in configuration.entries if entry[0] != "/stage"))
+    alone = Axis(
+        AxisParameters.from_configuration(
+            single.override(
+                "plant_simulator",
+                dynamics__sample_time=1e-4,
+                dynamics__input_scale=1.0,
+                **{f"dynamics__{name}": matrix for name, matrix in mode.items()},
+            ),
+            "/x",
+        )
+    )
+    one = StageParameters.from_configuration(coupled)
+    path = write(tmp_path / "stage.yaml", one.with_duration(SAMPLES / one.sample_rate))
+    run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"))
+    assert run.wait() == 0, run.output
+    recorded = load_run(tmp_path / "bag")
+    expected = alone.run(alone.default_setpoints(SAMPLES))
+    for name in ("setpoint", "reference", "command", "voltage", "displacement", "measured"):
+        assert np.array_equal(expected[name], recorded[f"x/{name}"]), name
+
+
+def test_setpoints_of_the_stage_begin_with_the_same_sample(processes, observer, tmp_path):
+    from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
+
+    from hysteresis_ros.recordings.files import load_run
+
+    def message(label: str, *values: float):
+        made = Float64MultiArray(data=list(values))
+        made.layout.dim = [MultiArrayDimension(label=label, size=len(values))]
+        return made
+
+    setpoints = observer.talk(Float64MultiArray, "/setpoints")
+    samples = observer.listen(JointState, "/joint_states")
+    refused = observer.listen(String, "/x/reference_generator/refused")
+    path = write(tmp_path / "stage.yaml", stage({}, 1500))
+    run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify")
+    until(lambda: setpoints.get_subscription_count() and len(samples) > 100, what="the samples of the stage")
+    assert samples[-1].name == ["x", "y"]
+    assert len(samples[-1].position) == len(samples[-1].velocity) == len(samples[-1].effort) == 2
+    for wrong in (message("x,y", 12e-6, 1.0), message("x,z", 12e-6, 13e-6), message("y", 12e-6, 13e-6)):
+        setpoints.publish(wrong)
+    until(lambda: len(refused) == 3, what="the refusals")
+    assert "there is no axis 'z' in the stage" in refused[1].data
+    setpoints.publish(message("y,x", 12e-6, 13e-6))
+    assert run.wait() == 0, run.output
+    assert "1500 samples equal the offline twin bit for bit" in run.output
+    found = load_run(tmp_path / "bag")
+    begins = {name: np.flatnonzero(np.diff(found[f"{name}/setpoint"])) for name in "xy"}
+    assert np.array_equal(begins["x"], begins["y"]) and begins["x"].size == 1
+    assert (found["x/setpoint"][-1], found["y/setpoint"][-1]) == (13e-6, 12e-6)
+
+
+@pytest.mark.parametrize("how", ["--composed", "--processes"])
+def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_start(processes, observer, tmp_path, how):
+    from std_msgs.msg import Bool
+
+    from hysteresis_ros.recordings.files import load_run
+
+    heard = {name: observer.listen(JointState, f"/{name}/joint_states") for name in "xy"}
+    estop = observer.talk(Bool, "/x/estop")
+    path = write(tmp_path / "stage.yaml", stage({}, 0, time_mode="realtime"))
+    run = processes.command("up", path, how, "--factor", "0.01", "--record", str(tmp_path / "bag"))
+    until(lambda: estop.get_subscription_count() and len(heard["y"]) > 50, what="samples in real time")
+    assert {one[-1].header.frame_id for one in heard.values()} == {""}
+    estop.publish(Bool(data=True))
+    until(lambda: all(one[-1].header.frame_id for one in heard.values()), what="a stage that is stopped")
+    assert observer.trigger("/y/plant_simulator/start").success
+    until(lambda: not any(one[-1].header.frame_id for one in heard.values()), what="a stage that goes on")
+    # ~/stop of one plant holds the time of both
+    assert observer.trigger("/y/plant_simulator/stop").success
+    counts = {name: len(one) for name, one in heard.items()}
+    assert observer.trigger("/x/plant_simulator/start").success
+    until(lambda: all(len(one) > counts[name] + 20 for name, one in heard.items()), what="samples after the start")
+    code, _ = run.leave()
+    assert code == 0, run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    assert recorded.axes == ("x", "y")
+    assert len(recorded) > 50
+    for name in "xy":
+        # the last samples may not have reached the recorder: they are no numbers
+        stopped = np.flatnonzero(recorded[f"{name}/tripped"] > 0.0)
+        assert 0 < stopped.size < len(recorded) - 20
+    # the plant of the other axis stops one sample later
+    begins = [np.argmax(recorded[f"{name}/tripped"] > 0.0) for name in "xy"]
+    assert begins[1] - begins[0] in (0, 1)
