@@ -21,6 +21,7 @@ import threading
 import time
 from array import array
 from functools import partial
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -185,7 +186,7 @@ class PlantSimulatorNode(AxisNode):
         self.part = None
         super().__init__("plant_simulator", **options)
         # in real time the thread and the executor both access the plant
-        self.lock = threading.Lock()
+        self.lock: Any = threading.Lock()
 
     @property
     def patience(self) -> float:
@@ -221,7 +222,7 @@ class PlantSimulatorNode(AxisNode):
         self.part = self.make_part(parameters)
         self.stamps = Stamps(parameters)
         self.inputs = [VoltageInput(*given) for given in self.axis_kind.voltages]
-        self.row = [0.0] * signals.MOTOR_ROW
+        self.row: Any = [0.0] * signals.MOTOR_ROW
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
         if parameters.driver:
             self._tell_device()

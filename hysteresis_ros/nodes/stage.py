@@ -22,6 +22,7 @@ import sys
 import threading
 from array import array
 from collections import deque
+from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -47,12 +48,13 @@ from hysteresis_ros.nodes.launcher import require_messages
 from hysteresis_ros.nodes.lockstep import LockstepResponder
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
-from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode, Stamps
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 from hysteresis_ros.nodes.recorder import RecorderNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
 from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.recordings.bag_writer import GuardedBag
 
 
 class Group:
@@ -79,8 +81,8 @@ class StagePlants(Group):
         self.lock = threading.RLock()
         #: Set while the timing thread stops.
         self.leaving = threading.Event()
-        self.stamps = None
-        self._publisher = None
+        self.stamps: Stamps | None = None
+        self._publisher: Any = None
 
     def settle(self) -> None:
         """Put the structure to rest at the voltages at which the plants begin, as soon as all are there."""
@@ -479,7 +481,7 @@ class StageRecorders(Group):
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)
-        self.recording = None
+        self.recording: GuardedBag | None = None
         self.at_work: set = set()
 
 

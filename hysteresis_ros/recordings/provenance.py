@@ -64,7 +64,8 @@ def in_force(recording: Recording) -> str:
 
     The log of the nodes also has values of the command line and changes before the first sample.
     """
-    text, found = recording.configuration, {}
+    text = recording.configuration
+    found: dict[str, dict] = {}
     for one in [recording.axis(name) for name in recording.axes] or [recording]:
         known = one.metadata.get("parameters", {})
         if not known.keys() >= LOGGED:

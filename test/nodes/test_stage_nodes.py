@@ -95,6 +95,27 @@ def test_an_axis_that_trips_stops_the_stage_in_the_nodes_as_in_the_twin(processe
         assert np.max(np.diff(recorded[f"{name}/plant_voltage"][stopped])) <= 0.0
 
 
+def test_while_the_measurement_of_an_axis_is_lost_the_whole_stage_goes_to_safe(processes, tmp_path):
+    from hysteresis_ros.loop.watch import RUNNING, STALE, STOPPED
+    from hysteresis_ros.recordings.files import load_run
+
+    path = write(tmp_path / "stage.yaml", stage(MOVING | {"motion_controller": {"measurement_timeout": 0.002}}))
+    words = ("--fault", "stale:0.008:0.01", "--namespace", "x")
+    run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify", *words)
+    assert run.wait() == 0, run.output
+    assert f"{SAMPLES} samples equal the offline twin bit for bit" in run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    lost = recorded["x/controller_mode"] == STALE
+    assert np.array_equal(np.flatnonzero(lost), np.arange(99, 180))
+    # the other axis from the next sample on, and until the sample after
+    held = recorded["y/controller_mode"] == STOPPED
+    assert np.array_equal(np.flatnonzero(held), np.arange(100, 181))
+    for name, stopped in (("x", lost), ("y", held)):
+        # towards the safe command, 0
+        assert np.max(np.diff(recorded[f"{name}/command"][stopped])) <= 0.0
+        assert recorded[f"{name}/controller_mode"][-1] == RUNNING
+
+
 def test_a_stage_of_one_axis_gives_the_bits_of_the_axis(processes, tmp_path):
     from hysteresis_ros.loop.axis import Axis
     from hysteresis_ros.loop.parameters import AxisParameters
