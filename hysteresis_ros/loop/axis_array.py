@@ -445,7 +445,7 @@ def _misshapen(setpoints: np.ndarray, allowed: str) -> Problem:
 
 def _signal_place(name: str) -> int:
     """Return the place of a signal in a row."""
-    names = [signal.name for signal in at.row_signals(motor=False)]
+    names = [signal.name for signal in at.ACTUATOR.row]
     if name not in names:
         raise ParameterError([Problem("signal", name, f"an axis has no such signal{did_you_mean(name, names)}")])
     return names.index(name)

@@ -27,10 +27,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.security.policy import enclave_of
+from hysteresis_ros.signals import ACTUATOR
 
 if TYPE_CHECKING:
     from hysteresis_ros.loop.parameters import AxisParameters
@@ -252,7 +252,7 @@ class Graph:
         """Start the nodes of all axes: a process for those of one kind, or one process."""
         axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
         path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
-        names = ["hysteresis_stage"] if self.composed else list(node_names(False))
+        names = ["hysteresis_stage"] if self.composed else list(ACTUATOR.nodes)
         for name in ["recorder", *names] if self.record is not None else names:
             own = [] if name == "hysteresis_stage" else [name]
             command = node_command("hysteresis_stage", stage.namespace, path, *own, log_level=self.log_level)

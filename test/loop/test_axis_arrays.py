@@ -29,10 +29,10 @@ from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_array import MOST_AXES, AxisArray, parameters_of_each
-from hysteresis_ros.signals import row_signals
+from hysteresis_ros.signals import ACTUATOR
 
 #: All signals of an axis.
-ALL = [signal.name for signal in row_signals(motor=False)]
+ALL = [signal.name for signal in ACTUATOR.row]
 #: Axes of the arrays in which most tests compare, and samples of their runs.
 AXES, SAMPLES = 24, 60
 
