@@ -53,6 +53,7 @@ from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import Fault
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -616,7 +617,7 @@ def simulate(
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
     axes: int,
-    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
 ) -> ArrayRun: ...
 
@@ -632,7 +633,7 @@ def simulate(
     scan: Scan | None = None,
     namespace: str | None = None,
     axes: int | None = None,
-    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
 ) -> Run | ArrayRun:
     """Run an axis, or a stage of coupled axes, offline from rest. For an axis: bit for bit like its nodes in lockstep.
@@ -727,7 +728,7 @@ def axis_array(
     config: Source,
     axes: int,
     *,
-    each: Mapping[str, Sequence | np.ndarray] | None = None,
+    each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
@@ -774,7 +775,13 @@ def axis_array(
     return AxisArray(_parameters_of_array(configuration_of(config), axes, each, faults, namespace), threads)
 
 
-def _parameters_of_array(configuration: Configuration, axes: int, each, faults, namespace: str | None):
+def _parameters_of_array(
+    configuration: Configuration,
+    axes: int,
+    each: Mapping[str, Sequence[Any] | np.ndarray] | None,
+    faults: Sequence[str | Fault],
+    namespace: str | None,
+) -> list[AxisParameters]:
     """Return the parameters of each axis of an array; Python warnings say when they cannot follow their reference."""
     if configuration.stage is not None:
         raise ConfigurationError("axes: a stage has the coupled axes of its file; independent ones need another file")

@@ -17,9 +17,10 @@ alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -190,7 +191,7 @@ class AxisArray:
         nothing = np.zeros((1, 1)), np.zeros(0), np.zeros((1, 0, 1))
         self._stored = Stored(axis.laws, _at_places(axis.parts, self.memory, iter(self.places)))
         compute = specialised(ticks_of_all, self._stored, self.stride, 0, self.rows, *nothing, nogil=True)
-        self._compute = direct(compute)
+        self._compute: Callable[..., None] = direct(compute)
         self.sample = 0
 
     def _settle(self, axis: Axis) -> None:
@@ -332,7 +333,7 @@ def whole_number(name: str, value, most: int) -> int:
 
 
 def parameters_of_each(
-    parameters: AxisParameters, count: int, each: Mapping[str, Sequence | np.ndarray] | None = None
+    parameters: AxisParameters, count: int, each: Mapping[str, Sequence[Any] | np.ndarray] | None = None
 ) -> list[AxisParameters]:
     """Return the parameters of ``count`` axes; ``each`` has their values by ``NODE.PARAMETER``, one for each axis."""
     whole_number("axes", count, MOST_AXES)
@@ -427,7 +428,7 @@ def _places(parts: Parts) -> tuple[list[int], int]:
 def _at_places(arrays, memory: np.ndarray, places: Iterator[int]):
     """Return the same named tuples of arrays of axis 0, in the memory."""
     if isinstance(arrays, tuple):
-        return type(arrays)(*(_at_places(array, memory, places) for array in arrays))  # type: ignore[arg-type]
+        return type(arrays)(*(_at_places(array, memory, places) for array in arrays))
     place = next(places)
     return memory[place : place + arrays.size].reshape(arrays.shape)
 
