@@ -269,7 +269,7 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     last = first + count * factor
     if (count, factor) == (size, 1):
         return data
-    columns = {name: block_means(getattr(data, name)[first:last], factor) for name in ("time", "input", "output")}
+    columns = [block_means(values[first:last], factor) for values in (data.time, data.input, data.output)]
     words = [f"{size} samples condensed to {count}"]
     if last - first < size - factor:
         begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
@@ -278,7 +278,9 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
         held = f"only noise above {readable(highest, 'Hz')}" if highest > 0.0 else "fast movement is only noise"
         words.append(f"averaged over {factor}, {rate:.4g} Hz to {rate / factor:.4g} Hz ({held})")
     note = f"{'; '.join(words)}; --all-samples uses every one"
-    return replace(data, **columns, first=data.first + first, factor=factor, notes=(*data.notes, note))
+    time, voltage, output = columns
+    first, notes = data.first + first, (*data.notes, note)
+    return replace(data, time=time, input=voltage, output=output, first=first, factor=factor, notes=notes)
 
 
 def block_means(values: np.ndarray, factor: int) -> np.ndarray:
