@@ -105,7 +105,7 @@ class SlidingModeParameters(Parameters):
         description="integral_sliding_mode: s(k+1) = rejection_pole s(k), determines how fast disturbances "
         "are rejected that the filter does not estimate; 0: at once, nearer to 1: more smoothly",
     )
-    eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part against |s| / |S B|")
+    eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part against the magnitude of s / (S B)")
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
     delta: float = parameter(0.0, low=0.0, description="Width of the boundary layer (unit of s)")
     anti_windup_threshold: float = parameter(

@@ -170,7 +170,7 @@ class SimulatedCameraParameters(SceneParameters):
     """Image and delay of a simulated camera."""
 
     delay: int = parameter(
-        1, unit="frames", low=0, high=100, read_only=True, description="delay of a frame until it arrives"
+        1, unit="frames", low=0, high=100, read_only=True, description="delay with which a frame arrives"
     )
 
 

@@ -51,7 +51,7 @@ class IffParameters(Parameters):
     gain: float = parameter(
         0.0,
         unit="m/(N s)",
-        description="gain α of the integral; below 0 for a delay above about a quarter period",
+        description="gain α of the integral; below 0 for a delay above about a quarter of the resonance's period",
     )
     leak: float = parameter(
         100.0, unit="rad/s", low=1e-6, description="corner ω_c below which the filter does not integrate"

@@ -43,7 +43,11 @@ from hysteresis_ros.models.linear import StateSpace
 class IrcParameters(Parameters):
     """Gain and feedthrough of integral resonant control."""
 
-    k: float = parameter(0.0, unit="1/s", description="integral gain; below 0 for a delay above about a quarter period")
+    k: float = parameter(
+        0.0,
+        unit="1/s",
+        description="integral gain; below 0 for a delay above about a quarter of the resonance's period",
+    )
     feedthrough: float = parameter(
         -2.0, description="D_f, with the opposite sign of k: 1/|D_f| is the DC gain of the feedback"
     )

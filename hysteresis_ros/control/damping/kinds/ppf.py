@@ -53,7 +53,7 @@ class PpfParameters(Parameters):
     )
     damping: tuple[float, ...] = parameter((), low=1e-4, description="damping ratio of each filter")
     gains: tuple[float, ...] = parameter(
-        (), description="DC gain of each filter; below 0 for a delay above about a quarter period"
+        (), description="DC gain of each filter; below 0 for a delay above about a quarter of the resonance's period"
     )
 
     def check(self):
