@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -294,24 +295,19 @@ class StageParameters:
         for name, coordinate in zip(names, COORDINATES, strict=False):
             place = self.names.index(name)
             source = axes[place].generator
-            own = replace(
-                source.waveform,
-                type="scan",
-                scan=ScanWaveformParameters(given.kind, given.values, coordinate),
-                cycles=given.periods,
-                offset=0.0,
-                phase=0.0,
-            )
-            axes[place] = replace(axes[place], reference_generator=replace(source, waveform=own))
+            own: dict[str, Any] = {"scan": ScanWaveformParameters(given.kind, given.values, coordinate)}
+            own |= {"type": "scan", "cycles": given.periods, "offset": 0.0, "phase": 0.0}
+            waveform = replace(source.waveform, **own)
+            axes[place] = replace(axes[place], reference_generator=replace(source, waveform=waveform))
         sources = [axes[self.names.index(name)].generator for name in names]
-        limits = [
-            tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
+        limits: dict[str, Any] = {
+            what: tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
             for what in ("velocity", "acceleration", "jerk")
-        ]
-        low = tuple(source.minimum - source.initial_setpoint for source in sources)
-        high = tuple(source.maximum - source.initial_setpoint for source in sources)
+        }
+        limits["low"] = tuple(source.minimum - source.initial_setpoint for source in sources)
+        limits["high"] = tuple(source.maximum - source.initial_setpoint for source in sources)
         try:
-            check_limits(scan, ScanLimits(low, high, *limits))
+            check_limits(scan, ScanLimits(**limits))
         except ParameterError as error:
             words = f"{where}: about the setpoints, as {', '.join(names)}: "
             raise ParameterError([replace(problem, name=words + problem.name) for problem in error.problems]) from None
