@@ -105,7 +105,7 @@ def design_damping(
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
     search = _Search(kind, mode, dynamics, sample_time, plants, force)
-    # first seek filters that tolerate one more sample of delay; if there are none, those that work without it
+    # first seek filters that tolerate one more sample of delay; without any, those that work as modelled
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
