@@ -186,11 +186,16 @@ def _list(values):
 #: How an input may run between its samples; ``foh`` is another word for ``linear``.
 METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
-#: Samples to each side that determine a band-limited input between two samples; beyond both ends it is mirrored.
+#: Samples beyond each end over which a band-limited input that is not periodic is mirrored.
 MARGIN = 64
+#: Samples to each side that determine a band-limited input between two samples, and β of Kaiser's window over them:
+#: closest for inputs up to a quarter of the sample rate, and sharp, for inputs up to nearly half of it.
+CLOSE, SHARP = (10, 12.0), (32, 8.0)
 
 
-def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False) -> np.ndarray:
+def upsample(
+    u, factor: int, method: str = "bandlimited", periodic: bool = False, window: tuple[int, float] = CLOSE
+) -> np.ndarray:
     """Return the input at ``factor`` times as many points, shape (N factor,); every factor-th is a sample."""
     u = np.ascontiguousarray(u, dtype=np.float64)
     if method not in METHODS or factor < 1:
@@ -212,7 +217,7 @@ def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False
     margin = min(MARGIN, u.size - 1)
     # mirrored about the ends, so that level and slope continue
     head, tail = 2.0 * u[0] - u[margin:0:-1], 2.0 * u[-1] - u[-2 : -margin - 2 : -1]
-    taps = scipy.signal.firwin(2 * MARGIN * factor + 1, 1.0 / factor, window=("kaiser", 12.0))
+    taps = scipy.signal.firwin(2 * window[0] * factor + 1, 1.0 / factor, window=("kaiser", window[1]))
     longer = scipy.signal.resample_poly(np.concatenate([head, u, tail]), factor, 1, window=taps)
     return longer[margin * factor : (margin + u.size) * factor]
 
@@ -280,7 +285,7 @@ class CanonicalSimulation:
     def states(self, u, initial: str = "zero") -> np.ndarray:
         """Return the states at the samples, shape (N, n), in scaled time."""
         if self.intersample == "bandlimited":
-            fine = upsample(u, BANDLIMITED_POINTS, "bandlimited", initial == "periodic")
+            fine = upsample(u, BANDLIMITED_POINTS, "bandlimited", initial == "periodic", SHARP)
             Ad, B0, B1 = self.discrete(self.sample_time / BANDLIMITED_POINTS)
             return self._run(Ad, B0, B1, fine, initial)[::BANDLIMITED_POINTS][: len(u)]
         Ad, B0, B1 = self.discrete(self.sample_time)
