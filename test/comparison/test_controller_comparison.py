@@ -203,7 +203,7 @@ def test_labels_of_the_error_scale_do_not_overlap(most):
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["inchworm_travel", "--draws", "1"], "sequencer"),
+        (["inchworm_travel", "--draws", "1"], "describes an inchworm motor"),
         (["picma_stage", "--mismatch", "2"], "mismatch = 2"),
         (["picma_stage", "--best"], "--best and -o FILE.yaml belong together"),
         (["picma_stage", "-o", "best.yaml"], "best.yaml: --best and -o FILE.yaml belong together"),

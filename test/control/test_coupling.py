@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 
 import numpy as np
@@ -25,6 +26,12 @@ from hysteresis_ros.control.coupling import (
 )
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import StateSpace
+
+
+def python_control():
+    """Return python-control, or skip the test; the folder of this test is a module of that name, too."""
+    pytest.importorskip("control.statesp", reason="python-control is optional")
+    return importlib.import_module("control")
 
 
 def random_loop(count: int, seed: int, order: int = 4) -> StateSpace:
@@ -89,7 +96,7 @@ def test_rows_and_columns_of_relative_gains_add_up_to_one_and_ignore_units():
 
 
 def test_singular_values_are_those_of_python_control():
-    control = pytest.importorskip("control")
+    control = python_control()
     loop = random_loop(3, 5)
     angles = np.array([0.01, 0.3, 2.0])
     expected = control.singular_values_response(control.ss(loop.A, loop.B, loop.C, loop.D, 1.0), angles)
@@ -111,7 +118,7 @@ def test_an_integrator_has_its_closed_form():
 @pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0])
 @pytest.mark.parametrize(("count", "seed"), [(1, 0), (1, 1), (2, 2), (2, 3), (3, 4)])
 def test_margins_are_those_of_python_control(count, seed, skew):
-    control = pytest.importorskip("control")
+    control = python_control()
     if count > 1:
         pytest.importorskip("slycot")
     loop = random_loop(count, seed)

@@ -206,7 +206,7 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
     path = tmp_path / "learned.yaml"
     write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, 2e-6), np.zeros(N)))
     for values, words in (
-        ({"period": 2 * N / RATE}, "40 samples of 0.001 s; the axis needs 80 samples"),
+        ({"period": 2 * N / RATE}, "40 samples of 0.001 s, but the axis needs 80 samples"),
         ({"maximum": 1e-6}, "at most learning.maximum = 1e-06 m"),
         ({"file": str(tmp_path / "none.yaml")}, "cannot be read"),
         ({"file": __file__}, "is not a file of a learned correction"),
