@@ -605,7 +605,8 @@ def simulate(
     scan: Scan | None = None,
     namespace: str | None = None,
     axes: None = None,
-) -> Run: ...
+) -> Run:
+    """Run an axis, or a stage."""
 
 
 @overload
@@ -619,7 +620,8 @@ def simulate(
     axes: int,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
-) -> ArrayRun: ...
+) -> ArrayRun:
+    """Run many independent axes."""
 
 
 def simulate(
