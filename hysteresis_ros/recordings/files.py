@@ -173,8 +173,6 @@ def save_run(recording: Recording, path, configuration: str | None = None) -> No
     """Write a run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix."""
     path = pathlib.Path(path)
     suffix = path.suffix.lower()
-    if recording.axes and suffix == ".mcap":
-        raise RecordingError(f"{path}: a bag is of a single axis; write .npz or .csv, or one axis alone")
     if suffix == ".npz":
         write_npz(recording, path)
     elif suffix == ".csv":

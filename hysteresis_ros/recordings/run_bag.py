@@ -246,13 +246,23 @@ def write_recording(
     joint: str | None = None,
     start_time_ns: int = 0,
 ) -> None:
-    """Write a run as a bag like that of the nodes."""
+    """Write a run as a bag like that of the nodes; that of a stage has the topics of all its axes."""
     path = pathlib.Path(path)
     text = recording.configuration if configuration is None else configuration
-    joint = joint or str(configured(text, "plant_simulator", namespace).get("joint", "piezo"))
+    axes = {namespace: recording}
+    if recording.axes:
+        each = [recording.axis(name) for name in recording.axes]
+        axes = {str(one.metadata["namespace"]): one for one in each}
+
+    def write(bag: BagWriter) -> None:
+        bag.describe(RECORD, provenance())
+        for space, one in axes.items():
+            own = joint or str(configured(text, "plant_simulator", space).get("joint", "piezo"))
+            _write_topics(bag, one, text, _prefix(space), own, start_time_ns)
+
     if path.suffix.lower() != ".mcap":
         with BagWriter(path) as bag:
-            _write_topics(bag, recording, text, _prefix(namespace), joint, start_time_ns)
+            write(bag)
         return
     if path.exists():
         raise RecordingError(f"{path}: exists already; choose another name or remove it")
@@ -262,7 +272,7 @@ def write_recording(
         raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
     try:
         with BagWriter(folder / path.stem) as bag:
-            _write_topics(bag, recording, text, _prefix(namespace), joint, start_time_ns)
+            write(bag)
         (folder / path.stem / f"{path.stem}.mcap").rename(path)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -274,7 +284,6 @@ def _prefix(namespace: str) -> str:
 
 
 def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -> None:
-    bag.describe(RECORD, provenance())
     stamps = (np.rint(recording.time * 1e9).astype(np.int64) + int(start_time_ns)).tolist()
     bag.add_topic(f"{prefix}/configuration", "std_msgs/msg/String", "transient_local")
     if configuration:

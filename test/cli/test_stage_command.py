@@ -180,9 +180,14 @@ def test_files_give_the_run_back_bit_for_bit(tmp_path, suffix):
         np.testing.assert_array_equal(again["x"].displacement, run["x"].displacement)
 
 
-def test_a_bag_is_of_a_single_axis(tmp_path, run):
-    with pytest.raises(RecordingError, match="a bag is of a single axis"):
-        run.save(tmp_path / "run.mcap")
+def test_a_bag_gives_the_run_of_a_stage_back(tmp_path, run):
+    run.save(tmp_path / "run.mcap")
+    found = hr.load(tmp_path / "run.mcap")
+    assert found.axes == ("x", "y")
+    for name in found.axes:
+        for signal in ("setpoint", "reference", "command", "voltage", "displacement", "measured"):
+            np.testing.assert_array_equal(found[name][signal], run[name][signal], err_msg=signal)
+    assert np.array_equal(hr.load(tmp_path / "run.mcap", namespace="y")["measured"], run["y/measured"])
 
 
 def test_setpoints_of_a_stage_go_by_the_names_of_its_axes():

@@ -40,6 +40,7 @@ SNIPPETS = {
     "README": "two recordings of one's own; the same lines are in api.md",
     "identification": "recordings of one's own; the same calls are in api.md",
     "hardware": "a driver of one's own: examples/driver_skeleton.py is run by test/nodes/test_external_plant.py",
+    "scale": "test/loop/test_axis_arrays.py",
     "scans": "test/references/test_scans.py",
     "coupled_identification": "recordings of one's own; test/identification/test_coupled_identification.py",
     "epics": "ophyd and bluesky are not installed",
