@@ -1,0 +1,338 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Scans of coupled stages that are not what their models say: identified from recordings, designed, run and judged.
+
+    python benchmarks/bench_scan.py --plants 0:12
+
+Each plant has two actuators with hysteresis and creep of other classes than the model
+(:mod:`hysteresis_ros.laboratory.foreign`), a structure with modes that were drawn around those of ``xy_scanner``, two
+further modes that no model has, cross-talk, one sample of delay, 5 nm of noise and 16 bits. Each axis is identified
+from one recording of its own, in which the other axis also shows how much it is moved. Controllers, decoupling and
+learning are designed from that alone. Errors are those of the true displacement between the samples, against the path
+itself.
+"""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import tempfile
+import time
+from dataclasses import dataclass, replace
+
+import common
+import numpy as np
+
+from hysteresis_ros.analysis.scan_report import ScanRun, scan_figures
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.coupling import static_decoupling
+from hysteresis_ros.control.learning import LearningParameters, write_learned
+from hysteresis_ros.designs.controller import DesignRequest, design_axis
+from hysteresis_ros.designs.coupled import design_stage_learning
+from hysteresis_ros.designs.learning import LearningRequest
+from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.laboratory.comparison.rows import Bench, excitation
+from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import StageParameters, StageScanParameters
+from hysteresis_ros.loop.stage_simulation import displacements_between
+from hysteresis_ros.models.limits import Limits
+from hysteresis_ros.models.linear import zero_order_hold
+from hysteresis_ros.models.sensor import Sensor
+from hysteresis_ros.models.structure import Structure, StructureParameters
+from hysteresis_ros.recordings.dataset import Recording
+
+RATE, NAMES = 10e3, ("x", "y")
+T = 1.0 / RATE
+BENCH = Bench(sample_rate=RATE)
+#: Range of the stage, which it reaches from either side, and largest correction [m].
+RANGE = 8e-6, 48e-6
+MAXIMUM = 15e-6
+#: Scans: kind and values, periods that are run, periods that count, and what is wanted [% of the size] in the plane and
+#: of coupling. 32 µm are 80 % of the range of 40 µm. A PI with 6 dB of gain margin on a mode at 700 Hz of damping 0.01
+#: has the bandwidth 0.01 · 700 Hz = 7 Hz, ten times that is 70 Hz.
+SCANS = {
+    "raster, 5 Hz": (
+        "raster",
+        ("width=32um", "depth=32um", "lines=32", "flyback=8", "line_rate=5Hz", "slow=ramped"),
+        (2, 1),
+        (0.05, 0.01),
+    ),
+    "spiral, 20 Hz": (
+        "spiral",
+        ("diameter=32um", "turns=20", "rim=2", f"frame_rate={20.0 / 20.25!r}Hz"),
+        (9, 1),
+        (0.1, None),
+    ),
+    "spiral, 70 Hz": (
+        "spiral",
+        ("diameter=32um", "turns=40", "rim=2", f"frame_rate={70.0 / 40.25!r}Hz"),
+        (14, 1),
+        (0.3, None),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A stage that no model describes."""
+
+    actuators: tuple[ForeignParameters, ...]
+    structure: StructureParameters
+
+    def installed(self, stage: Stage) -> Stage:
+        """Return a stage whose actuators are those of the plant."""
+        for plant, given in zip(stage.plants, self.actuators, strict=True):
+            chain, block = plant.actuator, Foreign(given, T)
+            chain.hysteresis, chain.hysteresis_kernel = block, block.kernel
+            chain.ps, chain.xs = chain.ps._replace(hysteresis=block.p), chain.xs._replace(hysteresis=block.x)
+            chain.reset()
+            plant.arrays = plant.arrays._replace(p=chain.ps, x=chain.xs)
+        stage.reset()
+        return stage
+
+
+def drawn(seed: int) -> Plant:
+    """Return a plant; the classes of its hystereses go by the seed."""
+    random = np.random.default_rng((seed, 25))
+
+    def between(low, high):
+        return float(random.uniform(low, high))
+
+    actuators = tuple(
+        ForeignParameters(
+            hysteresis=HYSTERESES[(seed + place) % len(HYSTERESES)],
+            stroke=between(52e-6, 56e-6),
+            opening=between(0.1, 0.15),
+            asymmetry=between(0.1, 0.2),
+            rate=between(0.2, 0.5),
+            creep=between(0.015, 0.03),
+            exponent=between(0.12, 0.25),
+            lag=0.0,
+            # what is slower than that is the structure
+            frequencies=(8e3, 9e3),
+            dampings=(1.0, 1.0),
+        )
+        for place in range(2)
+    )
+    frequencies = [between(650, 750), between(750, 850), between(1800, 2300), between(2500, 3200)]
+    dampings = [between(0.008, 0.015), between(0.008, 0.015), between(0.01, 0.03), between(0.01, 0.03)]
+    A, B, C = np.zeros((8, 8)), np.zeros((8, 2)), np.zeros((2, 8))
+    shapes = np.array([[1.0, between(0.02, 0.05)], [between(-0.05, -0.02), 1.0], [1.0, between(-0.3, 0.3)], [0.2, 1.0]])
+    seen = np.array([[1.0, between(0.02, 0.05)], [between(0.02, 0.05), 1.0], [1.0, 0.2], [between(-0.3, 0.3), 1.0]])
+    shares = (1.0, 1.0, between(0.02, 0.05), between(0.02, 0.05))
+    for i, (frequency, damping) in enumerate(zip(frequencies, dampings, strict=True)):
+        w, own = 2.0 * np.pi * frequency, slice(2 * i, 2 * i + 2)
+        A[own, own], held = zero_order_hold([[0.0, w], [-w, -2.0 * damping * w]], [[0.0], [w]], T)
+        B[own] = held * shapes[i] * shares[i]
+        C[:, 2 * i] = seen[i]
+    blocks = np.concatenate([A[i : i + 2, i : i + 2].ravel() for i in range(0, 8, 2)])
+    values = {"A": blocks, "B": B.ravel(), "C": C.ravel()}
+    matrices = {name: tuple(map(float, value)) for name, value in values.items()}
+    return Plant(actuators, StructureParameters(inputs=2, outputs=2, sample_time=T, **matrices))
+
+
+def recorded(plant: Plant, place: int, seed: int) -> np.ndarray:
+    """Return voltage [V] and both measurements [m] while one actuator is excited and the other rests, shape (3, N)."""
+    node = BENCH.node(seed)
+    voltage = Limits(node.limits, T).simulate(excitation(BENCH))
+    drives = np.zeros((len(voltage), 2))
+    # a sample of delay
+    drives[1:, place] = Foreign(plant.actuators[place], T).simulate(voltage)[:-1]
+    moved = Structure(plant.structure, T).simulate(drives)
+    seeds = [replace(node.sensor, seed=seed + 10 * i) for i in range(2)]
+    measured = [Sensor(one, T).simulate(np.ascontiguousarray(moved[:, i])) for i, one in enumerate(seeds)]
+    return np.array([voltage, *measured])
+
+
+def identified(plant: Plant, seed: int) -> StageParameters:
+    """Return the stage that recordings of the plant give, with its decoupling."""
+    configuration, blocks, cross = load_configuration("xy_scanner"), [], np.eye(2)
+    for place, name in enumerate(NAMES):
+        voltage, *measured = recorded(plant, place, 100 * seed + place)
+        own, other = measured[place], measured[1 - place]
+        signals = {"voltage": voltage, "measured": own}
+        found = identify(Recording(np.arange(len(own)) * T, signals, {"voltage": "V", "measured": "m"}, {}))
+        # at rest and slowly the structure only adds: what the other sensor sees is a part of what this one sees
+        smooth = [np.convolve(one, np.full(100, 0.01), "valid") for one in (own, other)]
+        cross[1 - place, place] = np.polyfit(*smooth, 1)[0]
+        axis = single_axis(parse_configuration(found.text, "the identified axis"))
+        compensator = axis.hysteresis_compensator.to_mapping()
+        kept = {
+            key: value for key, value in compensator.items() if key.startswith(("hysteresis.", "creep.", "inverse."))
+        }
+        model = axis.motion_controller.model.dynamics
+        controller = {f"model.dynamics.{key}": value for key, value in model.to_mapping().items()}
+        owned = {
+            key: value
+            for key, value in axis.plant_simulator.to_mapping().items()
+            if key.startswith(("hysteresis.", "creep."))
+        }
+        owned |= {"dynamics.delay": model.delay, "overtravel": -1.0, "limits.slew_rate": 70e3}
+        configuration = configuration.override(f"{name}/hysteresis_compensator", **kept)
+        configuration = configuration.override(f"{name}/plant_simulator", **owned)
+        configuration = configuration.override(
+            f"{name}/motion_controller", type="open_loop", damping__type="none", **controller
+        )
+        scale = model.output_scale / model.resolved_input_scale
+        blocks.append(replace(model.matrices, C=scale * model.matrices.C, D=scale * model.matrices.D))
+    sizes = np.cumsum([0, *(block.order for block in blocks)])
+    A, B, C = np.zeros((sizes[-1], sizes[-1])), np.zeros((sizes[-1], 2)), np.zeros((2, sizes[-1]))
+    for i, block in enumerate(blocks):
+        rows = slice(sizes[i], sizes[i + 1])
+        A[rows, rows], B[rows, i] = block.A, block.B[:, 0]
+        C[:, rows] = np.outer(cross[:, i], block.C[0])
+    D = cross * np.array([block.D.item() for block in blocks])
+    matrices = {"A": A, "B": B, "C": C, "D": D}
+    values = {f"structure.{name}": tuple(map(float, matrix.ravel())) for name, matrix in matrices.items()}
+    values["decoupling"] = tuple(map(float, static_decoupling(cross).ravel()))
+    # at 0 V the hysteresis leaves up to 8 µm of the way
+    place = {"minimum": RANGE[0], "maximum": RANGE[1], "initial_setpoint": 0.5 * (RANGE[0] + RANGE[1])}
+    configuration = configuration.override("reference_generator", waveform__type="hold", **place)
+    return StageParameters.from_configuration(configuration.override("stage", **values))
+
+
+def controlled(parameters: StageParameters) -> StageParameters:
+    """Return the stage with controllers designed for its models."""
+    axes = []
+    for axis in parameters.axes:
+        designed = design_axis(axis, DesignRequest("pid", noise=5e-9, damping="none")).parameters
+        own = {name: getattr(designed, name) for name in ControllerParameters.__dataclass_fields__}
+        axes.append(replace(axis, motion_controller=replace(axis.motion_controller, **own)))
+    return replace(parameters, axes=tuple(axes))
+
+
+def with_learning(parameters: StageParameters, learned: dict[str, LearningParameters]) -> StageParameters:
+    """Return the stage whose axes learn, or keep what they begin with."""
+    axes = [
+        replace(axis, motion_controller=replace(axis.motion_controller, learning=learned[name]))
+        if name in learned
+        else axis
+        for name, axis in zip(parameters.names, parameters.axes, strict=True)
+    ]
+    return replace(parameters, axes=tuple(axes))
+
+
+def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) -> dict:
+    """Return the figures of a scan on the plant."""
+    true = replace(parameters, stage=replace(parameters.stage, structure=plant.structure))
+    # one sample between command and structure, whatever the model of the delay says
+    axes = tuple(
+        replace(
+            axis,
+            plant_simulator=replace(
+                axis.plant_simulator,
+                dynamics=replace(axis.plant_simulator.dynamics, delay=T),
+                creep=replace(axis.plant_simulator.creep, type="none"),
+            ),
+        )
+        for axis in true.axes
+    )
+    true = replace(true, axes=axes)
+    stage = plant.installed(Stage(true))
+    samples = stage.default_samples()
+    signals = stage.run(stage.default_setpoints(samples))
+    moment = signals["x"]["time"]
+    columns = {
+        f"{name}/{key}": signals[name][key] for name in NAMES for key in ("displacement", "plant_voltage", "saturated")
+    }
+    run = Recording(
+        moment,
+        columns,
+        {
+            f"{name}/{key}": unit
+            for name in NAMES
+            for key, unit in (("displacement", "m"), ("plant_voltage", "V"), ("saturated", "1"))
+        },
+        {},
+    )
+    instants, displacement = displacements_between(true, run, plant.installed(Stage(true)))
+    scan = parameters.scan
+    counts = (instants >= (periods[0] - periods[1]) * scan.period) & (instants < periods[0] * scan.period)
+    middle = np.array([axis.generator.initial_setpoint for axis in parameters.axes])[:, None]
+    reference = scan.position(instants[counts]) + middle
+    figures = scan_figures(ScanRun(scan, instants[counts], reference, displacement[:, counts]))
+    return {
+        "rms": figures["rms_error_percent"],
+        "coupling": figures["coupling_error_percent"],
+        "max": figures["max_error_percent"],
+        "saturated": float(np.mean(columns["x/saturated"] + columns["y/saturated"])),
+    }
+
+
+def measured(seed: int, folder: pathlib.Path) -> list[dict]:
+    """Return the figures of all scans on one plant, for each way of control."""
+    begun = time.perf_counter()
+    plant = drawn(seed)
+    parameters = controlled(identified(plant, seed))
+    kinds = "/".join(actuator.hysteresis for actuator in plant.actuators)
+    print(f"plant {seed} ({kinds}): identified and designed, {time.perf_counter() - begun:.0f} s", flush=True)
+    rows = []
+    for name, (kind, values, periods, _) in SCANS.items():
+        following = parameters.following(StageScanParameters(kind, values, periods=periods[0]))
+        found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM))
+        files = {}
+        for axis, correction in found.corrections.items():
+            files[axis] = str(folder / f"{seed}_{axis}.yaml")
+            write_learned(files[axis], correction)
+        learned = {axis: replace(design.parameters, file=files[axis]) for axis, design in found.designs.items()}
+        frozen = {axis: replace(given, active=False) for axis, given in learned.items()}
+        reached = {axis: round(design.filters.bandwidth * RATE) for axis, design in found.designs.items()}
+        print(f"  learning up to {reached} Hz", flush=True)
+        for way, chosen in (("feedback", {}), ("and inverse", frozen), ("and learning", learned)):
+            # without learning the third period is as good as any later one
+            lasts = periods if way == "and learning" else (min(periods[0], 3), 1)
+            shorter = following.following(replace(following.stage.scan, periods=lasts[0]))
+            figures = judged(plant, with_learning(shorter, chosen), lasts)
+            rows.append({"plant": seed, "scan": name, "way": way, **figures, "left": found.left})
+            shown = {key: f"{value:.4g}" for key, value in figures.items() if value is not None}
+            print(f"  {name}, {way}: {shown}, {time.perf_counter() - begun:.0f} s", flush=True)
+    return rows
+
+
+def main() -> int:
+    """Run the scans on all plants, print the worst of them and return the exit code."""
+    parser = common.parser(__doc__.splitlines()[0])
+    parser.add_argument("--plants", default="0:12", help="first and last + 1 of the plants (default 0:12)")
+    parser.add_argument("--rows", metavar="F", help="append the figures of each plant to this file, line by line")
+    parser.add_argument("--from-rows", metavar="F", help="take the figures from such a file")
+    arguments = parser.parse_args()
+    rows: list[dict] = []
+    if arguments.from_rows:
+        rows = [json.loads(line) for line in pathlib.Path(arguments.from_rows).read_text().splitlines()]
+    else:
+        common.require_compiled()
+        with tempfile.TemporaryDirectory() as folder:
+            for seed in range(*map(int, arguments.plants.split(":"))):
+                new = measured(seed, pathlib.Path(folder))
+                rows += new
+                if arguments.rows:
+                    with pathlib.Path(arguments.rows).open("a", encoding="utf-8") as stream:
+                        stream.writelines(json.dumps(row) + "\n" for row in new)
+    results = []
+    plants = len({row["plant"] for row in rows})
+    for name, (*_, (wanted, coupling)) in SCANS.items():
+        for way in dict.fromkeys(row["way"] for row in rows):
+            own = [row for row in rows if row["scan"] == name and row["way"] == way]
+            each = [row["rms"] for row in own]
+            largest = max(row["max"] for row in own)
+            detail = f"worst of {plants} plants, median {np.median(each):.3g}, largest error {largest:.3g}"
+            results.append(common.Result(f"{name}, {way} [% of size]", max(each), "at most", wanted, detail))
+            if coupling is not None:
+                crossed = [row["coupling"] for row in own]
+                detail = f"median {np.median(crossed):.3g}"
+                results.append(common.Result(f"{name}, {way}, coupling [%]", max(crossed), "at most", coupling, detail))
+    return common.report(results, arguments)
+
+
+if __name__ == "__main__":
+    common.run(main)
