@@ -159,7 +159,7 @@ def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(s
     reached = next(line for line in slowed.stdout.splitlines() if line.startswith("bandwidth reached"))
     assert float(reached.split()[2]) < 10.0
     refused = design(folder, "axis.yaml", "--controller", "pid", "--bandwidth", "60")
-    assert refused.exit_code == 2 and "is not fit for this feedback at" in refused.stderr
+    assert refused.exit_code == 2 and "is not accurate enough for this feedback at" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
     # without what the identification wrote nothing is kept back
     text = (folder / "axis.yaml").read_text(encoding="utf-8")

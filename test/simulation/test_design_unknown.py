@@ -76,7 +76,7 @@ def designs():
         try:
             found[controller] = design_axis(axis(), DesignRequest(controller), SLOW)
         except ConfigurationError as error:
-            assert "is not fit for this feedback" in str(error) and "damping 0.003" in str(error)
+            assert "is not accurate enough for this feedback" in str(error) and "damping 0.003" in str(error)
             found[controller] = None
     return found
 

@@ -99,7 +99,7 @@ def test_a_design_is_slowed_where_nothing_was_measured():
 
 def test_what_does_not_fit_the_axis_is_refused(tmp_path):
     axis = single_axis(load_configuration("kim2009"))
-    with pytest.raises(ConfigurationError, match="measured at 2000 Hz and the axis has 3000 Hz"):
+    with pytest.raises(ConfigurationError, match="measured at a sample rate of 2000 Hz, but the axis runs at 3000 Hz"):
         measured_uncertainty(axis, response(rate=2000.0, last=900.0))
     with pytest.raises(IdentificationError, match="order 0: must be within 1"):
         with_measured_dynamics(load_configuration("kim2009"), None, response(), "a.npz", 0)

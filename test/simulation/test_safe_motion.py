@@ -187,7 +187,7 @@ def test_the_averages_of_the_approach_last_a_period_of_the_resonance():
 def test_a_new_file_limits_what_it_says():
     text = new_text(NewAxis(100e-6, 0.0, 150.0, RATE))
     own = yaml.safe_load(text)["/**/reference_generator"]["ros__parameters"]["approach"]
-    assert all(value > 0.0 for value in own.values()) and len(own) == 3 and "resonances are unknown" in text
+    assert all(value > 0.0 for value in own.values()) and len(own) == 3 and "Resonances are unknown" in text
     assert np.max(np.abs(np.diff(steps(parse_configuration(text, "new.yaml"), bare=True)))) <= 150.0 / RATE + 1e-12
 
 

@@ -166,7 +166,10 @@ def test_requests_that_cannot_be_met_end_in_one_line(tmp_path, words, text):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["kim2009", "--controller", "smc", "--bandwidth", "1"], "no less than 9.651 Hz"),
+        (
+            ["kim2009", "--controller", "smc", "--bandwidth", "1"],
+            "smallest bandwidth of this controller on its model is 9.651 Hz",
+        ),
         (["inchworm_travel", "--controller", "pid", "--criterion", "iae"], "sequencer"),
     ],
 )
