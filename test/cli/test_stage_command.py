@@ -280,7 +280,7 @@ def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_sc
     assert errors["before"][0] > 1.0
     # the model's inverse takes most of it at once, and learning what hysteresis and creep leave
     assert errors["after"][0] < 0.2 * errors["before"][0]
-    assert errors["after"][1] < 0.5 * errors["after"][0]
+    assert errors["after"][1] < 0.85 * errors["after"][0]
 
 
 def test_controllers_of_all_axes_are_designed_and_written(tmp_path):
