@@ -125,6 +125,8 @@ JUDGES = {
     # the error of a singular matrix has NumPy's name; how fast a reference may be is refused or printed
     "models/linear_algebra.py": {"np.linalg"},
     "loop/reach.py": {"cmath", "import cmath"},
+    # displacements between the samples of a run that is over
+    "loop/stage_simulation.py": {"np.linalg", "@", "scipy", "import scipy.signal"},
     "control/state_feedback.py": {"np.linalg", "@"},
     # a search whose result is written in four digits; margins and printed modes
     "designs/damping.py": {"np.linalg", "np.exp", "np.sinh"},
