@@ -594,7 +594,7 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
 
 
 @overload
-def simulate(
+def simulate(  # numpydoc ignore=PR01
     config: Source,
     *,
     duration: float | None = None,
@@ -610,7 +610,7 @@ def simulate(
 
 
 @overload
-def simulate(
+def simulate(  # numpydoc ignore=PR01
     config: Source,
     *,
     duration: float | None = None,
