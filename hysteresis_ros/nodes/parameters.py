@@ -83,7 +83,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
     Symbolic links and ``..`` are resolved first.
     """
     if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
-        remedy = "names code, or options of it: only the parameter file or the command line of the node may set it"
+        remedy = "may name code or any file: only the parameter file or the command line of the node may set it"
         return Problem(row.name, value, remedy)
     if row.place != "files" or not isinstance(value, str) or not value:
         return None

@@ -33,7 +33,10 @@ class ScanWaveformParameters(Parameters):
 
     kind: str = parameter(description="kind of the scan: raster, spiral, lissajous, cycloid, rosette, file")
     values: tuple[str, ...] = parameter(
-        (), description="parameters of the scan as `hysteresis scan` takes them, e.g. [width=30um, depth=30um]"
+        (),
+        read_only=True,
+        description="parameters of the scan as `hysteresis scan` takes them, e.g. [width=30um, depth=30um]",
+        place="start",
     )
     coordinate: str = parameter("x", choices=COORDINATES, description="coordinate that the axis follows")
 
