@@ -190,7 +190,8 @@ def survey(client: Client) -> list[AxisStatus]:
         # the last report of a node that has just been activated is from before its activation
         told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
         places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
-        return active <= told and all(signal in last[space] for space, _, signal in places)
+        moved = all("displacement" in last[space] for space in found if f"{space}/{PLANT}" in active)
+        return active <= told and moved and all(signal in last[space] for space, _, signal in places)
 
     client.until(reported, REPORTED)
     return [_axis(client, space, names, states, reports, last[space]) for space, names in sorted(found.items())]
