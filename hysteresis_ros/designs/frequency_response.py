@@ -212,7 +212,7 @@ class AxisResponse:
     """The measured response of an axis."""
 
     plan: Plan
-    #: From voltage or command to the measured displacement; of a closed loop whose controller nobody knows from
+    #: From voltage or command to the measured displacement; for a closed loop with an unknown controller, from
     #: reference − measured.
     plant: Analysis
     loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.

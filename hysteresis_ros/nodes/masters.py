@@ -89,9 +89,9 @@ def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.so
         if time.monotonic() > until:
             break
         time.sleep(CLAIM_LOOK)
-    who = holder(domain, name) or "a process of this machine"
+    owner = holder(domain, name) or "a process of this machine"
     raise HysteresisError(
-        f"{name} already runs in ROS domain {domain}: {who}; an axis runs each node once: stop that one, or give "
+        f"{name} already runs in ROS domain {domain}: {owner}; an axis runs each node once: stop that one, or give "
         "this axis another namespace or ROS_DOMAIN_ID"
     )
 
