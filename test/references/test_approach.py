@@ -74,7 +74,7 @@ def test_from_rest_it_is_monotone_and_arrives_when_stated(limit, start, target):
     assert np.all(y[arrival:] == target)
     steps = np.diff(np.concatenate([[start], y])) * math.copysign(1.0, target - start)
     assert np.all(steps >= -(2.0**-48) * STROKE)
-    assert np.all((y - target) * math.copysign(1.0, target - start) <= 0.0)
+    assert np.all((y - target) * math.copysign(1.0, target - start) <= ROUNDING)
 
 
 def test_all_limits_zero_passes_setpoints_through():
