@@ -272,7 +272,7 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     until(lambda: plant.count_subscribers("/front_clamp/voltage") == 2)
     inside.spin()
     until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0, what="two steps")
-    assert plant.part.motor.displacement > 1.2e-5
+    assert plant.part.motor.displacement > 8.0e-6  # two steps; late voltages shorten them
     # the sequencer freezes in the middle of a step: the plant closes what is open, the controller holds
     until(lambda: sequencer.sequencer.phase == "carrying")
     sequencer.active = False
