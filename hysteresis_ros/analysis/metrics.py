@@ -24,6 +24,7 @@ from hysteresis_ros.analysis.parts import (
     JUMP,
     NOT_JUDGED,
     Kind,
+    disturbed,
     find_holds,
     find_parts,
     part_figures,
@@ -134,6 +135,9 @@ FIGURES = (
     ("rms_error_percent_of_stroke", "RMS error", "% of stroke", 1.0),
     ("max_error_m", "Maximum error", "µm", 1e6),
     ("max_error_percent_of_stroke", "Maximum error", "% of stroke", 1.0),
+    ("disturbed_percent", "Samples disturbed by skipped ones", "% of samples", 1.0),
+    ("undisturbed_rms_error_m", "RMS error without spans after skipped samples", "µm", 1e6),
+    ("undisturbed_max_error_m", "Maximum error without spans after skipped samples", "µm", 1e6),
     ("iae_m_s", "IAE", "µm s", 1e6),
     ("overshoot_percent", "Overshoot", "%", 1.0),
     ("settling_time_s", "Settling time (2 %)", "ms", 1e3),
@@ -218,6 +222,11 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``lateness_p50_s``, ``…p99_s``,         of a fused run: lateness of the samples, percentiles 50, 99 and 99.9,
     ``…p999_s``, ``…max_s``                 and largest
     ``skipped_samples``                     of a fused run: samples that were skipped because their time had passed
+    ``disturbed_percent``                   of a fused run: samples from a skipped one until its effect on the error has
+                                            decayed (:func:`hysteresis_ros.analysis.parts.disturbed`), in % of those
+                                            that count for errors
+    ``undisturbed_rms_error_m``,            the same errors without these samples; None if no sample was skipped
+    ``undisturbed_max_error_m``
     ``parts``                               list of dicts, the parts of the run in order: ``part`` (approach,
                                             steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, the figures that
                                             apply to it (those of a scan over its whole periods), and for a repeating
@@ -255,6 +264,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         running = tracked.at(judged)
         start = 0 if recording.metadata.get("excerpt") else scan_start(running.reference, running.displacement)
         figures.update(_error_figures(running, start, stroke, notes))
+        figures.update(_undisturbed_figures(recording, good, judged[start:], running.at(slice(start, None)), notes))
         figures.update(_step_figures(found, tracked, notes))
         figures.update(_residual_figure(running, stroke, notes))
         driven = recording["voltage"][good][judged] if recording.has("voltage") else None
@@ -351,6 +361,21 @@ def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dic
     if stroke == 0.0:
         notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
     return figures
+
+
+def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, notes: dict) -> dict:
+    """Return the errors without the spans after skipped samples, and the share [%] of these spans."""
+    if not recording.has("skipped"):
+        return {}
+    error = run.reference - run.displacement
+    span = disturbed(np.nan_to_num(recording["skipped"])[good][judged] > 0.0, error)
+    share = 100.0 * float(np.mean(span))
+    if not np.any(span) or np.all(span):
+        why = "every sample is" if np.any(span) else "no sample was skipped: none is"
+        notes |= {f"undisturbed_{name}_error_m": f"{why} disturbed" for name in ("rms", "max")}
+        return {"disturbed_percent": share}
+    left = error_figures(error[~span], 0.0)
+    return {"disturbed_percent": share} | {f"undisturbed_{name}": value for name, value in left.items()}
 
 
 def error_figures(error, stroke: float) -> dict[str, float]:

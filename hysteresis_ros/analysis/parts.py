@@ -421,6 +421,46 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
+#: Excess of the mean square error over that of undisturbed samples from which a span still counts as disturbed, and
+#: the least share of samples that must be left to compare with.
+EXCESS, COMPARED = 0.1, 0.1
+
+
+def disturbed(skipped, error) -> np.ndarray:
+    """Return which samples are disturbed by skipped ones: each of these, and what follows it until its effect decays.
+
+    The span has one length for the whole run, the shortest of 1, 2, 4, … samples whose following ones, of as many
+    samples again and averaged over all skipped samples, have no larger mean square error than samples farther away,
+    but for :data:`EXCESS`.
+
+    Parameters
+    ----------
+    skipped : array_like, shape (N,)
+        Whether the sample was skipped.
+    error : array_like, shape (N,)
+        Error [m].
+
+    Returns
+    -------
+    ndarray, shape (N,), bool
+    """
+    places = np.flatnonzero(skipped)
+    number, square = np.arange(len(error)), np.square(error)
+    if not places.size:
+        return np.zeros(number.size, dtype=bool)
+    last = np.searchsorted(places, number, side="right") - 1
+    since = np.where(last < 0, number.size, number - places[last])
+    length = 1
+    while True:
+        following, apart = (since >= length) & (since < 2 * length), since >= 2 * length
+        if np.mean(apart) < COMPARED or not np.any(following):
+            break
+        if np.mean(square[following]) <= (1.0 + EXCESS) * np.mean(square[apart]):
+            break
+        length *= 2
+    return since < length
+
+
 def seconds(text: str, option: str) -> float:
     """Return a time of the run [s]."""
     try:

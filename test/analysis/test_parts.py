@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.analysis.metrics import compute_metrics
-from hysteresis_ros.analysis.parts import Kind, find_parts, period_ends, stopped
+from hysteresis_ros.analysis.parts import Kind, disturbed, find_parts, period_ends, scan_start, stopped
 from hysteresis_ros.analysis.report import columns_of
 from hysteresis_ros.analysis.run_charts import judged
 from hysteresis_ros.analysis.side_by_side import format_runs
@@ -195,3 +195,35 @@ def test_text_leads_with_the_parts_and_what_judges_the_longest():
     text = format_runs(figures)
     assert "a: shutdown" in text and "b: scan" in text and text.index("b: scan") < text.index("Overshoot")
     assert "over 4 whole periods of 200 ms" in text
+
+
+@pytest.mark.parametrize("samples", [4, 24, 90])
+def test_errors_are_also_given_without_what_skipped_samples_disturbed(samples):
+    # an error of 2 nm, and after each of forty skipped samples 1 µm that decays within the given number of samples
+    random = np.random.default_rng(5)
+    skipped = np.zeros(40000)
+    skipped[random.choice(np.arange(200, 39000), 40, replace=False)] = 1.0
+    decay = np.exp(-np.arange(40000) * np.log(1e3) / samples)
+    clean = random.normal(0.0, 2e-9, 40000)
+    reference = 5e-6 * np.sin(2 * np.pi * np.arange(40000) / 2000)
+    error = clean + 1e-6 * np.convolve(skipped, decay)[:40000]
+    span = disturbed(skipped > 0.0, error)
+    assert span[skipped > 0.0].all() and not span[: np.flatnonzero(skipped)[0]].any()
+    lengths = np.diff(np.flatnonzero(np.diff(span.astype(int))))[::2]
+    assert 0.7 * samples <= np.median(lengths) <= 4 * samples
+    time = np.arange(40000) * 1e-3
+    signals = {"reference": reference, "displacement": reference - error, "skipped": skipped}
+    figures = compute_metrics(Recording(time, signals, {}, {}), parts=False)
+    first = scan_start(reference, reference - error)
+    assert figures["disturbed_percent"] == pytest.approx(100.0 * np.mean(span[first:]), rel=0.05)
+    assert figures["undisturbed_rms_error_m"] == pytest.approx(2e-9, rel=0.05)
+    assert figures["undisturbed_max_error_m"] < 0.05 * figures["max_error_m"]
+    assert figures["rms_error_m"] > 4 * figures["undisturbed_rms_error_m"]
+
+
+def test_without_a_skipped_sample_nothing_is_disturbed_and_the_figures_say_so():
+    assert not disturbed(np.zeros(5, dtype=bool), np.ones(5)).any()
+    figures = compute_metrics(run(STEPS, STEPS - 1e-6, skipped=np.zeros(1400)))
+    assert figures["disturbed_percent"] == 0.0 and figures["undisturbed_rms_error_m"] is None
+    assert "no sample was skipped" in figures["notes"]["undisturbed_rms_error_m"]
+    assert compute_metrics(run(STEPS, STEPS - 1e-6))["disturbed_percent"] is None
