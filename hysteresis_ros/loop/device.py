@@ -80,6 +80,8 @@ class DevicePlantArrays(NamedTuple):
     #: Buffers of the device's voltages and positions, both in its own units, the forces after the positions.
     positions: np.ndarray
     voltages: np.ndarray
+    #: Voltage [V] at which a device was left that could not be made safe.
+    left: np.ndarray
     limits_p: np.ndarray
     limits_x: np.ndarray
     sensor_p: np.ndarray
@@ -169,10 +171,18 @@ def rest_device(limits_x, watch_p, watch_x):
 def fail_device(arrays, failed, code):
     """Stop the axis and make the device safe, if it still responds."""
     arrays.watch_x.trip[TRIP] = DEVICE_FAILED
+    arrays.left[0] = arrays.limits_x[OUTPUT]
     rest_device(arrays.limits_x, arrays.watch_p, arrays.watch_x)
     if is_linked(arrays.link):
         arrays.answer[FAILED], arrays.answer[CODE] = failed, code
         arrays.answer[SAFE_CODE] = call_alone(arrays.link, MAKE_SAFE)
+
+
+@nested
+def output_of_device(arrays):
+    """Return the voltage [V] at the output, also of a device that could not be made safe."""
+    left = arrays.watch_x.trip[TRIP] == DEVICE_FAILED and arrays.answer[SAFE_CODE] != 0
+    return arrays.left[0] if left else arrays.limits_x[OUTPUT]
 
 
 @nested
@@ -202,9 +212,10 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read a device; without a device, use the readings in the row."""
+    """Read a device; without a device, use the readings in the row, and the voltage of a device that has failed."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
+    recorded = row[at.PLANT_VOLTAGE]
     if is_linked(arrays.link):
         asked = trip[TRIP] != DEVICE_FAILED and row[at.SKIPPED] == 0.0
         row[at.MEASURED] = read_device(arrays) if asked else math.nan
@@ -215,8 +226,10 @@ def sense_device(laws, arrays, row):
         fail_device(arrays, READING, 0)
     else:
         stop_for_homing(trip, row[at.TRIPPED] == FINDING_HOME)
+    if not is_linked(arrays.link) and trip[TRIP] == DEVICE_FAILED:
+        arrays.answer[SAFE_CODE] = 1 if recorded == arrays.left[0] else 0
     row[at.DISPLACEMENT] = math.nan
-    row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
+    row[at.PLANT_VOLTAGE] = output_of_device(arrays)
     row[at.TRIPPED] = trip[TRIP]
 
 
@@ -233,7 +246,7 @@ def actuate_device(laws, arrays, row):
     if failed:
         trip[TRIP] = DEVICE_FAILED
         rest_device(arrays.limits_x, arrays.watch_p, arrays.watch_x)
-        row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
+        row[at.PLANT_VOLTAGE] = output_of_device(arrays)
         return
     if row[at.SKIPPED] != 0.0:
         hold[HELD] = before
@@ -398,7 +411,12 @@ class DrivenPlant(Plant):
     def actuate(self, row) -> None:
         """Output the voltage of the row after monitoring."""
         self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
-        row[at.PLANT_VOLTAGE] = self._left_at if self._left else float(self.limits.x[OUTPUT])
+        row[at.PLANT_VOLTAGE] = self._output
+
+    @property
+    def _output(self) -> float:
+        """Voltage [V] at the output, also of a device that could not be made safe."""
+        return self._left_at if self._left else float(self.limits.x[OUTPUT])
 
     def _put_out(self, voltage: float) -> None:
         if not self._failure:
@@ -424,13 +442,13 @@ class DrivenPlant(Plant):
 
     def start(self) -> None:
         """Start the axis; a device that has failed is tried again, and its relative sensor has lost its zero."""
-        failed = bool(self.failure)
+        failed, left = bool(self.failure), self._is_left()
         if failed:
             self.sensor.begin_homing()
         super().start()
         self._acknowledge()
         if failed:
-            self._try_device()
+            self._try_device(left)
 
     def _acknowledge(self) -> None:
         """Clear the error at a user's request; an error that persists is reported at the next sample."""
@@ -438,9 +456,14 @@ class DrivenPlant(Plant):
             self._device.desist()
         self._failure = self._left = ""
 
-    def _try_device(self) -> None:
-        """Read and write the device once at its safe voltage, so that a start reports a device that still fails."""
+    def _try_device(self, left: bool) -> None:
+        """Read and write the device once at its safe voltage, so that a start reports a device that still fails.
+
+        A device that was left at another voltage is made safe first: the first voltage would be a step.
+        """
         try:
+            if left:
+                self._opened.make_safe()
             self._opened.read()
             self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
         except DriverError as error:
@@ -512,11 +535,11 @@ class DrivenPlant(Plant):
 
     def held(self, input_: int = 0) -> float:
         """Return the output voltage [V], also of a device that could not be made safe."""
-        return self._left_at if self._left else super().held(input_)
+        return self._output if self._is_left() else super().held(input_)
 
     def make_safe(self) -> None:
         """Bring the device to its safe state."""
-        left_at = self._left_at if self._left else float(self.limits.x[OUTPUT])
+        left_at = self._output
         self._at_rest()
         try:
             self._opened.make_safe()
@@ -564,7 +587,7 @@ class CompiledPlant(DrivenPlant):
     # entries in which other plants have the law of the simulation
     kernels = limits, limits, limits
 
-    given = (at.MEASURED, at.TRIPPED, at.FORCE)
+    given = (at.MEASURED, at.TRIPPED, at.FORCE, at.PLANT_VOLTAGE)
 
     rounding, begins_safe = 0.0, True
 
@@ -586,6 +609,7 @@ class CompiledPlant(DrivenPlant):
             np.zeros(ANSWERS, dtype=np.int64),
             positions,
             voltages,
+            np.zeros(1),
             self.limits.p,
             self.limits.x,
             self.sensor.p,
@@ -624,8 +648,13 @@ class CompiledPlant(DrivenPlant):
         return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
 
     def _is_left(self) -> bool:
-        answer, trip = self.arrays.answer, self._watch_x.trip
-        return super()._is_left() or bool(trip[TRIP] == DEVICE_FAILED and answer[SAFE_CODE])
+        if super()._is_left() or self.arrays is self:  # which it is until the device is open
+            return bool(self._left)
+        return bool(self._watch_x.trip[TRIP] == DEVICE_FAILED and self.arrays.answer[SAFE_CODE])
+
+    @property
+    def _output(self) -> float:
+        return super()._output if self._left or not self._is_left() else float(self.arrays.left[0])
 
     def _made_safe(self) -> None:
         super()._made_safe()

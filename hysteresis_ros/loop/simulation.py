@@ -196,12 +196,14 @@ def _value(value):
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
-    The measurements of a device are taken from the recording; everything that follows from them is computed again.
+    The measurements of a device are taken from the recording, and whether it could be made safe when it failed.
+    Everything that follows from them is computed again.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
         nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
         absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
+        absent["plant_voltage"] = recorded.signals["voltage"]
         given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     # the true displacement of a device is unknown

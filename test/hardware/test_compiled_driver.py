@@ -171,6 +171,25 @@ def test_one_that_cannot_be_made_safe_either_is_said_to_be_so(library, kind):
 
 
 @pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_one_that_cannot_be_made_safe_is_tried_again_until_it_is(library, kind):
+    plant = kind(parameters(library, "fail_read=5", "fail_safe=1"))
+    plant.insists_every = 0.005
+    run(plant, [60.0] * 10)
+    assert "cannot be made safe" in plant.failure
+    tried = library.noted_safes()
+    until(lambda: library.noted_safes() > tried + 2, what="two more attempts")
+    voltage = plant.held()
+    assert voltage == pytest.approx(written(library)[-1]) != 0.0
+    library.mend()
+    until(lambda: "cannot be made safe" not in plant.failure, what="the attempt that succeeds")
+    safe = library.noted_safes()
+    assert plant.tripped and plant.held() == 5.0
+    run(plant, [60.0] * 10)
+    assert library.noted_safes() == safe, "a device that is safe is left alone"
+    assert plant.close() == ""
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
 def test_a_sample_without_a_measurement_is_no_failure(library, kind):
     plant = kind(parameters(library, "nothing=11"))
     rows = run(plant, [20.0] * 20)
@@ -237,7 +256,8 @@ def test_a_reference_faster_than_the_way_back_is_reached_and_what_is_recorded_is
 
 def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarray) -> None:
     twin = Axis(given, fused_plant_of(given.plant_simulator, linked=False))
-    answers = {name: table[place] for name, place in (("measured", at.MEASURED), ("tripped", at.TRIPPED))}
+    taken = {"measured": at.MEASURED, "tripped": at.TRIPPED, "plant_voltage": at.PLANT_VOLTAGE}
+    answers = {name: table[place] for name, place in taken.items()}
     options = {"changes": loop.changes, "skipped": table[at.SKIPPED], "answers": answers}
     again = twin.run(table[at.SETPOINT], **options)
     for place, signal in enumerate(at.ACTUATOR.row):
@@ -245,8 +265,9 @@ def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarr
 
 
 @pytest.mark.parametrize("option", ["fail_read=1000", "fail_write=1000", "nonsense=1001"])
-def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, option):
-    given = axis_parameters(library, option)
+@pytest.mark.parametrize("safe", ["fail_safe=0", "fail_safe=1"])
+def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, option, safe):
+    given = axis_parameters(library, option, safe)
     axis = Axis(given, fused_plant_of(given.plant_simulator))
     loop = FusedLoop(axis, math.inf, 2000)
     loop.start()
@@ -254,12 +275,15 @@ def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, op
         loop.join(60.0) and axis.plant.tripped and "plug it in" in axis.plant.failure or "sensor" in axis.plant.failure
     )
     assert library.noted_safes() == 1
+    left = written(library)[-1] if safe == "fail_safe=1" else 5.0
+    failed = loop.take().table
+    assert np.all(failed[at.PLANT_VOLTAGE, 1001:] == left) and axis.plant.held() == left
     library.mend()
     rest = FusedLoop(axis, math.inf, 1500)
     started = rest.apply(Change(0, "plant_simulator", "start"))
     rest.start()
     assert rest.join(60.0) and not rest.failure and started == 2000 and not axis.plant.failure
-    both = np.concatenate([loop.take().table, rest.take().table], axis=1)
+    both = np.concatenate([failed, rest.take().table], axis=1)
     assert np.ptp(both[at.MEASURED, 2500:]) > 5e-6
     assert_equal_to_twin(given, rest, both)
     axis.plant.close()
