@@ -16,7 +16,9 @@ The nodes keep their names, topics, parameters, services and diagnostics. Reques
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import threading
 import time
 
 from hysteresis_ros import signals
@@ -75,6 +77,13 @@ class LoopPace:
 RETURN = 2.0
 #: Maximum time that Python blocks the loop when it applies a change [s].
 SWITCH_INTERVAL = 5e-4
+
+#: Time after which a loop that is not ready yet is being compiled [s]: one from the cache takes less.
+COMPILING = 2.0
+COMPILING_TEXT = (
+    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start takes it from "
+    "the cache"
+)
 
 #: Parts that are stopped while their nodes are inactive, in the order of their restart.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
@@ -138,13 +147,14 @@ class FusedAxis:
     def _begin(self) -> None:
         parameters = self._parameters()
         plant = parameters.plant_simulator
-        require_speed(parameters)
-        device = self.plant.part if plant.driver else None
-        if device is not None:
-            device.reset()
-        axis = Axis(parameters, device)
-        first = axis.sample
-        loop = FusedLoop(axis, plant.real_time_factor, plant.samples, warn=self._warn)
+        with self._compilation_reported():
+            require_speed(parameters)
+            device = self.plant.part if plant.driver else None
+            if device is not None:
+                device.reset()
+            axis = Axis(parameters, device)
+            first = axis.sample
+            loop = FusedLoop(axis, plant.real_time_factor, plant.samples, warn=self._warn)
         for name, part in axis.by_node.items():
             self.nodes[name].take_part(part)
         for name in STOPPABLE:
@@ -164,6 +174,16 @@ class FusedAxis:
         self.plant.begin_run(loop.origin)
         if not self.plant.running:
             loop.halt()
+
+    @contextlib.contextmanager
+    def _compilation_reported(self):
+        """Log that the loop is being compiled if what is done here takes long."""
+        report = threading.Timer(COMPILING, self.plant.get_logger().info, [COMPILING_TEXT])
+        report.start()
+        try:
+            yield
+        finally:
+            report.cancel()
 
     def _parameters(self) -> AxisParameters:
         plant = self.plant
