@@ -81,8 +81,8 @@ SWITCH_INTERVAL = 5e-4
 #: Time after which a loop that is not ready yet is being compiled [s]: one from the cache takes less.
 COMPILING = 2.0
 COMPILING_TEXT = (
-    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start takes it from "
-    "the cache"
+    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start takes it "
+    "from the cache"
 )
 
 #: Parts that are stopped while their nodes are inactive, in the order of their restart.
