@@ -211,3 +211,29 @@ def test_old_caches_are_removed_and_recent_ones_kept(tmp_path):
         os.utime(root / name, (stamp, stamp))
     child("import hysteresis_ros.models.limits", XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")
     assert not (root / "old").exists() and (root / "recent").exists()
+
+
+def _double(values):
+    for i in range(values.shape[0]):
+        values[i] *= 2.0
+
+
+@pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: everything is interpreted")
+def test_few_samples_are_interpreted_and_many_or_cached_ones_compiled(monkeypatch, tmp_path):
+    values = np.ones(3)
+
+    def run(samples: int):
+        return block.specialised_for(samples, _double, values)
+
+    for name in ("_compiled", "_interpreted"):
+        monkeypatch.setattr(block, name, {})
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert run(block.INTERPRETED - 2) is _double and run(1) is _double
+    machine_code = run(1)
+    assert machine_code is not _double and machine_code is run(1)
+    machine_code(values)
+    assert values.tolist() == [2.0, 2.0, 2.0]
+    # another process, which finds it in the cache
+    for name in ("_compiled", "_interpreted"):
+        monkeypatch.setattr(block, name, {})
+    assert run(1) is not _double

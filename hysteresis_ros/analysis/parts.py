@@ -429,20 +429,9 @@ EXCESS, COMPARED = 0.1, 0.1
 def disturbed(skipped, error) -> np.ndarray:
     """Return which samples are disturbed by skipped ones: each of these, and what follows it until its effect decays.
 
-    The span has one length for the whole run, the shortest of 1, 2, 4, … samples whose following ones, of as many
-    samples again and averaged over all skipped samples, have no larger mean square error than samples farther away,
-    but for :data:`EXCESS`.
-
-    Parameters
-    ----------
-    skipped : array_like, shape (N,)
-        Whether the sample was skipped.
-    error : array_like, shape (N,)
-        Error [m].
-
-    Returns
-    -------
-    ndarray, shape (N,), bool
+    Shape (N,), for a flag and an error [m] of each sample. The span has one length for the whole run, the shortest of
+    1, 2, 4, … samples whose following ones, of as many samples again and averaged over all skipped samples, have no
+    larger mean square error than samples farther away, but for :data:`EXCESS`.
     """
     places = np.flatnonzero(skipped)
     number, square = np.arange(len(error)), np.square(error)

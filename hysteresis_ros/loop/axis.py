@@ -25,7 +25,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import PLANTS, CameraPart, Plant, SeenPlant
 from hysteresis_ros.loop.source import SOURCES, GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
-from hysteresis_ros.models.block import specialised
+from hysteresis_ros.models.block import specialised_for
 
 
 def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:
@@ -163,7 +163,9 @@ class Axis:
         whole = np.ascontiguousarray(columns)
         row = np.zeros(len(columns)) if row is None else row
         arguments = self.laws, self.parts, self.given, whole, row, what
-        (specialised(ticks, *arguments) if self.plant.is_compiled else ticks)(*arguments)
+        run = specialised_for(whole.shape[1], ticks, *arguments) if self.plant.is_compiled else ticks
+        with np.errstate(all="ignore"):  # as in machine code
+            run(*arguments)
         if whole is not columns:
             columns[:] = whole
 

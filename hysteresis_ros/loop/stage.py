@@ -49,7 +49,7 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.watch import is_stale
 from hysteresis_ros.models import limits as limiting
 from hysteresis_ros.models.actuator import DISPLACEMENT, PRELOAD, ActuatorArrays
-from hysteresis_ros.models.block import each, kernel, nested, specialised
+from hysteresis_ros.models.block import each, kernel, nested, specialised_for
 from hysteresis_ros.models.creep import creep
 from hysteresis_ros.models.linear import linear
 from hysteresis_ros.models.sensor import MEASURED, OFFSET, sensor
@@ -420,7 +420,9 @@ class Stage:
         some = np.ascontiguousarray(columns[:, :, first:until])
         laws = tuple(axis.laws for axis in self.axes)
         arguments = laws, tuple(axis.parts for axis in self.axes), self._coupling.arrays, given, some, rows
-        specialised(stage_ticks, *arguments)(*arguments)
+        run = specialised_for(some.shape[-1] * len(laws), stage_ticks, *arguments)
+        with np.errstate(all="ignore"):  # as in machine code
+            run(*arguments)
         columns[:, :, first:until] = some
 
     def start(self) -> None:

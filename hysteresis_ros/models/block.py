@@ -27,6 +27,7 @@ import functools
 import hashlib
 import os
 import pathlib
+import platform
 import shutil
 import sys
 import time
@@ -420,7 +421,40 @@ def specialised(function, *arguments, nogil: bool = False):
         kinds = numba.void(*map(_type_of, arguments))
         with _cache_directory():
             _compiled[key] = numba.njit(kinds, nogil=nogil, **_OPTIONS)(function)
+        with contextlib.suppress(OSError):
+            _mark_of(function, arguments).touch()
     return _compiled[key]
+
+
+#: Samples that are interpreted before their loop is compiled: compiling it takes as long as some 200 000 samples.
+INTERPRETED = 20_000
+
+_interpreted: dict = {}
+
+
+def specialised_for(samples: int, function, *arguments):
+    """Return what runs ``samples`` more samples soonest: the machine code of a composite, or the function itself.
+
+    Both give the same bits. The function itself is returned while there is no machine code for these arguments, neither
+    here nor in the cache, and fewer than :data:`INTERPRETED` samples were interpreted with arguments of these types.
+    """
+    if not COMPILED:
+        return function
+    key = function, _structure(arguments)
+    if key not in _compiled:
+        if key not in _interpreted:
+            _interpreted[key] = INTERPRETED if _mark_of(function, arguments).exists() else 0
+        _interpreted[key] += samples
+        if _interpreted[key] < INTERPRETED:
+            return function
+    return specialised(function, *arguments)
+
+
+def _mark_of(function, arguments) -> pathlib.Path:
+    """Return the file in the cache that exists when the machine code for these arguments does."""
+    kinds = " ".join(str(_type_of(argument)) for argument in arguments)
+    name = f"{function.__qualname__} {kinds} {numba.__version__} {sys.version} {platform.machine()}"
+    return pathlib.Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / hashlib.sha1(name.encode()).hexdigest()
 
 
 def direct(function):
