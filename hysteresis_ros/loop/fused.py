@@ -22,6 +22,7 @@ import ctypes
 import gc
 import math
 import os
+import socket
 import sys
 import threading
 import time
@@ -37,7 +38,7 @@ from hysteresis_ros.errors import ConfigurationError, LoopError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.pacing import CODES, Lateness, Pace, Reader, Samples, lateness, latest, pace, switched
-from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters
+from hysteresis_ros.loop.parameters import SPIN_PART, AxisParameters, RealtimeParameters
 from hysteresis_ros.loop.tick import WHOLE, ticks
 from hysteresis_ros.models.block import COMPILED, specialised
 
@@ -76,6 +77,76 @@ def ask_for(parameters: RealtimeParameters) -> str:
             "/etc/security/limits.conf and a new login, or CAP_IPC_LOCK)"
         )
     return f"continues without {'; without '.join(refused)}" if refused else ""
+
+
+def has_priority() -> bool:
+    """Whether the calling thread has a priority in real time."""
+    return hasattr(os, "sched_getscheduler") and bool(os.sched_getparam(0).sched_priority)
+
+
+#: Longest time ahead of a deadline that is chosen automatically [ns].
+LONGEST_SPIN = 100_000
+#: Name of the claims to a core for looking at the clock, one for each core but the last; known to all processes.
+CLAIM = "hysteresis_ros/looks"
+#: Largest latency that the processor's sleep states may have, for as long as the file is open.
+_DMA_LATENCY = "/dev/cpu_dma_latency"
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def claim_of_a_core() -> socket.socket | None:
+    """Return the claim to a core on which a loop looks at the clock, until it is closed; None: no core is to spare.
+
+    The loops of all processes of this machine leave one core to everything else.
+    """
+    for index in range(usable_cores() - 1):
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0{CLAIM}/{index}")  # a name without a file, freed with the process
+        except OSError:
+            claim.close()
+        else:
+            return claim
+    return None
+
+
+def require_spin(spin: float) -> None:
+    """Refuse a time [s] for looking at the clock where a loop would take the core that the nodes need."""
+    if spin <= 0.0:
+        return
+    what = f"realtime.spin = {spin:g} s"
+    instead = "give 0 (off) or -1 (automatic, off here)"
+    if not COMPILED:
+        raise ConfigurationError(
+            f"{what}: without Numba no other thread of Python runs while the loop looks at the clock; {instead}, or "
+            "install Numba (the extra [fast])"
+        )
+    if usable_cores() < 2:
+        raise ConfigurationError(
+            f"{what}: this process may use a single core, on which the nodes wait while the loop looks at the clock; "
+            f"{instead}, or let it use a second core"
+        )
+    claim = claim_of_a_core()
+    if claim is None:
+        raise ConfigurationError(
+            f"{what}: other loops look at the clock on all but one of the {usable_cores()} cores, and the nodes need "
+            f"that one; {instead}, or end another axis"
+        )
+    claim.close()
+
+
+@contextlib.contextmanager
+def shallow_sleep():
+    """Keep the processor from sleep states that take long to leave; tell whether that is permitted."""
+    with contextlib.ExitStack() as stack:
+        held = None
+        with contextlib.suppress(OSError):
+            held = stack.enter_context(open(_DMA_LATENCY, "wb", buffering=0))
+            held.write(bytes(4))  # 0 µs
+        yield held is not None
 
 
 @contextlib.contextmanager
@@ -180,6 +251,7 @@ class FusedLoop:
                 f"reaches only {INTERPRETED_RATE:g} samples per second; install Numba (the extra [fast]), or lower "
                 "sample_rate or real_time_factor"
             )
+        require_spin(axis.parameters.plant_simulator.realtime.spin)
         self.axis = axis
         self.failure = self.warning = ""
         self._warn = warn
@@ -247,27 +319,51 @@ class FusedLoop:
         time.sleep(WAKING)  # the process itself may have been suspended
         return int(self._state[at.AT_WORK]) == begun
 
+    @contextlib.contextmanager
+    def _ahead(self):
+        """Let the thread look at the clock ahead of deadlines, as its parameters say and the machine permits."""
+        state, spin = self._state, self.axis.parameters.plant_simulator.realtime.spin
+        state[at.AHEAD] = state[at.MOST_AHEAD] = 0
+        automatic = spin < 0.0 and COMPILED and has_priority()
+        claim = claim_of_a_core() if (spin > 0.0 or automatic) and not state[at.UNPACED] else None
+        if claim is None:
+            yield
+            return
+        if automatic:
+            state[at.MOST_AHEAD] = min(round(SPIN_PART * 1e-6 * state[at.PERIOD]), LONGEST_SPIN)
+            state[at.WAKE] = at.FIRST_WAKE
+            state[at.AHEAD] = min(at.FIRST_WAKE, int(state[at.MOST_AHEAD]))
+        else:
+            state[at.AHEAD] = round(1e9 * spin)
+        with claim, shallow_sleep():
+            yield
+
     def _run(self) -> None:
         """Run the loop until the end; the thread's main function."""
         try:
             self.warning = ask_for(self.axis.parameters.plant_simulator.realtime)
             if self.warning and self._warn is not None:
                 self._warn(self.warning)
-            state = self._state
-            ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
-            state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
-            self._begun.set()
-            while True:
-                run, arguments = machine(self.axis, self._own)
-                run(*arguments)
-                if not state[at.LEAVE] or self._ending:
-                    break
-                state[at.LEAVE] = 0  # the change was for parts that have been replaced
+            with self._ahead():
+                self._run_loop()
         except Exception as error:
             self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
         finally:
             self._begun.set()
             self.axis.sample = self.sample
+
+    def _run_loop(self) -> None:
+        """Run the compiled loop, anew after each change of the parts themselves."""
+        state = self._state
+        ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
+        state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
+        self._begun.set()
+        while True:
+            run, arguments = machine(self.axis, self._own)
+            run(*arguments)
+            if not state[at.LEAVE] or self._ending:
+                return
+            state[at.LEAVE] = 0  # the change was for parts that have been replaced
 
     # -- requests and changes --------------------------------------------------------------------------------------
 
@@ -392,6 +488,11 @@ class FusedLoop:
         return None if change is None else double.by_node[change.node].parameters
 
     # -- results -------------------------------------------------------------------------------------------------
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of the wall clock [Hz]."""
+        return 1e15 / int(self._state[at.PERIOD])
 
     @property
     def sample(self) -> int:

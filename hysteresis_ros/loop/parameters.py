@@ -145,6 +145,11 @@ def part(parameters: Parameters, cls):
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
+#: Largest part of a period for which a fused loop may look at the clock. Linux needs a part of each core: from about
+#: 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
+SPIN_PART = 0.6
+
+
 @dataclass(frozen=True)
 class RealtimeParameters(Parameters):
     """Scheduling of the thread of the fused loop."""
@@ -161,6 +166,16 @@ class RealtimeParameters(Parameters):
     )
     lock_memory: bool = parameter(
         False, read_only=True, description="fused: lock the process in RAM, so that no sample waits for the disk"
+    )
+    spin: float = parameter(
+        -1.0,
+        unit="s",
+        low=-1.0,
+        high=0.01,
+        read_only=True,
+        description="fused: time before each deadline from which the loop's thread looks at the clock instead of "
+        "sleeping; 0: off; below 0: automatic, as long as the core takes to wake up, if priority was permitted and a "
+        "core is left for the nodes",
     )
     force: bool = parameter(
         False, read_only=True, description="fused: run also at a rate that this machine does not hold"
@@ -337,9 +352,20 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             remedy = "drives one actuator (type: actuator); an inchworm motor needs its own node, see docs/hardware.md"
             yield Problem("driver", self.driver, remedy)
 
+    def _spin_problems(self):
+        spin, most = self.realtime.spin, SPIN_PART / (self.sample_rate * self.real_time_factor)
+        if self.time_mode == "fused" and spin > most and not self.realtime.force:
+            remedy = (
+                f"leaves too little of a core to the system: give at most {SPIN_PART:g} of a period, {most:.3g} s, or "
+                "-1 (automatic), or lower sample_rate; on a core that has nothing else to do (isolcpus=, "
+                "kernel.sched_rt_runtime_us = -1) also realtime.force: true"
+            )
+            yield Problem("realtime.spin", spin, remedy, "s")
+
     def check(self):
         """Yield a Problem for each inconsistency."""
         yield from super().check()
+        yield from self._spin_problems()
         if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
             remedy = (
                 f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"

@@ -423,9 +423,14 @@ class Fused(RealTime):
         if loop is None:
             return {}
         found = loop.lateness()
-        late = {"p50": found.p50, "p99": found.p99, "p99_9": found.p999, "max": found.max}
+        late = {"p50": found.p50, "p90": found.p90, "p99": found.p99, "p99_9": found.p999, "max": found.max}
         values = {f"lateness_{name}_us": f"{1e6 * value:.3g}" for name, value in late.items()}
-        return {**values, "cost_us": f"{1e6 * found.cost:.3g}"}
+        return {
+            **values,
+            "cost_us": f"{1e6 * found.cost:.3g}",
+            "spin_us": f"{1e6 * found.ahead:.3g}",
+            "spin_percent_of_a_core": f"{100.0 * found.looked * loop.rate:.3g}",
+        }
 
     def restart(self) -> None:
         """Restart the loop with all nodes."""

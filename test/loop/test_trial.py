@@ -26,7 +26,7 @@ def kim(**plant):
 
 
 def done(rate=1000.0, p99=1e-4, missed=0, samples=1000):
-    return trials.Trial(rate, Lateness(p99, p99, p99, p99, missed, samples, 1e-6, 1e-6), "")
+    return trials.Trial(rate, Lateness(p99, p99, p99, p99, p99, missed, samples, 1e-6, 1e-6, 0.0, 0.0), "")
 
 
 def test_a_rate_is_held_when_samples_begin_within_half_a_period_and_few_are_skipped():
@@ -55,4 +55,4 @@ def test_a_trial_counts_every_sample():
     made = trials.trial(kim(), seconds=0.05, priority=0)
     late = made.lateness
     assert made.rate == 3000.0 and late.samples == 150 and 0 <= late.missed <= 150
-    assert late.p50 <= late.p99 <= late.p999 <= late.max
+    assert late.p50 <= late.p90 <= late.p99 <= late.p999 <= late.max

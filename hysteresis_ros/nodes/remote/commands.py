@@ -154,6 +154,8 @@ class AxisStatus:
     nodes: list[NodeStatus]
     plant: str = ""  #: External node that publishes ``joint_states``; empty when ``plant_simulator`` does.
     last: dict[str, float] = field(default_factory=dict)  #: Last values in SI.
+    #: Time ahead of a deadline from which a fused loop looks at the clock [µs], and its cost in percent of a core.
+    spin: tuple[float, float] = (0.0, 0.0)
 
 
 def survey(client: Client) -> list[AxisStatus]:
@@ -237,7 +239,9 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
         if not message and state in MISSING:
             message = f"{MISSING[state]} within {client.timeout:g} s"
         nodes.append(NodeStatus(full, state, word, message, rate))
-    return AxisStatus(space, nodes, plant, last)
+    timing = reports.get(f"{space}/plant_simulator", (None, "", {}))[2]
+    spin = float(timing.get("spin_us", 0.0)), float(timing.get("spin_percent_of_a_core", 0.0))
+    return AxisStatus(space, nodes, plant, last, spin)
 
 
 def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
@@ -277,7 +281,8 @@ def _figures(axis: AxisStatus) -> dict:
         node.name: {"state": node.state, "level": node.level, "message": node.message, "rate_hz": node.rate}
         for node in axis.nodes
     }
-    return {"nodes": nodes, "plant": axis.plant, "last": axis.last}
+    spin = dict(zip(("ahead_us", "percent_of_a_core"), axis.spin, strict=True))
+    return {"nodes": nodes, "plant": axis.plant, "last": axis.last, "spin": spin}
 
 
 def _lines(axis: AxisStatus):
@@ -288,6 +293,9 @@ def _lines(axis: AxisStatus):
             yield f"  {node.message} of {node.name.rsplit('/', 1)[-1]}"
     if axis.plant:
         yield f"  {axis.plant} publishes joint_states in the place of plant_simulator"
+    if axis.spin[0]:
+        ahead, part = axis.spin
+        yield f"  the loop looks at the clock from {ahead:.3g} µs before each deadline: {part:.2g} % of a core"
     width = max(len(node.name.rsplit("/", 1)[-1]) for node in axis.nodes)
     for node in axis.nodes:
         rate = "" if node.rate is None else f"{node.rate:.1f} Hz"
