@@ -197,7 +197,7 @@ def test_what_looks_wrong_is_named_before_anything_large_moves(tmp_path, spoil):
 def test_single_samples_that_are_missing_are_bridged():
     time = np.arange(200) / 100.0
     kept = np.delete(np.arange(200), [50, 51, 120])
-    signals = {name: np.sin(time) for name in ("reference", "voltage", "measured", "command", "seen")}
+    signals = {name: np.sin(time) for name in ("reference", "voltage", "measured", "command", "applied", "seen")}
     whole = Recording(time, signals)
     signals = {name: np.where(np.arange(197) == 9, np.nan, values[kept]) for name, values in signals.items()}
     signals["voltage"][33] = np.nan  # answered too late
@@ -205,6 +205,7 @@ def test_single_samples_that_are_missing_are_bridged():
     found = require_sound(Recording(time[kept], signals), 200)
     assert np.isfinite(found["voltage"]).all() and np.flatnonzero(found["skipped"] > 0.5).tolist() == [33]
     assert found["command"] == pytest.approx(whole["command"], abs=2e-4) and found.has("seen")
+    assert found["applied"] == pytest.approx(whole["applied"], abs=2e-4)  # learning needs it
     assert found.time == pytest.approx(whole.time) and found["measured"] == pytest.approx(whole["measured"], abs=2e-4)
     assert require_sound(whole, 200) is whole
 
