@@ -1012,13 +1012,14 @@ def report(
     run = _recording(source, namespace)
     heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
     if run.axes:
+        from hysteresis_ros.analysis.scan_report import plane_figures, plane_of, scan_figures, write_scan_report
         from hysteresis_ros.analysis.side_by_side import report_several
 
         axes, scanned = {name: run.axis(name) for name in run.axes}, scan_run(run)
         if scanned is None:
-            return report_several(axes, path, title)[0]
-        from hysteresis_ros.analysis.scan_report import scan_figures, write_scan_report
-
+            plane = plane_of(axes)
+            found = report_several(axes, path, title, plane)[0]
+            return found if plane is None else {"plane": plane_figures(plane), **found}
         if path is not None:
             write_scan_report(path, scanned, heading)
         return {"scan": scan_figures(scanned), **report_several(axes)[0]}

@@ -16,17 +16,19 @@ direction in the plane.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from hysteresis_ros.analysis.metrics import judged_reference
 from hysteresis_ros.analysis.page import render_page, require_page, write_page
 from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
 from hysteresis_ros.analysis.tables import aligned, shown, shown_row
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import replacing
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
@@ -34,6 +36,8 @@ from hysteresis_ros.units import readable
 BINS, PATH_POINTS = 64, 20_000
 #: Passes of which a picture of a scan shows the velocities.
 SHOWN = 6
+#: Least span of both references of a map [m]: below it an axis holds its place.
+LEAST_MAP = 1e-8
 _MICRO = 1e6
 #: Rows of the table: name, words, unit, factor.
 ROWS = (
@@ -57,8 +61,73 @@ ROWS = (
 )
 
 
+class InPlane:
+    """Errors of a run of two axes or more, of which the first two are x and y of a plane."""
+
+    time: np.ndarray
+    reference: np.ndarray
+    displacement: np.ndarray
+    #: Names of the axes.
+    names: tuple[str, ...] = AXES
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Reference - displacement, shape (axes, N) [m]."""
+        return self.reference - self.displacement
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Magnitude of the error in the plane, shape (N,) [m]."""
+        return np.hypot(*self.error[:2])
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """Samples at which all is known, shape (N,)."""
+        return np.all(np.isfinite(self.error), axis=0)
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Samples whose error counts, shape (N,)."""
+        return self.measured
+
+    @property
+    def gap(self) -> float:
+        """Distance of neighbouring lines [m]; 0: it is not known."""
+        return 0.0
+
+
 @dataclass(frozen=True, eq=False)
-class ScanRun:
+class PlaneRun(InPlane):
+    """A run of two axes of a stage that follow no scan."""
+
+    time: np.ndarray  #: shape (N,); Increasing [s].
+    reference: np.ndarray  #: shape (2, N) [m]
+    displacement: np.ndarray  #: shape (2, N) [m]; NaN: no measurement.
+    names: tuple[str, ...] = AXES[:2]  #: Names of the axes.
+
+
+def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
+    """Return the run of the first two axes of a recording in their plane; None where it has no such plane."""
+    if len(axes) < 2:
+        return None
+    (first, one), (second, other), *_ = axes.items()
+    needed = ("reference", "displacement")
+    if not np.array_equal(one.time, other.time) or not all(run.has(name) for run in (one, other) for name in needed):
+        return None
+    reference = np.array([judged_reference(run) for run in (one, other)])
+    displacement = np.array([run["displacement"] for run in (one, other)])
+    found = PlaneRun(one.time, reference, displacement, (first.rpartition(" ")[2], second.rpartition(" ")[2]))
+    return found if np.any(found.counted) else None
+
+
+def plane_figures(run: PlaneRun) -> dict[str, float]:
+    """Return RMS and largest error of a run in its plane [m]."""
+    there = run.size[run.counted]
+    return {"rms_error_m": _rms(there), "max_error_m": float(np.max(there))}
+
+
+@dataclass(frozen=True, eq=False)
+class ScanRun(InPlane):
     """A scan that was run."""
 
     scan: Scan
@@ -82,29 +151,19 @@ class ScanRun:
         return self.scan.clock(self.time)
 
     @cached_property
-    def error(self) -> np.ndarray:
-        """Reference - displacement, shape (axes, N) [m]."""
-        return self.reference - self.displacement
-
-    @cached_property
     def in_plane(self) -> np.ndarray:
         """Error along and across the lines, shape (2, N) [m]."""
         return self.scan.matrix[:2].T @ self.error[:2]
 
     @cached_property
-    def size(self) -> np.ndarray:
-        """Magnitude of the error in the plane, shape (N,) [m]."""
-        return np.hypot(*self.error[:2])
-
-    @cached_property
-    def measured(self) -> np.ndarray:
-        """Samples at which all is known, shape (N,)."""
-        return np.all(np.isfinite(self.error), axis=0)
-
-    @cached_property
     def counted(self) -> np.ndarray:
         """Samples whose error counts: those on lines, shape (N,)."""
         return self.measured & (self.clock.line >= 0)
+
+    @property
+    def gap(self) -> float:
+        """Distance of neighbouring lines [m]; 0: there are no lines."""
+        return self.scan.gap if np.isfinite(self.scan.gap) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,15 +232,15 @@ def profile(run: ScanRun) -> Profile:
     return Profile(*found)
 
 
-def error_map(run: ScanRun, bins: int | None = None) -> ErrorMap:
+def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
     """Return the map of the error in the plane; by default with bins that neighbouring lines do not leave empty."""
     on = run.counted
     places, errors = run.reference[:2, on], run.error[:2, on]
     low, high = places.min(axis=1), places.max(axis=1)
     span = np.maximum(high - low, 1e-12)
     if bins is None:
-        gap = run.scan.gap if np.isfinite(run.scan.gap) else 0.0
-        bins = int(np.clip(min(BINS, span.max() / max(gap, span.max() / BINS), np.sqrt(on.sum() / 4.0)), 1, BINS))
+        apart = max(run.gap, span.max() / BINS)
+        bins = int(np.clip(min(BINS, span.max() / apart, np.sqrt(on.sum() / 4.0)), 1, BINS))
     counts = np.maximum(np.rint(bins * span / span.max()).astype(int), 1)
     edges = [low[i] + span[i] * np.arange(counts[i] + 1) / counts[i] for i in range(2)]
     cell = [np.clip(((places[i] - low[i]) / span[i] * counts[i]).astype(int), 0, counts[i] - 1) for i in range(2)]
@@ -246,8 +305,8 @@ def _begins(run: ScanRun) -> np.ndarray:
     return np.concatenate([[True], np.any(np.diff(keys, axis=1) != 0, axis=0)])
 
 
-def path_figure(run: ScanRun):
-    """Return the figure of the path in the plane, coloured by the error."""
+def path_figure(run: InPlane):
+    """Return the figure of the path in the plane, coloured by the error, over the reference."""
     figure, (axis,) = new_figure(6.4)
     from matplotlib.collections import LineCollection
 
@@ -260,15 +319,18 @@ def path_figure(run: ScanRun):
     points = run.displacement[:2, there[starts]].T * _MICRO
     lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis", linewidths=1.1)
     lines.set_array(sizes[:-1] * factor)
+    wanted = run.reference[:2, there[starts]] * _MICRO
+    axis.plot(*wanted, color=COLOURS["setpoint"][0], linewidth=2.6, alpha=0.35, label="reference", zorder=1)
     axis.add_collection(lines)
     axis.autoscale_view()
-    axis.set_aspect("equal")
-    axis.set(xlabel="x [µm]", ylabel="y [µm]")
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set(xlabel=f"{run.names[0]} [µm]", ylabel=f"{run.names[1]} [µm]")
+    add_legend(axis)
     figure.colorbar(lines, ax=axis, label=f"error in the plane [{unit}]")
     return figure
 
 
-def map_figure(run: ScanRun):
+def map_figure(run: InPlane):
     """Return the figure of the error map: RMS, and mean of x and y."""
     found = error_map(run)
     ratio = (found.y[-1] - found.y[0]) / (found.x[-1] - found.x[0])
@@ -280,13 +342,13 @@ def map_figure(run: ScanRun):
     panels = [("RMS error", found.rms, dict(cmap="viridis", vmin=0.0))]
     panels += [
         (f"mean error of {name}", mean, dict(cmap="RdBu_r", vmin=-steepest, vmax=steepest))
-        for name, mean in zip("xy", found.mean, strict=True)
+        for name, mean in zip(run.names[:2], found.mean, strict=True)
     ]
     for axis, (label, values, style) in zip(axes, panels, strict=True):
         axis.grid(False)
         drawn = axis.pcolormesh(*edges, values * factor, **style)
         axis.set_aspect("equal")
-        axis.set(xlabel="x [µm]", ylabel="y [µm]" if axis is axes[0] else "")
+        axis.set(xlabel=f"{run.names[0]} [µm]", ylabel=f"{run.names[1]} [µm]" if axis is axes[0] else "")
         axis.set_title(label, fontsize=10)
         figure.colorbar(
             drawn,
@@ -376,6 +438,20 @@ def format_scan(figures: dict) -> str:
     return "\n".join(aligned([(label, [value], unit) for label, value, unit in there]))
 
 
+def plane_plots(run: InPlane) -> Iterable[tuple[str, object]]:
+    """Yield the captions and figures of a run in its plane; there is a map where both axes move."""
+    yield "Path in the plane, coloured by the error", path_figure(run)
+    if np.min(np.ptp(run.reference[:2, run.counted], axis=1)) > LEAST_MAP:
+        yield "Map of the error in the plane", map_figure(run)
+
+
+def format_plane(run: PlaneRun) -> str:
+    """Return the figures of a run in its plane as a line for a terminal."""
+    figures = plane_figures(run)
+    rms, largest = (readable(figures[name], "m") for name in ("rms_error_m", "max_error_m"))
+    return f"plane {run.names[0]}-{run.names[1]}: RMS error {rms}, largest {largest}"
+
+
 def write_picture(path, figure) -> None:
     """Write a figure as PNG."""
     with replacing(path, RecordingError) as beside:
@@ -384,8 +460,7 @@ def write_picture(path, figure) -> None:
 
 def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:
     """Yield the captions and figures that there are of a scan."""
-    yield "Path in the plane, coloured by the error", path_figure(run)
-    yield "Map of the error in the plane", map_figure(run)
+    yield from plane_plots(run)
     yield "RMS error line by line", lines_figure(run)
     if retraced(run):
         yield "Mean error along the lines, trace against retrace", trace_figure(run)

@@ -31,7 +31,7 @@ from hysteresis_ros.analysis.inchworm import (
 from hysteresis_ros.analysis.inchworm_report import inchworm_charts, write_inchworm_report
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import origin, write_page
-from hysteresis_ros.analysis.plots import SIDE_BY_SIDE, Chart, Line, length_unit
+from hysteresis_ros.analysis.plots import SIDE_BY_SIDE, Chart, Line, data_uri, length_unit
 from hysteresis_ros.analysis.report import (
     ADDED,
     BLOCKS,
@@ -42,6 +42,7 @@ from hysteresis_ros.analysis.report import (
     write_report,
 )
 from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
+from hysteresis_ros.analysis.scan_report import PlaneRun, plane_plots
 from hysteresis_ros.analysis.tables import aligned, format_parts, format_table, leading, part_rows, table_of
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
@@ -168,16 +169,22 @@ def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
     return texts
 
 
-def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, overlaid charts, configurations."""
+def render_side_by_side(
+    runs: dict[str, Recording],
+    title: str,
+    figures: dict[str, dict] | None = None,
+    plane: PlaneRun | None = None,
+) -> str:
+    """Return the page of several runs: table of figures, overlaid charts, the plane of two axes, configurations."""
     figures = figures or compare_runs(runs)
     # every run begins at its first sample
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
     blocks = max(100, BLOCKS // len(runs))
     sums = [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()]
-    return render_laid_over(
-        runs, title, figures, overlaid(since), table_of(list(figures.values()), leading(list(figures.values()))), sums
-    )
+    rows = table_of(list(figures.values()), leading(list(figures.values())))
+    drawn = () if plane is None else plane_plots(plane)
+    plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in drawn]
+    return render_laid_over(runs, title, figures, overlaid(since), rows, sums, plots)
 
 
 def render_laid_over(
@@ -187,6 +194,7 @@ def render_laid_over(
     charts: list[Chart],
     rows: list[dict],
     sums: Sequence[dict] = (),
+    plots: Sequence[dict] = (),
 ) -> str:
     """Return a page of several runs from its charts and its table."""
     longest = max(float(run.time[-1] - run.time[0]) for run in runs.values())
@@ -202,7 +210,7 @@ def render_laid_over(
         parts=[row | dict(run=name) for name in runs for row in part_rows(figures[name])],
         added=ADDED if sums else (),
         shown=list(runs) if sums else [],
-        plots=[],
+        plots=plots,
         notes=[f"{name}: {note}" for name in runs for note in figures[name]["notes"]["recording"]],
         judged=[f"{name}: {sampling_text(run)}" for name, run in runs.items()],
         configurations=configurations(runs),
@@ -279,8 +287,13 @@ def laid_over(runs: dict[str, Recording]) -> list[Chart]:
     return [found[name] for name in OVERLAID_OF_MOTORS if name in found]
 
 
-def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, overlaid charts, configurations."""
+def render_motors(
+    runs: dict[str, Recording],
+    title: str,
+    figures: dict[str, dict] | None = None,
+    plane: PlaneRun | None = None,
+) -> str:
+    """Return the page of several runs: table of figures, overlaid charts, configurations; motors have no plane."""
     figures = figures or compare_motors(runs)
     return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
 
@@ -293,7 +306,7 @@ class Report(NamedTuple):
     write: Callable[..., None]  #: ``write(run, path, title, figures)`` writes a page.
     compare: Callable[[dict[str, Recording]], dict[str, dict]]  #: ``compare(runs)`` returns the figures of each run.
     compared_table: Callable[[dict[str, dict]], str]  #: ``compared_table(figures)`` returns lines for a terminal.
-    render_compared: Callable[..., str]  #: ``render_compared(runs, title, figures)`` returns a page.
+    render_compared: Callable[..., str]  #: ``render_compared(runs, title, figures, plane)`` returns a page.
 
 
 REPORT = Report(compute_metrics, format_table, write_report, compare_runs, format_runs, render_side_by_side)
@@ -332,12 +345,17 @@ def common_report(runs: dict[str, Recording]) -> Report:
     return report
 
 
-def report_several(runs: dict[str, Recording], path=None, title: str | None = None) -> tuple[dict[str, dict], str]:
-    """Compare runs and write a page; return the figures of each run, and lines for a terminal."""
+def report_several(
+    runs: dict[str, Recording], path=None, title: str | None = None, plane: PlaneRun | None = None
+) -> tuple[dict[str, dict], str]:
+    """Compare runs and write a page; return the figures of each run, and lines for a terminal.
+
+    The runs of two axes of a stage have a ``plane``, whose pictures are on the page.
+    """
     if not runs:
         raise RecordingError("no run to report: give at least one")
     report = common_report(runs)
     figures = report.compare(runs)
     if path is not None:
-        write_page(path, report.render_compared(runs, title or " · ".join(runs), figures))
+        write_page(path, report.render_compared(runs, title or " · ".join(runs), figures, plane))
     return figures, report.compared_table(figures)

@@ -47,6 +47,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
     Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
     "hysteresis_ros[report]").
     """
+    from hysteresis_ros.analysis.scan_report import format_plane, plane_figures, plane_of
     from hysteresis_ros.analysis.side_by_side import labels_of, report_several
     from hysteresis_ros.recordings.files import load_run
 
@@ -62,15 +63,19 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
             for whole, run in read.items()
             for label, one in (axes[whole] or {whole: run}).items()
         }
+    plane = None
     if len(read) == 1 and len(runs) > 1 and last_periods is None:
         ((label, run),) = read.items()
         part = _bounds(range_, skip) if range_ or skip else (None, float("inf"))
         if _scanned(run, runs, output, title or label, json_path, part):
             return
+        plane = plane_of(runs)
     if len(runs) > 1:
         with shown(f"evaluating {len(runs)} runs"):
-            figures, table = report_several(runs, output, title)
-        write_json({"runs": figures}, json_path, table)
+            figures, table = report_several(runs, output, title, plane)
+        in_plane = {} if plane is None else {"plane": plane_figures(plane)}
+        lines = [table] if plane is None else [format_plane(plane), "", table]
+        write_json({**in_plane, "runs": figures}, json_path, "\n".join(lines))
     else:
         ((label, run),) = runs.items()
         _single(run, output, title or label, json_path)
