@@ -45,17 +45,32 @@ def watch(config, namespace, port, bind, folder):
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
+    from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.laboratory.watch.serving import PageOptions, Pages
     from hysteresis_ros.loop.parameters import in_time
     from hysteresis_ros.loop.reach import axes
-    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+    from hysteresis_ros.nodes.launcher import Graph, require_messages
 
     options = PageOptions(port, bind, folder)
-    found = [in_time(axis) for axis in axes(load_configuration(config), namespace)] if config else []
-    spaces = [axis.namespace for axis in found] or [normalised_namespace(namespace or "")]
+    configuration = load_configuration(config) if config else None
+    stage = None
+    if configuration is None:
+        found = []
+    elif configuration.stage is None:
+        found = [in_time(axis) for axis in axes(configuration, namespace)]
+    else:
+        stage = StageParameters.from_configuration(configuration).in_time()
+        require_messages(stage)
+        found = list(stage.axes)
+    named = normalised_namespace(namespace or "")
+    shown = [axis.namespace for axis in found if stage is None or named in ("", axis.namespace)]
+    if stage is not None and not shown:
+        raise ConfigurationError(f"--namespace {namespace}: the stage has the axes {', '.join(stage.names)}")
+    spaces = shown or [named]
     pages = Pages(spaces, options)
     with contextlib.ExitStack() as stack:
-        graph = stack.enter_context(Graph(found)) if found else None
+        graph = stack.enter_context(Graph(found, stage=stage)) if found else None
         stack.enter_context(pages)
         if graph is not None:
             graph.wait(lambda: bool(requested) or pages.over())

@@ -36,6 +36,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.laboratory.watch.access import SERVICES
 from hysteresis_ros.laboratory.watch.memory import Collector, Memory, motor_facts
+from hysteresis_ros.laboratory.watch.plane import Plane
 from hysteresis_ros.laboratory.watch.views import axis_of, limits_of, table_of
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos, sensor_qos, setpoint_qos
@@ -150,6 +151,11 @@ class AxisLink:
         self._collector: Collector | None = None
         self._states: list = []
         self._changes: list[str] = []
+        #: The plane of the axis with another one of its stage.
+        self.plane = Plane()
+        self._neighbour = ""
+        self._beside: list = []
+        self._beside_collector: Collector | None = None
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future]] = queue.SimpleQueue()
         executor = make_executor if context is None else None
         self._client = Client(namespace, ANSWER, context or rclpy.get_default_context(), executor)
@@ -166,6 +172,8 @@ class AxisLink:
                 self._client.hear()
                 if self._collector is not None:
                     self._take(self._collector.take())
+                if self._beside_collector is not None:
+                    self.plane.add(self._neighbour, self._beside_collector.take())
                 while not self._jobs.empty():
                     self._do(*self._jobs.get())
                 if time.monotonic() - looked > LOOK:
@@ -240,6 +248,56 @@ class AxisLink:
             self.version += 1
         if self._axis is None and len(self.values) >= len(signals.kind_of(self.values).nodes):
             self._introduce()
+        self._look_beside(found)
+
+    def _look_beside(self, others: dict[str, list[str]]) -> None:
+        """Check whether the axis is one of a stage, and which other axis is shown with it in a plane."""
+        parent = self.namespace.rpartition("/")[0]
+        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page hears its own axis only
+        is_stage = self._axis is not None and not secured and self.node.count_subscribers(f"{parent}/setpoints")
+        whole = {
+            space
+            for space, nodes in others.items()
+            if space.rpartition("/")[0] == parent and set(signals.ACTUATOR.nodes) <= set(nodes)
+        }
+        first = sorted(whole | {self.namespace})
+        shown = [self.namespace, first[0] if first[0] != self.namespace else first[-1]] if is_stage and whole else []
+        neighbour = shown[1] if shown else ""
+        if neighbour == self._neighbour:
+            return
+        for subscription in self._beside:
+            self.node.destroy_subscription(subscription)
+        self._beside, self._beside_collector, self._neighbour = [], None, ""
+        self.plane.choose({})
+        if not neighbour:
+            return
+        try:
+            given = values_of(self._client, f"{neighbour}/{signals.CONTROLLER}")
+        except AbsentError:
+            return  # the node is starting or exiting; the next check will show which
+        self._neighbour = neighbour
+        own = self._axis.motion_controller.feedforward.preview if self._axis is not None else 0
+        previews = {self.namespace: own, neighbour: int(given.get("feedforward.preview", 0))}
+        self.plane.choose({space: previews[space] for space in sorted(shown)})
+        if given.get("time_mode") == "fused":
+            hear, topic = self.node.create_subscription, f"{neighbour}/{signals.PLANT}/{TOPIC}"
+            self._beside = [hear(Float64MultiArray, topic, self._on_block_beside, samples_qos())]
+        else:
+            self._beside_collector = Collector(signals.ACTUATOR)
+            self._beside = [self._hear_beside(neighbour, node) for node in signals.ACTUATOR.nodes]
+
+    def _hear_beside(self, namespace: str, node: str):
+        def take(message: JointState) -> None:
+            if self._beside_collector is not None:
+                self._beside_collector.add(node, message)
+
+        return self.node.create_subscription(JointState, f"{namespace}/{node}/state", take, DEPTH)
+
+    def _on_block_beside(self, message: Float64MultiArray) -> None:
+        try:
+            self.plane.add(self._neighbour, block_of(message))
+        except HysteresisError as error:
+            self._refused(str(error))
 
     def _introduce(self) -> None:
         """All nodes are present: read the parameters of the axis, and how it publishes its samples."""
@@ -297,6 +355,7 @@ class AxisLink:
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
+        self.plane.add(self.namespace, block)
         if self.recording is not None:
             self.recording.write(block)
 

@@ -30,8 +30,8 @@ from hysteresis_ros.laboratory.watch.memory import motor_values
 from hysteresis_ros.laboratory.watch.views import View
 from hysteresis_ros.nodes.remote.commands import stands
 
-#: Frames per second; intervals of the status and of the spectrum [s].
-FRAMES, STATUS, SPECTRUM = 25.0, 0.25, 0.5
+#: Frames per second; intervals of the status, of the spectrum and of the plane [s].
+FRAMES, STATUS, SPECTRUM, PLANE = 25.0, 0.25, 0.5, 0.25
 #: Maximum size of a request [bytes]; maximum number of queued requests of a page.
 LONGEST, WAITING = 64 * 1024, 32
 #: Time-outs of a setpoint and of a stop [s]; interval at which a stop is repeated until it is confirmed [s].
@@ -226,7 +226,7 @@ class Server:
             await asyncio.sleep(max(1.0 / FRAMES - (time.monotonic() - begun), 0.001))
 
     async def _background(self, application: web.Application):
-        given = (STATUS, self._tell), (SPECTRUM, self._spectrum)
+        given = (STATUS, self._tell), (SPECTRUM, self._spectrum), (PLANE, self._plane)
         tasks = [asyncio.create_task(self._every(seconds, do)) for seconds, do in given]
         yield
         for task in tasks:
@@ -245,6 +245,12 @@ class Server:
     async def _spectrum(self) -> None:
         if self.pages and self.link.memory.is_live:
             await self._everybody(spectrum=self.link.memory.spectrum())
+
+    async def _plane(self) -> None:
+        """Send the plane of two axes of a stage; None where the axis has no stage, or is not live."""
+        if self.pages:
+            live = self.link.memory.is_live and self.link.plane.axes
+            await self._everybody(plane=self.link.plane.told() if live else None)
 
     async def _tell_control(self) -> None:
         for page in list(self.pages.values()):

@@ -223,6 +223,65 @@ export class LoopChart {
   }
 }
 
+/** The path of two axes in their plane over its reference; the larger the error, the redder the path. Both scales are equal. */
+export class PlaneChart {
+  constructor(place) {
+    Object.assign(this, { place, now: { names: ["x", "y"], reference: [[], []], path: [[], []], error: [], largest: 0 }, ranges: [new Range(1e-9), new Range(1e-9)] });
+    this.make();
+  }
+  words() {
+    const size = Math.max(...this.ranges.map(({ low, high }) => (Number.isFinite(low) ? Math.max(Math.abs(low), Math.abs(high)) : 1e-6)));
+    return [...lengthUnit(size), ...this.now.names];
+  }
+  spans() {
+    const own = this.ranges.map((range, index) => range.of(...extent([this.now.reference[index], this.now.path[index]])));
+    const box = this.chart?.bbox, [width, height] = box?.width ? [box.width, box.height] : [2, 1];
+    const scale = Math.max((own[0][1] - own[0][0]) / width, (own[1][1] - own[1][0]) / height);
+    return own.map(([low, high], index) => { const half = (scale * [width, height][index]) / 2, middle = (low + high) / 2; return [middle - half, middle + half]; });
+  }
+  make() {
+    this.made = this.words();
+    const [unit, factor, x, y] = this.made;
+    const axes = [axis("x", `${x} (${unit})`, { ...below, values: ticks(factor) }), axis("y", `${y} (${unit})`, { ...beside, values: ticks(factor) })];
+    const scales = { x: { time: false, range: () => this.spans()[0] }, y: { range: () => this.spans()[1] } };
+    this.chart = made(this.place, { axes, scales, series: [{}, { scale: "y", points: { show: false } }], cursor: { show: false }, hooks: { draw: [() => this.paths()] } }, [[0, 1], [null, null]]);
+  }
+  rebuild() { this.chart.destroy(); this.make(); }
+  destroy() { this.chart.destroy(); }
+  draw(now) {
+    this.now = now;
+    this.chart.setData([[0, 1], [null, null]]);
+    if (this.words().join() !== this.made.join()) this.rebuild();
+  }
+  curve(ctx, [xs, ys], stroke, width) {
+    ctx.strokeStyle = colour(stroke); ctx.lineWidth = width * devicePixelRatio;
+    ctx.beginPath();
+    xs.forEach((x, index) => { const place = [this.chart.valToPos(x, "x", true), this.chart.valToPos(ys[index], "y", true)]; if (index) ctx.lineTo(...place); else ctx.moveTo(...place); });
+    ctx.stroke();
+  }
+  paths() {
+    const { ctx, bbox } = this.chart, { reference, path, error, largest } = this.now;
+    ctx.save();
+    ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
+    ctx.lineJoin = "round";
+    ctx.globalAlpha = 0.45;
+    this.curve(ctx, reference, "reference", 5);
+    ctx.globalAlpha = 1;
+    this.curve(ctx, path, "measured", 1.5);
+    ctx.strokeStyle = colour("bad"); ctx.lineWidth = 2.5 * devicePixelRatio;
+    for (let index = 1; index < error.length && largest > 0; index++) {
+      const share = error[index] / largest;
+      if (share < 0.5) continue;
+      ctx.globalAlpha = share;
+      ctx.beginPath();
+      ctx.moveTo(this.chart.valToPos(path[0][index - 1], "x", true), this.chart.valToPos(path[1][index - 1], "y", true));
+      ctx.lineTo(this.chart.valToPos(path[0][index], "x", true), this.chart.valToPos(path[1][index], "y", true));
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+}
+
 /** Amplitude density of the error over frequency, both logarithmic. */
 export class SpectrumChart {
   constructor(place) { this.place = place; this.data = [[1, 10], [null, null]]; this.make(); }

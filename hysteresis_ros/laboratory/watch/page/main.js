@@ -9,7 +9,7 @@
 
 // The page: its socket to the server, the display of the axis, and the actions of keys and buttons.
 
-import { LoopChart, SpectrumChart, TimeChart, Traces, lengthUnit, readFrame, readable } from "/charts.js";
+import { LoopChart, PlaneChart, SpectrumChart, TimeChart, Traces, lengthUnit, readFrame, readable } from "/charts.js";
 import { Motor } from "/motor.js";
 import { Tuning, throttled } from "/tuning.js";
 
@@ -81,6 +81,7 @@ function hear(words) {
   } else if (words.status) status(words.status);
   else if (words.axis) axis(words.axis);
   else if (words.spectrum) { if (!state.paused) byId("peak").textContent = charts.spectrum.draw(words.spectrum); }
+  else if (words.plane !== undefined) plane(words.plane);
   else if (words.control) control(words.control, words.pages);
   else if (words.marker) state.marks = [...state.marks.slice(-50), words.marker];
   else if (words.refused !== undefined) say(words.refused.startsWith("speed") ? "motor-said" : "setpoint-said", { ok: false, text: words.refused });
@@ -174,6 +175,17 @@ function axis({ namespace, nodes, limits, mode, rate, motor: about }) {
     byId("setpoint").title = byId("setpoint-slider").title = `${low * factor} … ${high * factor} ${unit}`;
   }
   tuning.show(nodes);
+}
+
+/** The plane of two axes of a stage; its chart is made when the first samples of both axes are there. */
+function plane(now) {
+  if (state.paused) return;
+  for (const element of document.querySelectorAll(".of-stage")) element.hidden = !now;
+  if (!now) { charts.plane?.destroy(); delete charts.plane; return; }
+  charts.plane ??= new PlaneChart(byId("plane"));
+  charts.plane.draw(now);
+  byId("plane-title").textContent = `Plane ${now.names[0]}–${now.names[1]}`;
+  byId("plane-said").textContent = `error in the plane: ${readable(now.rms, "m")} rms, largest ${readable(now.largest, "m")}`;
 }
 
 function control({ mine, holder, since }, pages) {
