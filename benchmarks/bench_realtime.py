@@ -31,13 +31,22 @@ import numpy as np
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.fused import FusedLoop, at_rest
 from hysteresis_ros.loop.pacing import Lateness, Samples
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import StageParameters
 
-#: Axes in real time, and the stroke [m] in which setpoints are given meanwhile.
-AXES = {"kim2009": 5e-6, "inchworm_travel": 2e-4}
+#: Axes and stages in real time, and the range [m] in which setpoints are given meanwhile.
+RUN = {
+    "kim2009": (0.0, 5e-6),
+    "inchworm_travel": (0.0, 2e-4),
+    "xy_scanner": (10e-6, 30e-6),
+    "steering_mirror": (-2e-7, 2e-7),
+}
+#: Samples per second of the clock [Hz] at which the time of a stage runs.
+STAGE_RATES = {"xy_scanner": 5000.0, "steering_mirror": 10000.0}
 #: Rate of a further row [Hz], at which the time to wake up is longer than a period.
 FASTEST = 50e3
 #: Lateness p50 and p90 [µs]; of the C loop's p99 and missed deadlines; time beyond waiting [µs].
@@ -82,59 +91,80 @@ def yardstick(program, rate: float, samples: int, options) -> np.ndarray:
     return np.frombuffer(done.stdout, dtype=np.int64)
 
 
-def fused(axis: AxisParameters, samples: int, stroke: float) -> tuple[FusedLoop, list[Samples], float]:
-    """Run an axis in real time with a setpoint now and then.
+#: What the readers of all axes took, piece by piece.
+Taken = list[list[Samples]]
 
-    Return it, what a reader took of it, and the part of a core that its thread took.
+
+def fused(axis: Axis | Stage, rate: float, samples: int, low: float, high: float) -> tuple[FusedLoop, Taken, float]:
+    """Run an axis or a stage in real time with setpoints now and then.
+
+    Return it, what the readers of its axes took, and the part of a core that its thread took.
     """
-    loop = FusedLoop(Axis(axis), samples=samples, warn=print)
-    taken, random = [], np.random.default_rng(1)
+    loop = FusedLoop(axis, rate / axis.sample_rate, samples, warn=print)
+    readers = [loop.reader(place) for place in range(len(axis.axes))]
+    taken: Taken = [[] for _ in readers]
+    random = np.random.default_rng(1)
     gc.collect()
     gc.disable()
     begun, whole, own = time.monotonic(), time.process_time(), time.thread_time()
     loop.start()
     while not loop.join(LOOK):
-        taken.append(loop.take())
-        loop.set(setpoint=stroke * random.random())
+        for reader, pieces in zip(readers, taken, strict=True):
+            pieces.append(reader.take())
+        loop.set_together({place: random.uniform(low, high) for place in range(len(readers))})
     took = time.process_time() - whole - (time.thread_time() - own)
     core = took / (time.monotonic() - begun)
     gc.enable()
     if loop.failure:
         raise common.BenchmarkError(loop.failure)
-    return loop, [*taken, loop.take()], core
+    for reader, pieces in zip(readers, taken, strict=True):
+        pieces.append(reader.take())
+    return loop, taken, core
 
 
-def different_samples(loop: FusedLoop, taken: list[Samples], axis: AxisParameters) -> int:
+def different_samples(loop: FusedLoop, taken: Taken, twin: Axis | Stage) -> int:
     """Return in how many samples the run and its offline twin are not the same bits."""
     names = [signal.name for signal in loop.axis.kind.row]
-    made = dict(zip(names, np.concatenate([piece.table for piece in taken], axis=1), strict=True))
-    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.kind.motor else {}
-    twin = Axis(axis).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
-    unlike = [np.ascontiguousarray(made[name]).view(np.int64) != twin[name].view(np.int64) for name in names]
+    made = [
+        dict(zip(names, np.concatenate([piece.table for piece in pieces], axis=1), strict=True)) for pieces in taken
+    ]
+    if isinstance(twin, Stage):
+        setpoints = {name: one["setpoint"] for name, one in zip(twin.names, made, strict=True)}
+        changes = {name: loop.changes_of(place) for place, name in enumerate(twin.names)}
+        found = list(twin.run(setpoints, changes, made[0]["skipped"]).values())
+    else:
+        (own,) = made
+        asked = {"requests": own["request"], "speeds": own["speed"]} if twin.kind.motor else {}
+        found = [twin.run(own["setpoint"], changes=loop.changes, skipped=own["skipped"], **asked)]
+    unlike = [
+        np.ascontiguousarray(ours[name]).view(np.int64) != np.ascontiguousarray(theirs[name]).view(np.int64)
+        for ours, theirs in zip(made, found, strict=True)
+        for name in names
+    ]
     return int(np.count_nonzero(np.any(unlike, axis=0)))
 
 
-def one_turn(program, axis: AxisParameters, stroke: float, index: int, options) -> Turn:
+def one_turn(program, name: str, given: AxisParameters | StageParameters, rate: float, index: int, options) -> Turn:
     """Let both run one after the other; which one begins changes from turn to turn."""
-    rate = axis.plant_simulator.sample_rate
     samples = round(options.seconds * rate)
     first = yardstick(program, rate, samples, options) if index % 2 == 0 else None
-    loop, taken, core = fused(axis, samples, stroke)
+    loop, taken, core = fused(at_rest(given), rate, samples, *RUN[name])
     late = first if first is not None else yardstick(program, rate, samples, options)
-    lost = sum(piece.lost for piece in taken)
-    return Turn(
-        late, loop.lateness(), core, os.getloadavg()[0], lost, 0 if lost else different_samples(loop, taken, axis)
-    )
+    lost = sum(piece.lost for pieces in taken for piece in pieces)
+    different = 0 if lost else different_samples(loop, taken, at_rest(given))
+    return Turn(late, loop.lateness(), core, os.getloadavg()[0], lost, different)
 
 
-def axis_of(name: str, options, rate: float = 0.0) -> AxisParameters:
-    """Return an axis of the benchmark; at another rate its plant responds at once."""
+def parameters_of(name: str, options, rate: float = 0.0) -> AxisParameters | StageParameters:
+    """Return an axis or a stage of the benchmark; at another rate the plant of an axis responds at once."""
     realtime = {"realtime.priority": options.priority, "realtime.cpu": options.cpu, "late_limit": -1}
     configuration = load_configuration(name).override("plant_simulator", **realtime)
     if rate:
         configuration = configuration.override("", sample_rate=rate)
         configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
         configuration = configuration.override("motion_controller", model__dynamics__sample_time=0.0)
+    if configuration.stage is not None:
+        return StageParameters.from_configuration(configuration.override("", time_mode="fused"))
     return single_axis(configuration)
 
 
@@ -143,11 +173,12 @@ def missed_of(turn: Turn, rate: float) -> int:
     return int(np.count_nonzero(turn.yardstick >= 1e9 / rate))
 
 
-def paced(program, name: str, axis: AxisParameters, stroke: float, options) -> list[common.Result]:
-    """Return the figures of one axis in real time."""
-    rate = axis.plant_simulator.sample_rate
+def paced(program, name: str, given: AxisParameters | StageParameters, options) -> list[common.Result]:
+    """Return the figures of one axis or stage in real time."""
+    axis = at_rest(given)
+    rate, axes = STAGE_RATES.get(name, axis.sample_rate), len(axis.axes)
     title = f"{name}, {rate:g} Hz"
-    turns = [one_turn(program, axis, stroke, index, options) for index in range(options.turns)]
+    turns = [one_turn(program, name, given, rate, index, options) for index in range(options.turns)]
     for turn in turns:
         c, late = np.quantile(turn.yardstick, [0.5, 0.9, 0.99, 0.999, 1.0]) * 1e-3, turn.lateness
         print(
@@ -173,7 +204,7 @@ def paced(program, name: str, axis: AxisParameters, stroke: float, options) -> l
         ),
         common.Result(f"{title}: p99 lateness, of C", ratio, "at most", RATIO, text),
         common.Result(f"{title}: missed + 1, of C", (missed + 1) / (beside + 1), "at most", RATIO, count),
-        common.Result(f"{title}: µs beyond waiting", cost, "at most", COST),
+        common.Result(f"{title}: µs beyond waiting, per axis", cost / axes, "at most", COST),
         common.Result(f"{title}: samples a reader lost", sum(turn.lost for turn in turns), "at most", 0),
         common.Result(f"{title}: samples unlike the twin", sum(turn.different for turn in turns), "at most", 0),
     ]
@@ -210,14 +241,16 @@ def main() -> int:
     """Run the benchmark; returns the exit code."""
     parser = common.realtime_parser(__doc__, seconds=4.0, turns=3)
     parser.add_argument("--ticks", type=int, default=10**7, help="ticks without waiting (default 10^7)")
+    parser.add_argument("--only", action="append", choices=tuple(RUN), help="this axis or stage; may be repeated")
     options = parser.parse_args()
     common.require_compiled()
     results = [growth(options.ticks)]
     with tempfile.TemporaryDirectory() as folder, common.busy_core():
         program = built(pathlib.Path(folder))
-        for name, stroke in AXES.items():
-            results += paced(program, name, axis_of(name, options), stroke, options)
-        results += paced(program, "kim2009", axis_of("kim2009", options, FASTEST), AXES["kim2009"], options)
+        for name in options.only or RUN:
+            results += paced(program, name, parameters_of(name, options), options)
+        if not options.only:
+            results += paced(program, "kim2009", parameters_of("kim2009", options, FASTEST), options)
     return common.report(results, options)
 
 

@@ -122,6 +122,7 @@ def up(
     with reference.named():
         if coupled:
             stage = _stage(configuration, faults, namespace if faults or not reference.kind else None, duration)
+            stage = stage.in_time() if rate is None and processes is None else stage
             require_messages(stage)
             found = list(stage.axes)
         else:

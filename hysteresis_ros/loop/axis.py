@@ -83,6 +83,11 @@ class Axis:
         return self.parameters.plant_simulator.sample_rate
 
     @property
+    def axes(self) -> tuple[Axis, ...]:
+        """This axis, the only one that it runs."""
+        return (self,)
+
+    @property
     def by_node(self) -> dict:
         """The parts by the names of their nodes."""
         return {
@@ -188,8 +193,8 @@ class Axis:
         other.plant = PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
         return other
 
-    def apply(self, change: Change) -> None:
-        """Start, stop or retune a part between two samples."""
+    def apply(self, change: Change, place: int = 0) -> None:
+        """Start, stop or retune a part between two samples; ``place`` is 0, as a stage has places."""
         part = self.by_node[change.node]
         if change.action == "retune":
             present = part.parameters

@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused runner: one compiled thread runs an axis against absolute deadlines; its cost on a machine.
+"""The fused runner: one compiled thread runs an axis or a stage against absolute deadlines; its cost on a machine.
 
 Other threads control it: the compiled code applies setpoints, starts and stops at the boundary of a sample; for other
 changes it pauses between two samples while the calling thread makes them. Every change is logged with its sample, so an
-:class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits.
+:class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits, and so
+does a :class:`~hysteresis_ros.loop.stage.Stage`. All axes of a stage have one clock and skip the same samples.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,8 +38,22 @@ from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ConfigurationError, LoopError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.pacing import CODES, Lateness, Pace, Reader, Samples, lateness, latest, pace, switched
-from hysteresis_ros.loop.parameters import SPIN_PART, AxisParameters, RealtimeParameters
+from hysteresis_ros.loop.pacing import (
+    CODES,
+    Alone,
+    Lateness,
+    Pace,
+    Reader,
+    Samples,
+    Together,
+    lateness,
+    latest,
+    pace,
+    switched,
+)
+from hysteresis_ros.loop.parameters import SPIN_PART, AxisParameters, PlantNodeParameters, RealtimeParameters
+from hysteresis_ros.loop.stage import Stage, stage_ticks
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.tick import WHOLE, ticks
 from hysteresis_ros.models.block import COMPILED, specialised
 
@@ -203,8 +218,9 @@ LOOK = 2e-4
 HASTE = 2e-3
 
 
-def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
-    """Return the arrays of a loop that continues with the next sample of an axis."""
+def pace_arrays(axis: Axis | Stage, factor: float = math.inf, samples: int = 0) -> Pace:
+    """Return the arrays of a loop that continues with the next sample of an axis or a stage."""
+    axes = axis.axes
     size = len(axis.kind.row)
     rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
     kept = min(max(math.ceil(KEPT * rate), LEAST_KEPT), MOST_KEPT)
@@ -213,37 +229,51 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
     state[at.UNTIL] = axis.sample + samples if samples else 0
     state[at.PERIOD] = round(1e15 / rate)
     state[at.UNPACED] = not math.isfinite(factor)
+    schedule = np.concatenate([np.insert(one.source.schedule, 2, i, axis=1) for i, one in enumerate(axes)])
     return Pace(
         state,
+        np.zeros((len(axes), at.COUNTS), dtype=np.int64),
         axis.given,
-        np.zeros((size, 1)),
-        np.zeros(size),
-        axis.source.schedule,
-        np.zeros((at.POSTS, at.POST)),
-        np.zeros((at.EVENTS, 2), dtype=np.int64),
+        np.zeros((len(axes), size + at.MOST_SWITCHES, 1)),
+        np.zeros((len(axes), size)),
+        np.ascontiguousarray(schedule[np.argsort(schedule[:, 0], kind="stable")]),
+        np.zeros((at.POSTS, len(axes), at.POST)),
+        np.zeros((at.EVENTS, 3), dtype=np.int64),
         np.zeros(at.BINS, dtype=np.int64),
-        np.full((kept, size), math.nan),  # written, so that the memory is allocated
+        np.full((kept, len(axes), size), math.nan),  # written, so that the memory is allocated
         np.full(kept, -1, dtype=np.int64),
-        np.full((kept, axis.plant.joint_numbers), math.nan),
+        np.full((kept, sum(one.plant.joint_numbers for one in axes)), math.nan),
         np.zeros(2, dtype=np.int64),
     )
 
 
-def machine(axis: Axis, own: Pace):
-    """Return the compiled loop of an axis and its arguments."""
-    laws, parts = axis.laws, axis.parts
-    step = specialised(ticks, laws, parts, own.given, own.column, own.row, WHOLE)
-    arguments = step, laws, parts, own, int(axis.kind.motor)
+def machine(axis: Axis | Stage, own: Pace):
+    """Return the compiled loop of an axis or a stage, and its arguments."""
+    part: Alone | Together
+    if isinstance(axis, Stage):
+        part = Together(axis.laws, axis.parts, axis.group)
+        step = specialised(stage_ticks, *part, own.given, own.column, own.row)
+    else:
+        part = Alone(axis.laws, axis.parts)
+        step = specialised(ticks, *part, own.given, own.column[0], own.row[0], WHOLE)
+    arguments = step, part, own, int(axis.kind.motor)
     return specialised(pace, *arguments, nogil=True), arguments
 
 
 class FusedLoop:
-    """Runs an axis in a thread of its own.
+    """Runs an axis, or all axes of a stage, in a thread of its own.
 
-    All methods may be called from any thread. While it runs, nothing else may run or change the axis.
+    All methods may be called from any thread. While it runs, nothing else may run or change the axis. Methods that
+    concern one axis of a stage take its place among the axes; an axis alone has place 0.
     """
 
-    def __init__(self, axis: Axis, factor: float = 1.0, samples: int = 0, warn: Callable[[str], object] | None = None):
+    def __init__(
+        self,
+        axis: Axis | Stage,
+        factor: float = 1.0,
+        samples: int = 0,
+        warn: Callable[[str], object] | None = None,
+    ):
         rate = axis.sample_rate * factor
         if not COMPILED and INTERPRETED_RATE < rate < math.inf:
             raise ConfigurationError(
@@ -251,17 +281,17 @@ class FusedLoop:
                 f"reaches only {INTERPRETED_RATE:g} samples per second; install Numba (the extra [fast]), or lower "
                 "sample_rate or real_time_factor"
             )
-        require_spin(axis.parameters.plant_simulator.realtime.spin)
+        require_spin(axis.axes[0].parameters.plant_simulator.realtime.spin)
         self.axis = axis
         self.failure = self.warning = ""
         self._warn = warn
         self._own = pace_arrays(axis, factor, samples)
         self._state = self._own.state
-        self._asked = np.zeros(at.POST)
+        self._asked = np.zeros((len(axis.axes), at.POST))
         self._offset = 0
         self._posting = threading.Lock()
         self._changing = threading.Lock()
-        self._log: list[tuple[int, int, Change]] = []
+        self._log: list[tuple[int, int, int, Change]] = []
         self._events_read = 0
         self._ending = False
         self._thread: threading.Thread | None = None
@@ -269,7 +299,7 @@ class FusedLoop:
         self._double = copy.deepcopy(axis)
         self._double_own = pace_arrays(self._double)
         self._reader = self.reader()
-        self._rehearse(None)
+        self._rehearse(0, None)
 
     # -- beginning and end ---------------------------------------------------------------------------------------
 
@@ -319,10 +349,14 @@ class FusedLoop:
         time.sleep(WAKING)  # the process itself may have been suspended
         return int(self._state[at.AT_WORK]) == begun
 
+    @property
+    def _realtime(self) -> RealtimeParameters:
+        return self.axis.axes[0].parameters.plant_simulator.realtime
+
     @contextlib.contextmanager
     def _ahead(self):
         """Let the thread look at the clock ahead of deadlines, as its parameters say and the machine permits."""
-        state, spin = self._state, self.axis.parameters.plant_simulator.realtime.spin
+        state, spin = self._state, self._realtime.spin
         state[at.AHEAD] = state[at.MOST_AHEAD] = 0
         automatic = spin < 0.0 and COMPILED and has_priority()
         claim = claim_of_a_core() if (spin > 0.0 or automatic) and not state[at.UNPACED] else None
@@ -341,7 +375,7 @@ class FusedLoop:
     def _run(self) -> None:
         """Run the loop until the end; the thread's main function."""
         try:
-            self.warning = ask_for(self.axis.parameters.plant_simulator.realtime)
+            self.warning = ask_for(self._realtime)
             if self.warning and self._warn is not None:
                 self._warn(self.warning)
             with self._ahead():
@@ -367,7 +401,13 @@ class FusedLoop:
 
     # -- requests and changes --------------------------------------------------------------------------------------
 
-    def set(self, setpoint: float | None = None, request: float | None = None, speed: float | None = None) -> None:
+    def set(
+        self,
+        setpoint: float | None = None,
+        request: float | None = None,
+        speed: float | None = None,
+        place: int = 0,
+    ) -> None:
         """Request a setpoint [m], a motor's request or speed for the next sample; None: no change.
 
         Of several requests in one sample the last one counts.
@@ -375,76 +415,90 @@ class FusedLoop:
         if not self.axis.kind.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor takes them")
         places = at.POST_SETPOINT, at.POST_REQUEST, at.POST_SPEED
-        self._post(dict(zip(places, (setpoint, request, speed), strict=True)))
+        self._post({place: dict(zip(places, (setpoint, request, speed), strict=True))})
+
+    def set_together(self, setpoints: Mapping[int, float]) -> None:
+        """Request setpoints [m] of several axes, by their places, for the same sample."""
+        self._post({place: {at.POST_SETPOINT: value} for place, value in setpoints.items()})
 
     def halt(self) -> None:
-        """Stop everything with the next sample; the plant stays safe until all stopped parts are started again."""
-        self._post({}, halts=1)
+        """Stop everything with the next sample; the plants stay safe until all stopped parts are started again."""
+        self._post({place: {at.POST_HALTS: None} for place in range(len(self._asked))})
 
-    def apply(self, change: Change) -> int:
-        """Make a change, wait until it is done, and return the number of the first sample for which it holds."""
+    def apply(self, change: Change, places: Sequence[int] = (0,)) -> int:
+        """Make a change of these axes, wait until it is done, and return the first sample for which it holds."""
+        return self.apply_together({place: change for place in places})
+
+    def apply_together(self, changes: Mapping[int, Change]) -> int:
+        """Make a change of each of several axes, by their places, at the same sample; return it as :meth:`apply`."""
         with self._changing:
-            code = CODES.get((change.node, change.action))
+            switches = {place: (change.node, change.action) for place, change in changes.items()}
             sample = None
-            if self.running and code is not None:
-                sample = self._switch(code)
+            if self.running and all(switch in CODES for switch in switches.values()):
+                sample = self._switch({place: CODES[switch] for place, switch in switches.items()})
             if sample is None:
-                sample = self._change(change)
+                sample = self._change(changes)
         if self.failure:
             raise LoopError(self.failure)
         return sample
 
-    def _post(self, values: dict, switch: int = 0, halts: int = 0) -> float:
-        """Post requests to the loop; return the number of the switch."""
+    def _post(self, given: Mapping[int, Mapping[int, float | None]]) -> None:
+        """Post requests to axes; each value is followed by the number of times that it has been set."""
         asked = self._asked
         with self._posting:
-            for place, value in values.items():
-                if value is not None:
-                    asked[place] = value
-                    asked[place + 1] += 1
-            if switch:
-                asked[at.POST_SWITCH] = switch
-                asked[at.POST_SWITCHES] += 1
-            asked[at.POST_HALTS] += halts
+            for place, values in given.items():
+                for column, value in values.items():
+                    if column == at.POST_HALTS:
+                        asked[place, column] += 1
+                    elif value is not None:
+                        asked[place, column] = value
+                        asked[place, column + 1] += 1
             number = int(self._state[at.POSTED]) + 1
             self._own.posts[number % at.POSTS] = asked
             self._state[at.POSTED] = number
-            return asked[at.POST_SWITCHES]
 
-    def _switch(self, code: int) -> int | None:
-        """Start or stop a part; return the sample, None when the thread ended before."""
-        number = self._post({}, switch=code)
-        while self._state[at.SWITCHED] != number:
-            if self.join(LOOK) and self._state[at.SWITCHED] != number:
-                self._state[at.SWITCHED] = number
+    def _switch(self, codes: Mapping[int, int]) -> int | None:
+        """Start or stop parts; return the sample, None when the thread ended before."""
+        self._post({place: {at.POST_SWITCH: code} for place, code in codes.items()})
+        counts, places = self._own.counts, list(codes)
+        wanted = self._asked[places, at.POST_SWITCHES]
+        while np.any(counts[places, at.SWITCHED] != wanted):
+            if self.join(LOOK) and np.any(counts[places, at.SWITCHED] != wanted):
+                counts[places, at.SWITCHED] = wanted
                 return None
             self._refuse_blocked()
         self._read_events()
-        return next(sample for sample, order, change in reversed(self._log) if order and CODES[change[1:3]] == code)
+        found = (
+            sample
+            for sample, order, place, change in reversed(self._log)
+            if order and codes.get(place) == CODES[change[1:3]]
+        )
+        return next(found)
 
-    def _change(self, change: Change) -> int:
-        """Apply a change between two samples; return the first one for which it holds."""
-        parameters = self._rehearse(change)
-        part = self.axis.by_node[change.node]
+    def _change(self, changes: Mapping[int, Change]) -> int:
+        """Apply changes between two samples; return the first one for which they hold."""
+        parameters = {place: self._rehearse(place, change) for place, change in changes.items()}
         before = self.axis.laws, self.axis.parts
         with self._between_samples():
             sample = self.sample
-            if change.action == "retune":
-                self._retune(change.node, part, parameters)
-            else:
-                getattr(part, change.action)(**change.parameters)
-            self._log.append((sample, 0, Change(sample, change.node, change.action, change.parameters)))
+            for place, change in changes.items():
+                if change.action == "retune":
+                    self._retune(place, change.node, parameters[place])
+                else:
+                    self.axis.apply(change, place)
+                self._log.append((sample, 0, place, Change(sample, change.node, change.action, change.parameters)))
             if not _same(before, (self.axis.laws, self.axis.parts)):
                 self._state[at.LEAVE] = 1
         return sample
 
-    def _retune(self, node: str, part, parameters) -> None:
+    def _retune(self, place: int, node: str, parameters) -> None:
+        part = self.axis.axes[place].by_node[node]
         try:
             part.retune(parameters)
         except Exception:
             # the copy was changed: it must equal the axis again
             with contextlib.suppress(ParameterError):
-                self._double.by_node[node].retune(part.parameters)
+                self._double.axes[place].by_node[node].retune(part.parameters)
             raise
 
     @contextlib.contextmanager
@@ -452,7 +506,7 @@ class FusedLoop:
         """Pause the loop between two samples, at nearly its priority."""
         state = self._state
         wanted = int(state[at.PAUSE]) + 1
-        with boosted(self.axis.parameters.plant_simulator.realtime), undisturbed():
+        with boosted(self._realtime), undisturbed():
             hasty = time.monotonic() + HASTE
             state[at.PAUSE] = wanted
             try:
@@ -471,7 +525,7 @@ class FusedLoop:
                 f"the device has not returned from sample {self.sample} for {BLOCKED:g} s: the change is refused"
             )
 
-    def _rehearse(self, change: Change | None) -> Parameters | None:
+    def _rehearse(self, place: int, change: Change | None) -> Parameters | None:
         """Apply a change to a copy of the axis and run it: errors occur here, and nothing is compiled later.
 
         Returns the new parameters of the part, checked.
@@ -479,13 +533,13 @@ class FusedLoop:
         double = self._double
         _copy_states(self.axis.parts, double.parts)
         if change is not None:
-            double.apply(change)
+            double.apply(change, place)
         own = self._double_own
         own.state[at.UNTIL] = own.state[at.SAMPLE] + 1
-        own.column[signals.SETPOINT] = self._own.column[signals.SETPOINT]
+        own.column[:, signals.SETPOINT] = self._own.column[:, signals.SETPOINT]
         run, arguments = machine(double, own)
         run(*arguments)
-        return None if change is None else double.by_node[change.node].parameters
+        return None if change is None else double.axes[place].by_node[change.node].parameters
 
     # -- results -------------------------------------------------------------------------------------------------
 
@@ -506,31 +560,35 @@ class FusedLoop:
 
     @property
     def changes(self) -> list[Change]:
-        """Changes so far, in the order of the samples, for :meth:`Axis.run`."""
+        """Changes of the first axis so far, in the order of the samples, for :meth:`Axis.run`."""
+        return self.changes_of(0)
+
+    def changes_of(self, place: int) -> list[Change]:
+        """Return the changes of one axis so far, in the order of the samples."""
         self._read_events()
-        return [change for *_, change in sorted(self._log, key=lambda entry: entry[:2])]
+        return [entry[3] for entry in sorted(self._log, key=lambda entry: entry[:2]) if entry[2] == place]
 
     def _read_events(self) -> None:
         """Move the switches of the compiled code into the log."""
         with self._posting:
             count = int(self._state[at.EVENT_COUNT])
             for index in range(self._events_read, count):
-                sample, code = map(int, self._own.events[index % at.EVENTS])
+                sample, code, place = map(int, self._own.events[index % at.EVENTS])
                 for node, action in switched(code, self.axis.kind.nodes):
-                    self._log.append((sample, 1, Change(sample, node, action)))
+                    self._log.append((sample, 1, place, Change(sample, node, action)))
             self._events_read = count
 
-    def reader(self) -> Reader:
-        """Return a reader of the ring that begins with the next sample."""
-        return Reader(self._own, lambda: self._offset)
+    def reader(self, place: int = 0) -> Reader:
+        """Return a reader of the ring of one axis that begins with the next sample."""
+        return Reader(self._own, lambda: self._offset, place)
 
     def take(self) -> Samples:
-        """Return all samples since the last call."""
+        """Return all samples of the first axis since the last call."""
         return self._reader.take()
 
-    def latest(self) -> tuple[int, np.ndarray]:
+    def latest(self, place: int = 0) -> tuple[int, np.ndarray]:
         """Return number and row of the last sample, -1 and NaN before the first one."""
-        return latest(self._own)
+        return latest(self._own, place)
 
     def lateness(self) -> Lateness:
         """Return the lateness of the samples so far."""
@@ -573,6 +631,11 @@ class Trial(NamedTuple):
         return late.p99 * self.rate < LATEST and late.missed < MOST_SKIPPED * late.samples
 
 
+def at_rest(parameters: AxisParameters | StageParameters) -> Axis | Stage:
+    """Return a simulated axis or stage at rest."""
+    return Stage(parameters) if isinstance(parameters, StageParameters) else Axis(parameters)
+
+
 def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
     """Run the fused loop of an axis for ``seconds`` [s] in real time, and return its timing."""
     plant = parameters.plant_simulator
@@ -590,9 +653,9 @@ def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
     return Trial(plant.sample_rate, loop.lateness(), loop.warning)
 
 
-def tick_cost(parameters: AxisParameters) -> float:
-    """Return the least computing time of a sample of an axis on this machine [s]; its plant is simulated."""
-    axis = Axis(parameters)
+def tick_cost(parameters: AxisParameters | StageParameters) -> float:
+    """Return the least computing time of a sample on this machine [s], of an axis or a stage; plants are simulated."""
+    axis = at_rest(parameters)
     found = []
     for _ in range(BATCHES):
         own = pace_arrays(axis)
@@ -603,9 +666,10 @@ def tick_cost(parameters: AxisParameters) -> float:
     return min(found)
 
 
-def require_speed(parameters: AxisParameters) -> None:
-    """Refuse an axis whose samples take longer than a period, before anything moves."""
-    plant = parameters.plant_simulator
+def require_speed(parameters: AxisParameters | StageParameters) -> None:
+    """Refuse an axis or a stage whose samples take longer than a period, before anything moves."""
+    first = parameters.axes[0] if isinstance(parameters, StageParameters) else parameters
+    plant: PlantNodeParameters = first.plant_simulator
     if plant.realtime.force or plant.driver or not COMPILED:
         return  # the time of a device is known only once it is driven; without Numba the loop has its own limit
     rate, cost = plant.sample_rate * plant.real_time_factor, tick_cost(parameters)

@@ -9,6 +9,9 @@
 
 """The compiled loop of the fused runner: samples against absolute deadlines, its switches, and the ring it writes.
 
+It computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests, inputs
+and the ring have a place for each axis.
+
 Starts and stops within a sample are switched here; every other change is made in Python
 (:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as the methods ``start``, ``stop``, ``halt`` and
 ``hold`` of the parts.
@@ -36,7 +39,7 @@ from hysteresis_ros.loop.plant import tell_joints
 from hysteresis_ros.loop.source import hold, rest
 from hysteresis_ros.loop.tick import WHOLE
 from hysteresis_ros.models import elementary
-from hysteresis_ros.models.block import COMPILED, nested
+from hysteresis_ros.models.block import COMPILED, by_part, each, nested
 
 # Codes of the switches; HALT is the emergency stop, which stops everything that can be stopped.
 NOTHING, START_PLANT, HALT_PLANT, START_CONTROLLER, STOP_CONTROLLER, START_COMPENSATOR, STOP_COMPENSATOR = range(7)
@@ -91,24 +94,44 @@ def switch(laws, parts, column, code):
         compensator[compensating.RETURNING] = 1.0
 
 
+class Alone(NamedTuple):
+    """What the loop computes: one axis."""
+
+    laws: Any  #: Of :class:`hysteresis_ros.loop.tick.Laws`.
+    parts: Any  #: Of :class:`hysteresis_ros.loop.tick.Parts`.
+
+
+class Together(NamedTuple):
+    """What the loop computes: the axes of a stage."""
+
+    laws: Any  #: Tuple of the laws of each axis.
+    parts: Any  #: Tuple of the parts of each axis.
+    group: Any  #: What the axes have in common, of :class:`hysteresis_ros.loop.stage.GroupArrays`.
+
+
 class Pace(NamedTuple):
     """The arrays between the loop and the threads of Python around it."""
 
     #: Counters and flags, int64, see below.
     state: np.ndarray
-    #: Inputs of the parts, and the row they work on.
+    #: Counters of each axis, int64, shape (axes, COUNTS), see below.
+    counts: np.ndarray
+    #: Places of the inputs in a row.
     given: np.ndarray
+    #: Inputs of the parts, then the row of the sample, and behind it the switches before the sample, shape (axes, row
+    #: length + MOST_SWITCHES, 1).
     column: np.ndarray
+    #: Rows that the parts work on, shape (axes, row length).
     row: np.ndarray
-    #: Setpoints of the configuration: first sample, value [m]; shape (N, 2).
+    #: Setpoints of the configuration: first sample, value [m], axis; shape (N, 3), in the order of the samples.
     schedule: np.ndarray
-    #: Requests, a row per request, shape (POSTS, POST).
+    #: Requests to all axes, a table per request, shape (POSTS, axes, POST).
     posts: np.ndarray
-    #: Switches that were made: sample, code; int64, shape (EVENTS, 2).
+    #: Switches that were made: sample, code, axis; int64, shape (EVENTS, 3).
     events: np.ndarray
     #: Samples by their lateness, int64, shape (BINS,).
     histogram: np.ndarray
-    #: Rows of the last samples, shape (N, row length), and the time each began [ns], int64, shape (N,).
+    #: Rows of the last samples, shape (N, axes, row length), and the time each began [ns], int64, shape (N,).
     rows: np.ndarray
     times: np.ndarray
     #: Contents of ``joint_states`` of a motor, shape (N, JOINTS).
@@ -117,26 +140,32 @@ class Pace(NamedTuple):
     timespec: np.ndarray
 
 
-# State, written by the loop: number of the next sample; samples ever in the ring; skipped samples; posts, setpoints,
-# requests, speeds, switches and emergency stops taken; setpoints of the schedule so far; greatest lateness, all time
-# spent beyond waiting, the longest of it [ns].
-SAMPLE, HEAD, MISSED, TAKEN, SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED = range(9)
-SCHEDULED, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9, 15)
+# State, written by the loop: number of the next sample; samples ever in the ring; skipped samples; posts taken; number
+# of events; greatest lateness, all time spent beyond waiting, the longest of it [ns]; skipped samples in a row.
+SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9)
 # Written by other threads: 1: end before the next sample; sample before which to end, 0: never; number of posts; time
 # of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the last pause
 # that was requested, and of the last one that is over.
-LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(15, 24)
+LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
 # Number of the last pause that has begun; start of the sample in progress [ns], 0: no sample is in progress.
-PAUSED, AT_WORK = 24, 25
+PAUSED, AT_WORK = 18, 19
 # Time ahead of a deadline from which the thread looks at the clock [ns]; upper bound of it while it follows the wake-up
 # times [ns], 0: it is fixed; estimated quantile of the wake-up times [ns]; all time spent looking [ns].
-AHEAD, MOST_AHEAD, WAKE, LOOKED = 26, 27, 28, 29
-STATES = 30
+AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
+STATES = 24
+
+# Counters of an axis, written by the loop: setpoints, requests, speeds, switches and emergency stops taken; next entry
+# of the schedule.
+SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED = range(6)
+COUNTS = 6
 
 # Columns of a post: each value is followed by the number of times that it has been set.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
 POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
 POST = 9
+
+#: Most switches of an axis before one sample.
+MOST_SWITCHES = 2
 
 #: Capacity for posts and events: many more than are made or left unread within a sample.
 POSTS, EVENTS = 64, 1024
@@ -248,68 +277,138 @@ def note_lateness(state, histogram, late):
 
 
 @nested
-def take_setpoint(state, schedule, column):
-    """Write a new setpoint of the schedule into the column, unless a setpoint was ever received."""
-    index = state[SCHEDULED]
-    while state[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= state[SAMPLE]:
-        column[at.SETPOINT, 0] = schedule[index, 1]
+def take_setpoint(own, i):
+    """Write a new setpoint of the schedule into the column of an axis, unless it ever received a setpoint."""
+    counts, schedule = own.counts[i], own.schedule
+    index = counts[SCHEDULED]
+    while counts[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= own.state[SAMPLE]:
+        if schedule[index, 2] == i:
+            own.column[i, at.SETPOINT, 0] = schedule[index, 1]
         index += 1
-    state[SCHEDULED] = index
+    counts[SCHEDULED] = index
 
 
 @nested
-def take_post(own, motor):
-    """Read all requests since the last sample; return the switches to make.
+def take_post(own, i, motor):
+    """Read all requests to an axis since the last sample; write the switches to make behind its row.
 
-    Several posts between two samples act as one: each contains all requests so far. The row of a post is complete
+    Several posts between two samples act as one: each contains all requests so far. The table of a post is complete
     before its number is written, and it is overwritten POSTS posts later.
     """
-    state, column = own.state, own.column
-    column[at.SKIPPED, 0] = 0.0
-    if motor:
-        column[at.REQUEST, 0] = 0.0
-        column[at.SPEED, 0] = math.nan
-    posted = state[POSTED]
-    if posted == state[TAKEN]:
-        return NOTHING, NOTHING
-    post = own.posts[posted % POSTS]
-    state[TAKEN] = posted
-    if post[POST_SETPOINTS] != state[SETPOINTS]:
+    counts, column = own.counts[i], own.column[i]
+    post = own.posts[own.state[TAKEN] % POSTS, i]
+    if post[POST_SETPOINTS] != counts[SETPOINTS]:
         column[at.SETPOINT, 0] = post[POST_SETPOINT]
-    if motor and post[POST_REQUESTS] != state[REQUESTS]:
+    if motor and post[POST_REQUESTS] != counts[REQUESTS]:
         column[at.REQUEST, 0] = post[POST_REQUEST]
-    if motor and post[POST_SPEEDS] != state[SPEEDS]:
+    if motor and post[POST_SPEEDS] != counts[SPEEDS]:
         column[at.SPEED, 0] = post[POST_SPEED]
-    first = int(post[POST_SWITCH]) if post[POST_SWITCHES] != state[SWITCHED] else NOTHING
-    then = HALT if post[POST_HALTS] != state[HALTED] else NOTHING
-    state[SETPOINTS], state[REQUESTS] = int(post[POST_SETPOINTS]), int(post[POST_REQUESTS])
-    state[SPEEDS], state[SWITCHED] = int(post[POST_SPEEDS]), int(post[POST_SWITCHES])
-    state[HALTED] = int(post[POST_HALTS])
-    return first, then
+    first = own.row.shape[1]
+    column[first, 0] = post[POST_SWITCH] if post[POST_SWITCHES] != counts[SWITCHED] else NOTHING
+    column[first + 1, 0] = HALT if post[POST_HALTS] != counts[HALTED] else NOTHING
+    counts[SETPOINTS], counts[REQUESTS] = int(post[POST_SETPOINTS]), int(post[POST_REQUESTS])
+    counts[SPEEDS], counts[SWITCHED] = int(post[POST_SPEEDS]), int(post[POST_SWITCHES])
+    counts[HALTED] = int(post[POST_HALTS])
+    log_switches(own, i)
 
 
 @nested
-def log_switch(state, events, code):
-    """Log a switch before the next sample."""
-    event = events[state[EVENT_COUNT] % EVENTS]
-    event[0], event[1] = state[SAMPLE], code
-    state[EVENT_COUNT] += 1
+def log_switches(own, i):
+    """Log the switches of an axis before the next sample."""
+    state, first = own.state, own.row.shape[1]
+    for place in range(first, first + MOST_SWITCHES):
+        if own.column[i, place, 0] != NOTHING:
+            event = own.events[state[EVENT_COUNT] % EVENTS]
+            event[0], event[1], event[2] = state[SAMPLE], int(own.column[i, place, 0]), i
+            state[EVENT_COUNT] += 1
 
 
 @nested
-def keep(laws, parts, own, begun):
+def make_switches(laws, parts, column):
+    """Make the switches behind the row of one axis."""
+    for place in range(column.shape[0] - MOST_SWITCHES, column.shape[0]):
+        code = int(column[place, 0])
+        if code != NOTHING:
+            switch(laws, parts, column, code)
+
+
+@each
+def switch_axes(laws, parts, column):
+    """Make the switches behind the row of one axis of a stage."""
+    make_switches(laws, parts, column)
+
+
+@by_part
+def switch_all(step, part, own):
+    """Make the switches of all axes."""
+
+
+@by_part
+def compute(step, part, own):
+    """Compute a sample in the columns by the compiled step."""
+
+
+@by_part
+def keep_joints(step, part, numbers):
+    """Write what ``joint_states`` has beside the row."""
+
+
+@nested
+def _switch_alone(step, part, own):
+    """Make the switches of the axis."""
+    make_switches(part.laws, part.parts, own.column[0])
+
+
+@nested
+def _compute_alone(step, part, own):
+    """Compute a sample of the axis."""
+    step(part.laws, part.parts, own.given, own.column[0], own.row[0], WHOLE)
+
+
+@nested
+def _keep_alone(step, part, numbers):
+    """Write positions, velocities and efforts of a motor."""
+    tell_joints(part.laws, part.parts.plant, numbers)
+
+
+@nested
+def _switch_together(step, part, own):
+    """Make the switches of all axes of the stage."""
+    switch_axes(part.laws, part.parts, own.column)
+
+
+@nested
+def _compute_together(step, part, own):
+    """Compute a sample of the stage."""
+    step(part.laws, part.parts, part.group, own.given, own.column, own.row)
+
+
+@nested
+def _keep_together(step, part, numbers):
+    """Do nothing, because an axis of a stage is that of an actuator."""
+
+
+switch_all.kinds[Alone], switch_all.kinds[Together] = _switch_alone, _switch_together
+compute.kinds[Alone], compute.kinds[Together] = _compute_alone, _compute_together
+keep_joints.kinds[Alone], keep_joints.kinds[Together] = _keep_alone, _keep_together
+
+
+@nested
+def keep(step, part, own, begun):
     """Write the finished sample into the ring."""
-    state, column = own.state, own.column
+    state = own.state
     slot = state[HEAD] % own.rows.shape[0]
-    for i in range(column.shape[0]):
-        own.rows[slot, i] = column[i, 0]
+    for i in range(own.rows.shape[1]):
+        for j in range(own.rows.shape[2]):
+            own.rows[slot, i, j] = own.column[i, j, 0]
     own.times[slot] = begun
-    tell_joints(laws, parts.plant, own.joints[slot % own.joints.shape[0]])
+    keep_joints(step, part, own.joints[slot % own.joints.shape[0]])
 
 
-def pace(step, laws, parts, own, motor):
+def pace(step, part, own, motor):
     """Run the loop until the last sample, or until the end is requested."""
-    state, column, timespec = own.state, own.column, own.timespec
+    state, timespec = own.state, own.timespec
+    axes = own.column.shape[0]
     now = clock(timespec)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
         if state[PAUSE] != state[RESUMED]:
@@ -323,21 +422,29 @@ def pace(step, laws, parts, own, motor):
                 if now < deadline:
                     continue
         begun = now
-        take_setpoint(state, own.schedule, column)
-        for code in take_post(own, motor):
-            if code != NOTHING:
-                log_switch(state, own.events, code)
-                switch(laws, parts, column, code)
+        skipped = 0.0
         state[IN_ROW] += 1
         if state[UNPACED] == 0 and now - deadline >= state[PERIOD] // FEMTO:
-            column[at.SKIPPED, 0] = 1.0
+            skipped = 1.0
             state[MISSED] += 1
         else:
             state[IN_ROW] = 0
+        for i in range(axes):
+            own.column[i, at.SKIPPED, 0] = skipped
+            if motor:
+                own.column[i, at.REQUEST, 0] = 0.0
+                own.column[i, at.SPEED, 0] = math.nan
+            take_setpoint(own, i)
+        posted = state[POSTED]
+        if posted != state[TAKEN]:
+            state[TAKEN] = posted
+            for i in range(axes):
+                take_post(own, i, motor)
+            switch_all(step, part, own)
         note_lateness(state, own.histogram, now - deadline)
         state[AT_WORK] = begun
-        step(laws, parts, own.given, column, own.row, WHOLE)
-        keep(laws, parts, own, begun)
+        compute(step, part, own)
+        keep(step, part, own, begun)
         now = clock(timespec)
         spent = now - begun
         state[AT_WORK] = 0
@@ -383,21 +490,24 @@ class Lateness(NamedTuple):
 
 
 class Reader:
-    """Reads samples from the ring, each once, beginning with the next sample."""
+    """Reads samples of one axis from the ring, each once, beginning with the next sample."""
 
-    def __init__(self, own: Pace, offset):
+    def __init__(self, own: Pace, offset, axis: int = 0):
         self._own = own
         self._offset = offset
+        self._axis = axis
         self._next = int(own.state[HEAD])
 
-    def take(self) -> Samples:
-        """Return all samples since the last call; may be empty."""
+    def take(self, until: int | None = None) -> Samples:
+        """Return all samples since the last call, or those before number ``until``; may be empty."""
         state, rows = self._own.state, self._own.rows
         size = len(rows)
         head = int(state[HEAD])
+        if until is not None:
+            head = min(head, max(until - int(state[FIRST]), self._next))
         first = max(self._next, head - size)
         places = np.arange(first, head) % size
-        table, times = np.ascontiguousarray(rows[places].T), self._own.times[places] + self._offset()
+        table, times = np.ascontiguousarray(rows[places, self._axis].T), self._own.times[places] + self._offset()
         joints = np.ascontiguousarray(self._own.joints[places].T) if self._own.joints.shape[1] else None
         # drop samples that were overwritten during the copy; the next sample may be partly in the ring already
         whole = min(max(first, int(state[HEAD]) + 1 - size), head)
@@ -409,12 +519,12 @@ class Reader:
         return Samples(begin + whole, table, times, joints, lost)
 
 
-def latest(own: Pace) -> tuple[int, np.ndarray]:
-    """Return number and row of the last sample; -1 and NaN before the first one."""
+def latest(own: Pace, axis: int = 0) -> tuple[int, np.ndarray]:
+    """Return number of the last sample and its row of an axis; -1 and NaN before the first one."""
     state, rows = own.state, own.rows
     while True:
         head = int(state[HEAD])
-        row = rows[(head - 1) % len(rows)].copy()
+        row = rows[(head - 1) % len(rows), axis].copy()
         if int(state[HEAD]) - head < len(rows) - 1:
             return (int(state[FIRST]) + head - 1 if head else -1), row
 

@@ -354,6 +354,31 @@ class Stage:
         """Samples per second [Hz]."""
         return self.parameters.sample_rate
 
+    @property
+    def kind(self) -> at.AxisKind:
+        """Kind of the axes: a stage has actuators."""
+        return at.ACTUATOR
+
+    @property
+    def laws(self) -> tuple:
+        """The kernels of the present blocks of each axis."""
+        return tuple(axis.laws for axis in self.axes)
+
+    @property
+    def parts(self) -> tuple:
+        """The arrays of the present blocks of each axis."""
+        return tuple(axis.parts for axis in self.axes)
+
+    @property
+    def group(self) -> GroupArrays:
+        """The arrays of what the axes have in common."""
+        return self._coupling.arrays
+
+    @property
+    def given(self) -> np.ndarray:
+        """Places in the row of an axis of the inputs of a run, for the loop."""
+        return np.array(self.kind.given, dtype=float)
+
     def default_samples(self) -> int:
         """Return the configured length of a run in samples, that of the longest axis; 0: no end."""
         return max(axis.default_samples() for axis in self.axes)
@@ -366,23 +391,25 @@ class Stage:
         self,
         setpoints: Mapping[str, Sequence[float] | np.ndarray],
         changes: Mapping[str, Sequence[Change]] | None = None,
+        skipped: np.ndarray | None = None,
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate as many samples as there are setpoints [m]; return the signals of each axis, ``time`` among them.
 
-        Setpoints, changes and signals go by the names of the axes.
+        Setpoints, changes and signals go by the names of the axes; a sample is skipped (1) for all of them, or not (0).
         """
         waiting = self._sorted(changes or {})
-        given = np.array([*at.GIVEN[: at.ACTUATOR_GIVEN]], dtype=float)
+        given = self.given
         columns = np.zeros((len(self.axes), at.ACTUATOR_ROW, self._length(setpoints)))
         for i, name in enumerate(self.names):
             columns[i, at.SETPOINT] = setpoints[name]
+            columns[i, at.SKIPPED] = 0.0 if skipped is None else skipped
         begin, count, first = self.sample, columns.shape[2], 0
         rows = np.zeros(columns.shape[:2])
-        for change, axis in waiting:
+        for change, place in waiting:
             until = min(max(change.sample - begin, first), count)
             self._run(columns, first, until, given, rows)
             first = until
-            axis.apply(change)
+            self.apply(change, place)
         self._run(columns, first, count, given, rows)
         self.sample = begin + count
         time = sample_times(begin, count, self.sample_rate)
@@ -403,9 +430,15 @@ class Stage:
             raise ConfigurationError(f"setpoints have different lengths ({text}): the axes of a stage run together")
         return next(iter(lengths.values()))
 
-    def _sorted(self, changes) -> list[tuple[Change, Axis]]:
-        """Return the changes of all axes, each with its axis, in the order of their samples."""
-        found = [(change, self.axes[self.parameters.place(name)]) for name, some in changes.items() for change in some]
+    def apply(self, change: Change, place: int) -> None:
+        """Start, stop or retune a part of the axis with this index between two samples."""
+        self.axes[place].apply(change)
+        if (change.node, change.action) == ("plant_simulator", "reset"):
+            self._coupling.settle(self.plants)
+
+    def _sorted(self, changes) -> list[tuple[Change, int]]:
+        """Return the changes of all axes, each with the index of its axis, in the order of their samples."""
+        found = [(change, self.parameters.place(name)) for name, some in changes.items() for change in some]
         within = next((change for change, _ in found if change.after), None)
         if within is not None:
             raise ConfigurationError(
@@ -418,9 +451,8 @@ class Stage:
         if until == first:
             return
         some = np.ascontiguousarray(columns[:, :, first:until])
-        laws = tuple(axis.laws for axis in self.axes)
-        arguments = laws, tuple(axis.parts for axis in self.axes), self._coupling.arrays, given, some, rows
-        run = specialised_for(some.shape[-1] * len(laws), stage_ticks, *arguments)
+        arguments = self.laws, self.parts, self.group, given, some, rows
+        run = specialised_for(some.shape[-1] * len(self.axes), stage_ticks, *arguments)
         with np.errstate(all="ignore"):  # as in machine code
             run(*arguments)
         columns[:, :, first:until] = some

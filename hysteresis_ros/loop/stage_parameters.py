@@ -28,7 +28,7 @@ from hysteresis_ros.configuration import STAGE, Configuration, Parameters, dump_
 from hysteresis_ros.control.coupling import lost_direction
 from hysteresis_ros.control.state_feedback import full_rank
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
-from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, part
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, in_time, part
 from hysteresis_ros.loop.reach import check_reach, reach_warnings
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.compensator import resting_displacements
@@ -46,6 +46,12 @@ MOST_AXES = 16
 HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
 #: Parameters that all axes of a stage and the stage itself have in common.
 SHARED = ("sample_rate", "time_mode")
+#: Parameters of the plants that all axes have in common, because one thread has the time of the stage.
+OF_THE_CLOCK = (
+    "real_time_factor",
+    "samples",
+    *(f"realtime.{name}" for name in ("priority", "cpu", "lock_memory", "force")),
+)
 
 
 @dataclass(frozen=True)
@@ -169,6 +175,17 @@ def _singular(stage: StageNodeParameters):
             allowed = f"has a singular static gain: the direction {lost} moves no degree of freedom"
             yield Problem("structure.C", stage.structure.C, allowed)
             return
+
+
+def _other_clock(axis: AxisParameters, first: AxisParameters):
+    """Yield a Problem for each parameter of the time of an axis that differs from that of the first axis."""
+    own, wanted = axis.plant_simulator.to_mapping(), first.plant_simulator.to_mapping()
+    for name in OF_THE_CLOCK:
+        if own[name] != wanted[name]:
+            allowed = (
+                f"must equal that of {first.namespace}, {wanted[name]!r}: give it once, under '/**/plant_simulator'"
+            )
+            yield Problem(f"{axis.namespace}/plant_simulator: {name}", own[name], allowed)
 
 
 def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
@@ -327,6 +344,7 @@ class StageParameters:
                 )
                 problems.append(Problem(f"{where}: joint", joint, allowed))
             joints.setdefault(joint, axis.namespace)
+            problems += _other_clock(axis, self.axes[0])
         where = f"{self.namespace}/{STAGE}: "
         try:
             self.stage.structure.require_sample_time(1.0 / self.sample_rate, f"{where}structure.sample_time")
@@ -375,6 +393,16 @@ class StageParameters:
     def with_duration(self, duration: float) -> StageParameters:
         """Return the same stage with a run of ``duration`` seconds."""
         return replace(self, axes=tuple(axis.with_duration(duration) for axis in self.axes))
+
+    def with_time_mode(self, mode: str) -> StageParameters:
+        """Return the same stage in another ``time_mode``."""
+        axes = tuple(axis.with_time_mode(mode) for axis in self.axes)
+        return replace(self, stage=replace(self.stage, time_mode=mode), axes=axes)
+
+    def in_time(self) -> StageParameters:
+        """Return the stage, fused when messages between its nodes are too slow for its rate in real time."""
+        fused = any(in_time(axis).plant_simulator.time_mode == "fused" for axis in self.axes)
+        return self.with_time_mode("fused") if fused else self
 
     def with_faults(self, name: str, faults: tuple[str, ...]) -> StageParameters:
         """Return the same stage with these faults, each ``NAME:START:DURATION[:VALUE]``, in one of its axes."""

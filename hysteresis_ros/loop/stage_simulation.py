@@ -38,6 +38,7 @@ def simulate_stage(
     duration: float | None = None,
     setpoints: Mapping[str, ArrayLike] | None = None,
     changes: Mapping[str, Sequence[Change]] | None = None,
+    skipped: np.ndarray | None = None,
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
@@ -59,7 +60,7 @@ def simulate_stage(
         name: np.concatenate([values[:samples], np.full(max(samples - len(values), 0), values[-1])])
         for name, values in lists.items()
     }
-    found = stage.run(stage.default_setpoints(samples) | padded, changes)
+    found = stage.run(stage.default_setpoints(samples) | padded, changes, skipped)
     axes: dict[str, Recording] = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         signals = found[name]
@@ -77,12 +78,16 @@ def simulate_stage(
 
 
 def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[str, int]:
-    """Compare a recorded run of a stage in lockstep with its offline twin, bit for bit; see :func:`differences`."""
+    """Compare a recorded run of a stage, in lockstep or fused, with its offline twin, bit for bit.
+
+    See :func:`differences`.
+    """
     axes = {name: recorded.axis(name) for name in parameters.names}
     twin = simulate_stage(
         parameters,
         setpoints={name: one["setpoint"] for name, one in axes.items()},
         changes={name: changes_of(one) for name, one in axes.items()},
+        skipped=axes[parameters.names[0]].signals.get("skipped"),
     )
     return unequal(recorded, twin)
 

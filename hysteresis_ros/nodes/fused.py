@@ -7,7 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fused mode: one compiled thread runs the loop of an axis; the nodes in the same process publish and control it.
+"""Fused mode: one compiled thread runs the loop of an axis, or of all axes of a stage; the nodes in the same process
+publish and control it.
 
 The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
 (:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at
@@ -20,12 +21,19 @@ import contextlib
 import sys
 import threading
 import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import BLOCKED, FusedLoop, require_speed
+from hysteresis_ros.loop.pacing import Reader
 from hysteresis_ros.loop.parameters import AxisParameters, RecorderNodeParameters
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.samples import SampleStream
 from hysteresis_ros.nodes.timing import CountedRate
@@ -90,14 +98,23 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
 class FusedAxis:
-    """The nodes of one axis in this process, and the loop that runs once all of them are active."""
+    """The nodes of one axis in this process, and the loop that runs once all nodes of its axes are active.
 
-    def __init__(self) -> None:
+    The axes of a stage share one loop: each has its place in it. They start, stop and reset together.
+    """
+
+    def __init__(self, first: FusedAxis | None = None, stage: StageParameters | None = None):
         self.nodes: dict = {}
         self.loop: FusedLoop | None = None
         self.axis: Axis | None = None
+        #: The axes that share the loop, in the order of their places.
+        self.together: list[FusedAxis] = [] if first is None else first.together
+        self.place = len(self.together)
+        self.together.append(self)
+        self._stage = stage
         self._told: set[int] = set()
         self._over = self._leaving = False
+        self._reader: Reader | None = None
 
     def join(self, node):
         """Add a node to the axis, and return it."""
@@ -132,8 +149,17 @@ class FusedAxis:
                 self._leaving = False
                 if node.running:
                     self.go_on()
-        elif all(other.active for other in self.nodes.values()):
+        elif self._is_complete and all(other.active for one in self.together for other in one.nodes.values()):
             self._begin()
+
+    @property
+    def _is_complete(self) -> bool:
+        """Whether all nodes are there: those of another axis of a stage may still have to be made."""
+        if self._stage is None:
+            return True
+        return len(self.together) == len(self._stage.axes) and all(
+            set(signals.ACTUATOR.nodes) <= set(one.nodes) for one in self.together
+        )
 
     def deactivated(self, node) -> None:
         """Move the outputs of a deactivated node to their safe values; for the plant, those of all nodes."""
@@ -145,35 +171,46 @@ class FusedAxis:
             self._make_safe()
 
     def _begin(self) -> None:
-        parameters = self._parameters()
-        plant = parameters.plant_simulator
+        given = self._given()
+        plant = self.together[0].plant
         with self._compilation_reported():
-            require_speed(parameters)
-            device = self.plant.part if plant.driver else None
+            require_speed(given)
+            device = plant.part if plant.parameters.driver else None
             if device is not None:
                 device.reset()
-            axis = Axis(parameters, device)
-            first = axis.sample
-            loop = FusedLoop(axis, plant.real_time_factor, plant.samples, warn=self._warn)
+            axis = Stage(given) if isinstance(given, StageParameters) else Axis(given, device)
+            loop = FusedLoop(axis, plant.parameters.real_time_factor, plant.parameters.samples, warn=self._warn)
+        for one, part in zip(self.together, axis.axes, strict=True):
+            one._enter(loop, part)
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        for one in self.together:
+            if "recorder" in one.nodes:
+                one.nodes["recorder"].record_loop(one)
+        loop.start()
+        for one in self.together:
+            one.plant.begin_run(loop.origin)
+        if not all(one.plant.running for one in self.together):
+            loop.halt()
+
+    def _enter(self, loop: FusedLoop, axis: Axis) -> None:
+        """Show the parts of an axis of a loop that is about to start, which takes the state of the nodes."""
+        self.axis, self.loop = axis, loop
+        self._over = self._leaving = False
+        self._told.clear()
         for name, part in axis.by_node.items():
             self.nodes[name].take_part(part)
         for name in STOPPABLE:
             if not self.nodes[name].running:
-                loop.apply(Change(first, name, "stop"))
+                self.apply(name, "stop")
         source = self.source
         if source.setpoint != source.parameters.initial_setpoint:
-            loop.set(setpoint=source.setpoint)
-        self.axis, self.loop = axis, loop
-        self._over = self._leaving = False
-        self._told.clear()
-        self._reader = loop.reader()
-        sys.setswitchinterval(SWITCH_INTERVAL)
-        if "recorder" in self.nodes:
-            self.nodes["recorder"].record_loop(self)
-        loop.start()
-        self.plant.begin_run(loop.origin)
-        if not self.plant.running:
-            loop.halt()
+            self.set(setpoint=source.setpoint)
+        self._reader = self.reader()
+
+    def _given(self) -> AxisParameters | StageParameters:
+        """Return the present parameters of the nodes of the axis, or of all axes of the stage."""
+        found = tuple(one._parameters() for one in self.together)
+        return found[0] if self._stage is None else replace(self._stage, axes=found)
 
     @contextlib.contextmanager
     def _compilation_reported(self):
@@ -205,10 +242,12 @@ class FusedAxis:
         self.show()
         if not ended:
             return
-        if "recorder" in self.nodes:
-            self.nodes["recorder"].take_samples()
-        self.plant.make_safe()
-        self.loop = None
+        for one in self.together:
+            if "recorder" in one.nodes:
+                one.nodes["recorder"].take_samples()
+            one.plant.make_safe()
+        for one in self.together:
+            one.loop = None
 
     def lose_a_part(self) -> None:
         """Move all outputs to safe values and end the loop; a new one starts when all nodes are active again."""
@@ -216,18 +255,24 @@ class FusedAxis:
         self.end()
 
     def _make_safe(self) -> None:
-        """Stop all parts and wait until the voltage has its safe value."""
+        """Stop all parts and wait until the voltages have their safe values."""
         loop = self.loop
         assert loop is not None
-        self._leaving = True
+        for one in self.together:
+            one._leaving = True
         loop.halt()
-        safe = self.plant.parameters.safe_voltage
         patience = time.monotonic() + RETURN
         while loop.running and not loop.is_blocked and time.monotonic() < patience:
-            sample, row = loop.latest()
-            if sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2:
+            if all(one.is_safe for one in self.together):
                 return
             time.sleep(1e-3)
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the plant has stopped the axis and its voltage has the safe value."""
+        sample, row = self.latest()
+        safe = self.plant.parameters.safe_voltage
+        return bool(sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2)
 
     def await_samples(self, count: int) -> None:
         """Wait for a number of further samples, as long as the loop advances."""
@@ -239,20 +284,23 @@ class FusedAxis:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
-        """Let the part of a node begin again with everything at rest, of the plant all parts; samples count on."""
+        """Let the part of a node begin again with everything at rest, of a plant all parts; samples count on."""
         if self.loop is None or self.axis is None:
             return
         whole = node.kind == "plant_simulator"
         if whole:
             self._make_safe()  # a part at rest has no voltage: from any other state that would be a step
+        axes = self.together if whole else [self]
         for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
             if name in self.axis.by_node:
-                self.apply(name, "reset")
-        if node in (self.source, self.plant):
-            self.source.setpoint = self.source.parameters.initial_setpoint
-            self.loop.set(setpoint=self.source.setpoint)
+                self.apply_together({one: Change(self.loop.sample, name, "reset") for one in axes})
+        for one in axes:
+            if whole or node is one.source:
+                one.source.setpoint = one.source.parameters.initial_setpoint
+                one.set(setpoint=one.source.setpoint)
         if whole:
-            self._leaving = False
+            for one in axes:
+                one._leaving = False
             if node.running:
                 self.go_on()
             else:
@@ -263,10 +311,20 @@ class FusedAxis:
     def apply(self, name: str, action: str, parameters: dict | None = None) -> None:
         """Apply a change from a sample on, and wait until it is in effect."""
         assert self.loop is not None
-        self.loop.apply(Change(self.loop.sample, name, action, parameters or {}))
+        self.apply_together({self: Change(self.loop.sample, name, action, parameters or {})})
+
+    def apply_together(self, changes: Mapping[FusedAxis, Change]) -> None:
+        """Apply a change to each of several axes from the same sample on, and wait until they are in effect."""
+        assert self.loop is not None
+        self.loop.apply_together({one.place: change for one, change in changes.items()})
+
+    def set(self, setpoint: float | None = None, request: float | None = None, speed: float | None = None) -> None:
+        """Request a setpoint [m], a motor's request or speed for the next sample; None: no change."""
+        if self.loop is not None:
+            self.loop.set(setpoint, request, speed, self.place)
 
     def halt(self) -> None:
-        """Stop all parts within one sample, until :meth:`go_on`."""
+        """Stop all parts of all axes within one sample, until :meth:`go_on`."""
         if self.loop is not None:
             self.loop.halt()
 
@@ -274,36 +332,60 @@ class FusedAxis:
         """Restart all parts after an emergency stop or a trip, without a step."""
         if self.loop is None:
             return
-        self.apply("plant_simulator", "start")
+        self._start("plant_simulator", self.together)
         for name in STOPPABLE:
-            if self.nodes[name].running:
-                self.apply(name, "start")
+            self._start(name, [one for one in self.together if one.nodes[name].running])
         if self.plant.axis_kind.motor:
-            self.loop.set(request=float(gait.START_REQUEST))
-        elif self.source.running:
-            self.apply(self.source.kind, "start")
+            self.set(request=float(gait.START_REQUEST))
+        else:
+            self._start(self.source.kind, [one for one in self.together if one.source.running])
+
+    def _start(self, name: str, axes: list[FusedAxis]) -> None:
+        if axes and self.loop is not None:
+            self.apply_together({one: Change(self.loop.sample, name, "start") for one in axes})
 
     # -- showing -------------------------------------------------------------------------------------------------
 
+    def reader(self) -> Reader:
+        """Return a reader of the samples of the axis that begins with the next one."""
+        assert self.loop is not None
+        return self.loop.reader(self.place)
+
+    def latest(self) -> tuple[int, np.ndarray]:
+        """Return number and row of the last sample of the axis."""
+        assert self.loop is not None
+        return self.loop.latest(self.place)
+
     def show(self) -> None:
-        """Publish the last sample, the changes, and the end of the run."""
+        """Publish the last sample, the changes, and the end of the run, of all axes; they show the same sample."""
         loop = self.loop
         if loop is None or self._over:
             return
         ended = not loop.running
-        samples = self._reader.take()
+        until = loop.sample
+        shown = [one._show_axis(until, ended) for one in self.together if one.plant.active or one.plant.leaving]
+        if self._stage is not None and shown and all(shown):
+            self.plant.group.publish_joint_states()
+        if loop.failure or loop.is_blocked:
+            for one in self.together:
+                one._over = True
+                one.plant.fail(loop.failure or one._explain_blocked())
+        elif ended and loop.sample >= self.plant.parameters.samples > 0:
+            for one in self.together:
+                one._over = True
+                one.plant.make_safe()
+                one.plant.finish()
+
+    def _show_axis(self, until: int, ended: bool) -> bool:
+        """Publish the last sample before ``until`` and the changes of this axis; return whether it is a new sample."""
+        assert self._reader is not None
+        samples = self._reader.take(until)
         if samples.table.shape[1]:
             self._show(samples)
         if self.plant.runner.samples is not None:
-            self.plant.runner.samples.show(loop, ended)
+            self.plant.runner.samples.show(self, ended)
         self.tell_changes()
-        if loop.failure or loop.is_blocked:
-            self._over = True
-            self.plant.fail(loop.failure or self._explain_blocked())
-        elif ended and loop.sample >= self.plant.parameters.samples > 0:
-            self._over = True
-            self.plant.make_safe()
-            self.plant.finish()
+        return bool(samples.table.shape[1])
 
     def _explain_blocked(self) -> str:
         assert self.loop is not None
@@ -333,7 +415,7 @@ class FusedAxis:
 
     def tell_changes(self) -> None:
         """Publish the changes since the last call, each with its first sample."""
-        for change in self.loop.changes if self.loop is not None else ():
+        for change in self.loop.changes_of(self.place) if self.loop is not None else ():
             if id(change) not in self._told:
                 self._told.add(id(change))
                 self.nodes[change.node].changes.publish(
@@ -404,7 +486,8 @@ class Fused(RealTime):
 
     def start_time(self) -> None:
         """Publish the samples of the loop."""
-        self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
+        if self.fused.place == 0:
+            self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
 
     def stop_time(self) -> None:
         """End the loop with the process; otherwise it continues in the safe state."""

@@ -146,7 +146,7 @@ class InchwormSequencerNode(ReferenceSource):
         self.setpoint = value
         self._schedule.clear()
         if self.is_fused:
-            self.fused.loop.set(setpoint=value, speed=0.0)
+            self.fused.set(setpoint=value, speed=0.0)
         else:
             x[at.SPEED] = 0.0
         return ""
@@ -158,7 +158,7 @@ class InchwormSequencerNode(ReferenceSource):
         else:
             self._schedule.clear()
             if self.is_fused:
-                self.fused.loop.set(speed=message.data)
+                self.fused.set(speed=message.data)
             else:
                 self.sequencer.walk(message.data)
 
@@ -173,7 +173,7 @@ class InchwormSequencerNode(ReferenceSource):
             self.setpoint = self.parameters.home_position
             self._schedule.clear()
             if self.is_fused:
-                self.fused.loop.set(setpoint=self.setpoint)
+                self.fused.set(setpoint=self.setpoint)
         return self._ask(response, at.HOME_REQUEST, "goes home")
 
     def _on_release(self, request, response):
@@ -201,7 +201,7 @@ class InchwormSequencerNode(ReferenceSource):
                 response.message = f"refused: stopped by the error {self.sequencer.error}; call ~/start first"
                 return response
             if self.is_fused:
-                self.fused.loop.set(request=float(code))
+                self.fused.set(request=float(code))
             else:
                 self._requests.append(code)
         return self._answer_service(response, f"{what} from sample {self.sample + len(self._requests) - 1} on")

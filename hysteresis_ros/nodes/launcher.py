@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.security.policy import enclave_of
 from hysteresis_ros.signals import ACTUATOR
@@ -90,18 +90,15 @@ PATIENCE = 10.0
 
 
 def require_messages(stage: StageParameters) -> None:
-    """Refuse a stage that messages between its nodes cannot run: fused, or at a high rate in real time."""
+    """Refuse a stage in real time whose rate is too high for messages between its nodes."""
     from hysteresis_ros.loop.parameters import HIGHEST_MESSAGE_RATE
 
-    mode = stage.stage.time_mode
-    lockstep = "give lockstep (hysteresis up CONFIG --rate lockstep)"
-    if mode == "fused":
-        raise ParameterError([Problem("time_mode", mode, f"a stage has no fused loop so far: {lockstep}")])
-    rate = max(axis.plant_simulator.real_time_factor for axis in stage.axes) * stage.sample_rate
-    if mode == "realtime" and rate > HIGHEST_MESSAGE_RATE:
+    rate = stage.axes[0].plant_simulator.real_time_factor * stage.sample_rate
+    if stage.stage.time_mode == "realtime" and rate > HIGHEST_MESSAGE_RATE:
         raise ConfigurationError(
             f"time_mode = 'realtime': {rate:g} samples/s are too many for the messages between the nodes of a stage, "
-            f"which hold never more than {HIGHEST_MESSAGE_RATE:g} Hz: {lockstep}, or slow the time down (--factor)"
+            f"which hold never more than {HIGHEST_MESSAGE_RATE:g} Hz: run it fused (hysteresis up CONFIG --fused), in "
+            "lockstep (--rate lockstep), or slow the time down (--factor)"
         )
 
 
@@ -249,12 +246,14 @@ class Graph:
             self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
 
     def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
-        """Start the nodes of all axes: a process for those of one kind, or one process."""
+        """Start the nodes of all axes: a process for those of one kind, or one process, which a fused stage needs."""
         axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
         path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
-        names = ["hysteresis_stage"] if self.composed else list(ACTUATOR.nodes)
-        for name in ["recorder", *names] if self.record is not None else names:
-            own = [] if name == "hysteresis_stage" else [name]
+        fused = stage.stage.time_mode == "fused"
+        names = ["hysteresis_stage"] if self.composed or fused else list(ACTUATOR.nodes)
+        recorded = self.record is not None
+        for name in ["recorder", *names] if recorded and not fused else names:
+            own = [name] if name != "hysteresis_stage" else ["--recorder"] if recorded and fused else []
             command = node_command("hysteresis_stage", stage.namespace, path, *own, log_level=self.log_level)
             self.processes.append(NodeProcess(name, stage.namespace, started(command, self.environment)))
 

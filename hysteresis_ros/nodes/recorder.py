@@ -294,7 +294,7 @@ class RecorderNode(AxisNode):
             self._samples = SampleWriter(self.bag, topics, chunk_time=min(CHUNK_TIME, self.parameters.chunk_time))
         elif self._samples is not None:
             self._samples.restart()
-        self._reader, self._fused_plant = fused.loop.reader(), plant
+        self._reader, self._fused_plant = fused.reader(), plant
 
     def take_samples(self) -> None:
         """Write the new samples of the loop, preceded by the changes for these samples."""

@@ -350,7 +350,7 @@ class ReferenceGeneratorNode(ReferenceSource):
             return reason
         self.setpoint = value
         if self.is_fused:
-            self.fused.loop.set(setpoint=self.setpoint)
+            self.fused.set(setpoint=self.setpoint)
         return ""
 
     def health(self):

@@ -97,7 +97,7 @@ class Responder(AxisNode):
     def hindrance(self) -> str:
         """Say why this node does not work though nobody has stopped it; empty when it does."""
         # a fused loop has gone on since its last sample was shown
-        row = self.fused.loop.latest()[1] if self.is_fused else self.row
+        row = self.fused.latest()[1] if self.is_fused else self.row
         tripped = abs(row[signals.TRIPPED]) > 0.0 and not self.runner.goes_on
         stopped = "the plant has stopped the axis: ~/start of plant_simulator lets it go on" if tripped else ""
         return super().hindrance() or self.loss or stopped

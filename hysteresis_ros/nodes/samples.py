@@ -105,13 +105,13 @@ class SampleStream:
         self._loop = self._reader = None
         self._last = 0.0
 
-    def show(self, loop, ended: bool) -> None:
-        """Publish new samples when a block is due."""
+    def show(self, fused, ended: bool) -> None:
+        """Publish new samples of an axis when a block is due."""
         if not self._publisher.get_subscription_count():
             self._reader = None
             return
-        if self._reader is None or loop is not self._loop:
-            self._loop, self._reader = loop, loop.reader()
+        if self._reader is None or fused.loop is not self._loop:
+            self._loop, self._reader = fused.loop, fused.reader()
         now = time.monotonic()
         if now - self._last < PERIOD and not ended:
             return

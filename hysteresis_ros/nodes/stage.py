@@ -11,26 +11,33 @@
 Each axis has its four nodes in its own namespace, as a single axis has, with the same topics, services and parameters.
 The nodes of one kind of all axes share a process. Plants are coupled there by the structure, compensators by the
 decoupling; references and controllers are those of a single axis. ``hysteresis_stage KIND`` has the nodes of one kind,
-without a kind it has all of them; the parameter file of the stage follows ``--params-file``.
+without a kind it has all of them, and with ``--recorder`` also those that record; the parameter file of the stage
+follows ``--params-file``. With ``time_mode: fused`` one compiled thread runs the loop of all axes, and all nodes are in
+this process.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import pathlib
 import sys
 import threading
 from array import array
 from collections import deque
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 from hysteresis_ros import signals
 from hysteresis_ros.configuration import parse_configuration
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
+from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.controller import STOP
 from hysteresis_ros.loop.stage import (
     WITH_STAGE,
@@ -43,6 +50,8 @@ from hysteresis_ros.loop.stage import (
 )
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.watch import is_stale
+from hysteresis_ros.nodes.axis import WITH_RECORDER
+from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.launcher import require_messages
 from hysteresis_ros.nodes.lockstep import LockstepResponder
@@ -54,6 +63,7 @@ from hysteresis_ros.nodes.realtime import RealTimeResponder
 from hysteresis_ros.nodes.recorder import RecorderNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
 from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.nodes.trajectories import Points, points_by_joint
 from hysteresis_ros.recordings.bag_writer import GuardedBag
 
 
@@ -253,11 +263,17 @@ class StagePlantNode(PlantSimulatorNode):
                 super(StagePlantNode, node).reset_blocks()
 
     def on_running(self, running: bool) -> None:
-        """Pause the time of the stage (``~/stop`` of any of its plants), or resume it (``~/start``)."""
+        """Pause the time of the stage (``~/stop`` of any of its plants), or resume it (``~/start``).
+
+        A fused stage stops and starts as a whole.
+        """
         for node in self.others:
             if node.parameters is not None and node.running != running:
                 node.running = running
                 node.pace.restart()
+        if self.is_fused:
+            super().on_running(running)
+            return
         for node in self.group.nodes:
             super(StagePlantNode, node).on_running(running)
 
@@ -428,10 +444,46 @@ class StageSources(Group):
             reason = nodes[name].part.generator.refuse(value)
             if reason:
                 return f"{name}: {reason}"
+        if self.nodes[0].is_fused:
+            loop = self.nodes[0].fused.loop
+            loop.set_together({nodes[name].fused.place: value for name, value in given.items()})
+            for name, value in given.items():
+                nodes[name].note_setpoint(value)
+            return ""
         sample = max(node.sample for node in self.nodes)
         for name, value in given.items():
-            nodes[name].coming.append((sample, value))
+            nodes[name].coming.append((sample, partial(nodes[name].take_now, value)))
         return ""
+
+    def follow(self, given: dict[str, Points]) -> None:
+        """Follow trajectories, by the joints that they move, all from the same sample on, or none; no points: stop.
+
+        Raises
+        ------
+        ParameterError
+            A trajectory is refused; the message names its joint.
+        """
+        nodes = {node.parameters.joint: node for node in self.nodes}
+        for joint, points in given.items():
+            try:
+                if points["times"]:
+                    copy.deepcopy(nodes[joint].part).follow(**points)
+            except ParameterError as error:
+                named = [replace(problem, name=f"{joint}: {problem.name}") for problem in error.problems]
+                raise ParameterError(named) from None
+        moved = {nodes[joint]: points for joint, points in given.items()}
+        if self.nodes[0].is_fused:
+            fused = self.nodes[0].fused
+            actions = {node: ("follow", points) if points["times"] else ("hold", {}) for node, points in moved.items()}
+            changes = {node.fused: Change(fused.loop.sample, node.kind, *action) for node, action in actions.items()}
+            fused.apply_together(changes)
+            for node, points in moved.items():
+                if points["times"]:
+                    node.trajectories.attend(points, node.trajectories.tolerances)
+            return
+        sample = max(node.sample for node in self.nodes)
+        for node, points in moved.items():
+            node.coming.append((sample, partial(node.follow_now, points)))
 
 
 class StageReferenceNode(ReferenceGeneratorNode):
@@ -439,7 +491,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def __init__(self, group: StageSources, **options):
         self.group = group
-        #: Setpoints [m] of the topic of the stage, each with the number of its first sample.
+        #: What was requested of several axes at once: first sample, and what to call before it.
         self.coming: deque = deque()
         super().__init__(**options)
         group.nodes.append(self)
@@ -450,17 +502,51 @@ class StageReferenceNode(ReferenceGeneratorNode):
         if self is self.group.nodes[0]:
             topic = f"{self.group.parameters.namespace}/setpoints"
             self.subscriber(Float64MultiArray, topic, self._on_setpoints, setpoint_qos())
+            topic = f"{self.group.parameters.namespace}/joint_trajectory"
+            self.subscriber(JointTrajectory, topic, self._on_joint_trajectory, setpoint_qos())
 
     def reset_blocks(self) -> None:
         """Reset: waveform at its start, setpoint as configured."""
         super().reset_blocks()
         self.coming.clear()
 
+    def note_setpoint(self, value: float) -> None:
+        """Publish a setpoint [m] that the loop of the stage has taken."""
+        self.setpoint = value
+        self._taken.publish(Float64(data=value))
+
     def before_step(self) -> None:
         """Put the setpoint into the row."""
         while self.coming and self.coming[0][0] <= self.sample:
-            self._take(self.coming.popleft()[1])
+            self.coming.popleft()[1]()
         super().before_step()
+
+    def take_now(self, value: float) -> None:
+        """Take a setpoint [m] for the present sample."""
+        self._take(value)
+
+    def follow_now(self, points: Points) -> None:
+        """Follow a trajectory from the present sample on; without points bring the present one to rest."""
+        trajectories = self.trajectories
+        assert trajectories is not None  # from configuration to cleanup
+        try:
+            if points["times"]:
+                trajectories.follow(points, trajectories.tolerances)
+            else:
+                trajectories.hold()
+        except HysteresisError as error:
+            trajectories.refuse(error)
+
+    def _on_joint_trajectory(self, message) -> None:
+        """Follow a trajectory of several joints by their names; the others stay where they are."""
+        if len(self.group.runners) < len(self.group.rows) or self.trajectories is None:
+            return
+        try:
+            if not all(node.active for node in self.group.nodes):
+                raise ParameterError([Problem("trajectory", len(message.points), "refused: a node is not active")])
+            self.group.follow(points_by_joint(message, [node.parameters.joint for node in self.group.nodes]))
+        except HysteresisError as error:
+            self.trajectories.refuse(error)
 
     def _on_setpoints(self, message) -> None:
         """Take setpoints of several axes: their names, separated by commas, label the dimension; without: all axes."""
@@ -522,6 +608,9 @@ def stage_factories(parameters: StageParameters, kinds) -> list:
     plants, recorders = StagePlants(parameters), StageRecorders(parameters)
     compensators, sources = StageCompensators(parameters), StageSources(parameters)
     controllers = StageControllers(parameters)
+    axes: list[FusedAxis] = []
+    for _ in parameters.axes if parameters.stage.time_mode == "fused" else ():
+        axes.append(FusedAxis(axes[0] if axes else None, parameters))
 
     def compensator(**options):
         if not parameters.stage.decoupling:
@@ -536,10 +625,14 @@ def stage_factories(parameters: StageParameters, kinds) -> list:
         "reference_generator": lambda **options: StageReferenceNode(sources, **options),
     }
 
-    def factory(kind: str, namespace: str):
-        return lambda: made[kind](namespace=namespace)
+    def factory(kind: str, place: int):
+        def make():
+            node = made[kind](namespace=parameters.axes[place].namespace)
+            return axes[place].join(node) if axes else node
 
-    return [factory(kind, axis.namespace) for kind in made if kind in kinds for axis in parameters.axes]
+        return make
+
+    return [factory(kind, place) for kind in made if kind in kinds for place in range(len(parameters.axes))]
 
 
 #: Kinds of nodes that an axis of a stage has.
@@ -550,6 +643,9 @@ def main(arguments=None) -> int:
     """Run the nodes of one kind, or of all kinds, of all axes; returns the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     kinds = [word for word in arguments if word in (*KINDS, "recorder")]
+    if WITH_RECORDER in arguments:
+        arguments.remove(WITH_RECORDER)
+        kinds = [*KINDS, "recorder"]
     try:
         if "--params-file" not in arguments[:-1]:
             raise ConfigurationError("the stage has no parameters: give its file with --ros-args --params-file FILE")

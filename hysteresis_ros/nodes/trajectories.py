@@ -19,7 +19,7 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from rclpy.action import ActionServer, CancelResponse
@@ -50,26 +50,44 @@ def seconds(duration) -> float:
     return duration.sec + 1e-9 * duration.nanosec
 
 
-def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
-    """Return the points of a ``JointTrajectory`` of one joint in the form of the generator; empty without points."""
+#: Points of one joint in the form of the generator: ``times``, ``positions``, ``velocities``, ``accelerations``.
+Points = dict[str, tuple[float, ...]]
+
+
+def points_of(message, joint: str) -> Points:
+    """Return the points of a ``JointTrajectory`` of one joint; empty without points."""
     names = list(message.joint_names)
     if names != [joint]:
         raise _refused("joint_names", names, f"allowed: ['{joint}'], the joint of this axis")
+    return points_by_joint(message, (joint,))[joint]
+
+
+def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
+    """Return the points of a ``JointTrajectory`` of some of several joints, by the joints that it names."""
+    names = list(message.joint_names)
+    if not names or len(set(names)) != len(names) or set(names) - set(joints):
+        raise _refused("joint_names", names, f"allowed: one or more of {', '.join(joints)}, each once")
     if seconds(message.header.stamp):
         raise _refused("header.stamp", seconds(message.header.stamp), "must be 0; a trajectory begins at once", "s")
     if len(message.points) > MOST_POINTS:
         raise _refused("points", f"{len(message.points)} points", f"allowed: at most {MOST_POINTS}")
-    found: dict[str, list[float]] = {"times": [], "positions": [], "velocities": [], "accelerations": []}
+    count = len(names)
+    one_each = "one number" if count == 1 else f"{count} numbers, one for each joint"
+    times = tuple(seconds(point.time_from_start) for point in message.points)
+    found: dict[str, list[list[float]]] = {"positions": [], "velocities": [], "accelerations": []}
     for index, point in enumerate(message.points):
-        found["times"].append(seconds(point.time_from_start))
         for name in ("positions", "velocities", "accelerations", "effort"):
             values = list(getattr(point, name))
-            if len(values) > 1 or (name == "positions" and not values) or (name == "effort" and values):
-                allowed = {"positions": "one number", "effort": "none"}.get(name, "one number or none")
-                raise _refused(f"points[{index}].{name}", values, f"allowed: {allowed}")
+            allowed = {"positions": (count,), "effort": (0,)}.get(name, (count, 0))
+            if len(values) not in allowed:
+                text = {"positions": one_each, "effort": "none"}.get(name, f"{one_each}, or none")
+                raise _refused(f"points[{index}].{name}", values, f"allowed: {text}")
             if values:
-                found[name].append(float(values[0]))
-    return {name: tuple(values) for name, values in found.items()}
+                found[name].append(list(map(float, values)))
+    return {
+        joint: {"times": times, **{name: tuple(row[place] for row in rows) for name, rows in found.items()}}
+        for place, joint in enumerate(names)
+    }
 
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
@@ -135,12 +153,16 @@ class Trajectories:
         """Publish the result of a trajectory."""
         self._answers.publish(String(data=text))
 
-    def follow(self, points: dict[str, tuple[float, ...]], tolerances: Tolerances, told: Told | None = None) -> Move:
+    def follow(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
         """Follow a trajectory from the next sample on."""
-        node = self._node
-        if not node.active:
+        if not self._node.active:
             raise _refused("trajectory", len(points["times"]), "refused: the node is not active")
-        node.steer("follow", points)
+        self._node.steer("follow", points)
+        return self.attend(points, tolerances, told)
+
+    def attend(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
+        """Report how a trajectory ends that the generator has begun to follow."""
+        node = self._node
         number, _ = node.part.generator.trajectory
         move = Move(number, tolerances)
         self._moves.append((move, told or (lambda ending, text: None)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from loop_support import HOLD, assert_same_bits, parameters
 
+from hysteresis_ros.loop import pacing
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop
 
@@ -34,6 +35,11 @@ def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
     """Return a loop and the parameters of its axis."""
     given = parameters(name, **overrides)
     return FusedLoop(Axis(given), factor, samples), given
+
+
+def delay(loop, samples):
+    """Let the clock of a running loop be later by some samples."""
+    loop._state[pacing.ORIGIN] -= samples * loop._state[pacing.PERIOD] // pacing.FEMTO
 
 
 def named(loop: FusedLoop, table) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ import threading
 
 import numpy as np
 import pytest
-from fused_support import ANY_LATE, SLOWLY, assert_twin, change, made_loop, named, whole
+from fused_support import ANY_LATE, SLOWLY, assert_twin, change, delay, made_loop, named, whole
 from loop_support import HOLD, assert_same_bits, axis, parameters
 from waiting import until
 
@@ -266,11 +266,6 @@ def test_many_threads_may_steer_at_once():
 
 
 # ----------------------------------------------------------------------------------------------------- missed deadlines
-
-
-def delay(loop, samples):
-    """Let the clock of a running loop be later by some samples."""
-    loop._state[pacing.ORIGIN] -= samples * loop._state[pacing.PERIOD] // pacing.FEMTO
 
 
 def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():

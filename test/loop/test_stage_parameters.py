@@ -146,6 +146,12 @@ def _full(blocks) -> np.ndarray:
             "/y/plant_simulator: sample_rate = 5000.0: must equal that of the stage, 10000.0",
         ),
         ("y__*", {"time_mode": "lockstep"}, "/y/plant_simulator: time_mode = 'lockstep': must equal that of the stage"),
+        (
+            "y__plant_simulator",
+            {"real_time_factor": 0.5},
+            "/y/plant_simulator: real_time_factor = 0.5: must equal that of /x, 1.0",
+        ),
+        ("y__plant_simulator", {"realtime__cpu": 1}, "/y/plant_simulator: realtime.cpu = 1: must equal that of /x, -1"),
         ("y__*", {"joint": "x"}, "/y/plant_simulator: joint = 'x': is the joint of /x already"),
         (
             "plant_simulator",

@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +19,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import until  # noqa: E402
+from nodes_support import ROOT, until  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
+from hysteresis_ros.models.block import COMPILED  # noqa: E402
 
 SAMPLES = 300
 #: Both axes move within some hundred samples, and no matrix is the same when its axes are exchanged.
@@ -220,3 +223,183 @@ def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_star
     # the plant of the other axis stops one sample later
     begins = [np.argmax(recorded[f"{name}/tripped"] > 0.0) for name in "xy"]
     assert begins[1] - begins[0] in (0, 1)
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
+def test_a_fused_stage_is_steered_and_stopped_as_a_whole_and_repeated_bit_for_bit(processes, observer, tmp_path):
+    from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
+
+    from hysteresis_ros.recordings.files import load_run
+
+    states = {name: observer.listen(JointState, f"/{name}/plant_simulator/state") for name in "xy"}
+    joints = observer.listen(JointState, "/joint_states")
+    estop, setpoint = observer.talk(Bool, "/y/estop"), observer.talk(Float64, "/x/setpoint")
+    setpoints = observer.talk(Float64MultiArray, "/setpoints")
+    holding = {"reference_generator": {"waveform__type": "hold"}, "plant_simulator": {"late_limit": -1}}
+    path = write(tmp_path / "stage.yaml", stage({"stage": MOVING["stage"]} | holding, 0, time_mode="fused"))
+    run = processes.command("up", path, "--factor", "0.1", "--record", str(tmp_path / "bag"), "--verify")
+
+    def now(name: str, signal: str) -> float:
+        return dict(zip(states[name][-1].name, states[name][-1].position, strict=True))[signal]
+
+    def at(name: str, place: float) -> None:
+        until(lambda: abs(now(name, "displacement") - place) < 1e-7, what=f"{name} at {place:g} m")
+
+    def heard() -> bool:
+        matched = all(one.get_subscription_count() for one in (estop, setpoint, setpoints))
+        return matched and all(len(one) > 10 for one in states.values())
+
+    until(lambda: heard() or run.popen.poll() is not None, what="a fused stage")
+    assert "axes x, y: fused, one process" in run.output, run.output
+    setpoint.publish(Float64(data=12e-6))
+    at("x", 12e-6)
+    both = Float64MultiArray(data=[25e-6, 15e-6])
+    both.layout.dim = [MultiArrayDimension(label="y,x", size=2)]
+    setpoints.publish(both)
+    at("x", 15e-6)
+    at("y", 25e-6)
+    assert joints[-1].name == ["x", "y"] and abs(joints[-1].position[1] - 25e-6) < 1e-6
+    assert observer.set_parameters("/x/motion_controller", pid__Ki=1500.0) == (True, "")
+    refused, reason = observer.set_parameters("/y/motion_controller", pid__Ki=math.inf)
+    assert not refused and "pid.Ki" in reason
+    assert observer.trigger("/y/motion_controller/stop").success
+    until(lambda: now("y", "displacement") < 5e-6, what="y without its controller")
+    assert observer.trigger("/y/motion_controller/start").success
+    at("y", 25e-6)
+    # an emergency stop of one axis stops all in the same sample; a start of the other one's plant lets all go on
+    estop.publish(Bool(data=True))
+    until(lambda: all(now(name, "tripped") and abs(now(name, "voltage")) < 0.01 for name in "xy"), what="a safe stage")
+    assert "another axis of the stage" in run.output or "emergency stop" in run.output
+    assert observer.trigger("/x/plant_simulator/start").success
+    at("x", 15e-6)
+    at("y", 25e-6)
+    assert observer.trigger("/y/plant_simulator/reset").success
+    at("x", 20e-6)  # the configured setpoint
+    at("y", 20e-6)
+    code, _ = run.leave()
+    assert code == 0, run.output
+    assert "samples equal the offline twin bit for bit, none missing" in run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    stops = {name: np.flatnonzero(np.diff((recorded[f"{name}/tripped"] != 0.0).astype(int)) == 1) for name in "xy"}
+    assert np.array_equal(stops["x"], stops["y"]) and stops["x"].size >= 1
+    begins = [np.flatnonzero(recorded[f"{name}/setpoint"] == place)[0] for name, place in (("x", 15e-6), ("y", 25e-6))]
+    assert begins[0] == begins[1]
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
+def test_a_fused_stage_whose_axis_trips_or_loses_its_measurement_is_safe_as_a_whole(processes, tmp_path):
+    from hysteresis_ros.loop.watch import STALE, STOPPED
+    from hysteresis_ros.recordings.files import load_run
+
+    given = MOVING | {"motion_controller": {"measurement_timeout": 0.002}, "plant_simulator": {"late_limit": 5}}
+    path = write(tmp_path / "stage.yaml", stage(given, 600))
+    words = ("--fault", "stale:0.008:0.01", "--fault", "lost_voltage:0.04:0.002", "--namespace", "x")
+    asked = ("--fused", "--factor", "0.01", "--record", str(tmp_path / "bag"), "--verify", *words)
+    run = processes.command("up", path, *asked)
+    assert run.wait() == 0, run.output
+    assert "600 samples equal the offline twin bit for bit, none missing" in run.output
+    assert "/x has stopped the stage" in run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    assert np.array_equal(np.flatnonzero(recorded["x/controller_mode"] == STALE), np.arange(99, 180))
+    assert np.array_equal(np.flatnonzero(recorded["y/controller_mode"] == STOPPED), np.arange(100, 181))
+    for name in "xy":
+        stopped = np.flatnonzero(recorded[f"{name}/tripped"])
+        assert 400 < stopped[0] < 410 and stopped[-1] == 599
+
+
+@pytest.mark.parametrize(
+    ("mode", "killed"),
+    [
+        ("lockstep", "motion_controller"),
+        ("realtime", "motion_controller"),
+        ("realtime", "plant_simulator"),
+        ("fused", "hysteresis_stage"),
+    ],
+)
+def test_a_killed_process_ends_the_stage_with_an_error_that_names_it(domain, observer, tmp_path, mode, killed):
+    from hysteresis_ros.nodes.domain import OWN
+    from hysteresis_ros.nodes.launcher import Graph, GraphError
+
+    slow = {} if mode == "lockstep" else {"plant_simulator": {"real_time_factor": 0.01}}
+    parameters = stage(slow, 0, time_mode=mode)
+    heard = observer.listen(JointState, "/joint_states")
+    environment = {"ROS_DOMAIN_ID": str(domain), OWN: str(domain), "PYTHONPATH": str(ROOT)}
+    graph = Graph(list(parameters.axes), stage=parameters, log_level="error", environment=environment)
+    with graph:
+        until(lambda: len(heard) > 20, what="samples of the stage")
+        node = next(node for node in graph.processes if node.name == killed)
+        node.process.kill()
+        with pytest.raises(GraphError, match=f"{killed} was killed by SIGKILL; the rest was stopped"):
+            graph.wait()
+        assert all(one.process.returncode is not None for one in graph.processes)
+
+
+def test_in_real_time_the_stage_is_safe_when_a_process_is_killed_and_no_one_stops_the_rest(
+    processes, observer, tmp_path
+):
+    """As with nodes that were started one by one: nothing restarts or stops them."""
+    states = {name: observer.listen(JointState, f"/{name}/plant_simulator/state") for name in "xy"}
+    path = write(
+        tmp_path / "stage.yaml", stage({"plant_simulator": {"real_time_factor": 0.01}}, 0, time_mode="realtime")
+    )
+    nodes = {
+        kind: processes.start(
+            [sys.executable, "-m", "hysteresis_ros.nodes.stage", kind, "--ros-args", "--params-file", path], kind
+        )
+        for kind in ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+    }
+
+    def now(name: str, signal: str) -> float:
+        return dict(zip(states[name][-1].name, states[name][-1].position, strict=True))[signal]
+
+    until(lambda: all(states[name] and now(name, "voltage") > 10.0 for name in "xy"), what="a stage that moves")
+    nodes["motion_controller"].kill()
+    until(lambda: all(now(name, "tripped") and abs(now(name, "voltage")) < 0.01 for name in "xy"), what="a safe stage")
+    assert "motion_controller" in nodes["plant_simulator"].output + nodes["hysteresis_compensator"].output
+    answer = observer.trigger("/x/plant_simulator/start")
+    assert not answer.success and "lost" in answer.message
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "fused"])
+def test_a_trajectory_of_several_joints_moves_them_with_one_clock(processes, observer, tmp_path, mode):
+    from builtin_interfaces.msg import Duration
+    from std_msgs.msg import String
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    from hysteresis_ros.recordings.files import load_run
+
+    if mode == "fused" and not COMPILED:
+        pytest.skip("without Numba the loop is too slow for a stage")
+
+    def message(names: list[str], *points: tuple[float, list[float]]):
+        made = JointTrajectory(joint_names=names)
+        for time, positions in points:
+            since = Duration(nanosec=round(1e9 * time))
+            made.points.append(JointTrajectoryPoint(positions=positions, time_from_start=since))
+        return made
+
+    trajectories = observer.talk(JointTrajectory, "/joint_trajectory")
+    samples = observer.listen(JointState, "/joint_states")
+    refused = observer.listen(String, "/x/reference_generator/refused")
+    said = {name: observer.listen(String, f"/{name}/reference_generator/trajectory") for name in "xy"}
+    given = {"reference_generator": {"waveform__type": "hold"}, "plant_simulator": {"late_limit": -1}}
+    path = write(tmp_path / "stage.yaml", stage(given, 6000, time_mode=mode))
+    how = ("--composed",) if mode == "lockstep" else ("--factor", "0.05")
+    run = processes.command("up", path, *how, "--record", str(tmp_path / "bag"), "--verify")
+    until(lambda: trajectories.get_subscription_count() and len(samples) > 20, what="the samples of the stage")
+    trajectories.publish(message(["x", "z"], (0.02, [24e-6, 17e-6])))
+    trajectories.publish(message(["x", "y"], (0.02, [24e-6])))
+    trajectories.publish(message(["x", "y"], (0.02, [24e-6, 50e-6])))  # y is out of range, so x does not move either
+    until(lambda: len(refused) == 3, what="the refusals")
+    assert "joint_names" in refused[0].data and "points[0].positions" in refused[1].data
+    assert "y: trajectory positions = 5e-05 m" in refused[2].data and "out of range" in refused[2].data
+    trajectories.publish(message(["y", "x"], (0.01, [17e-6, 22e-6]), (0.02, [17e-6, 24e-6])))
+    for name in "xy":
+        until(lambda name=name: any("1 arrived" in one.data for one in said[name]), what=f"the arrival of {name}")
+    assert run.wait() == 0, run.output
+    assert "6000 samples equal the offline twin bit for bit" in run.output
+    found = load_run(tmp_path / "bag", further=True)
+    moves = {name: np.flatnonzero(np.diff(found[f"{name}/reference"])) for name in "xy"}
+    assert moves["x"][0] == moves["y"][0]
+    assert moves["x"].size == 200 and moves["y"].size == 100
+    assert (found["x/reference"][-1], found["y/reference"][-1]) == (24e-6, 17e-6)
