@@ -7,7 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis: plant (or driver), compensator, controller and reference generator (or sequencer), set by one file.
+"""One axis, or a stage of coupled axes, set by one file.
+
+An axis has a plant (or driver), a compensator, a controller and a reference generator (or sequencer).
 
 ``ros2 launch hysteresis_ros axis.launch.py config:=kim2009 record:=bags/first namespace:=left``
 does what ``hysteresis up`` does; ``ros2 launch hysteresis_ros axis.launch.py -s`` lists the arguments. This file
@@ -112,7 +114,7 @@ def axis(context):
     FileNotFoundError
         The parameter file is missing.
     ValueError
-        ``samples`` or ``factor`` is no positive number, arguments contradict each other, or the file describes a stage.
+        ``samples`` or ``factor`` is no positive number, or arguments contradict each other or the file.
     """
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
@@ -124,14 +126,14 @@ def axis(context):
             raise ValueError(f"fused:=true with rate:={given['rate']}: leave one of them out")
         given["rate"] = "fused"
     config = configuration(given["config"])
-    levels = given["namespace"].strip("/").split("/")
-    if any(has_section(config, "/".join(levels[:count]), "stage") for count in range(len(levels) + 1)):
-        raise ValueError(
-            f"config:={given['config']}: describes a stage of coupled axes, which nodes do not run so far: simulate it "
-            "with `hysteresis simulate` (docs/coupled_axes.md)"
-        )
+    coupled = coupled_axes(config)
     said = []
     external = given["plant"] == "external"
+    for name, usual in (("namespace", ""), ("plant", "own"), ("description", "false")) if coupled else ():
+        if given[name] != usual:
+            raise ValueError(
+                f"{name}:={given[name]}: {given['config']} describes a stage of coupled axes: leave it out"
+            )
     if external and given["rate"] not in ("", "realtime"):
         raise ValueError(
             f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only"
@@ -141,7 +143,7 @@ def axis(context):
     chosen = given["rate"] or external or given["composed"] == "true"
     if not chosen and too_fast_for_messages(config, given["factor"]):
         given["rate"] = "fused"
-        text = "starts the axis fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
+        text = "starts fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
         said.append(LogInfo(msg=text))
     fused = not external and (given["rate"] == "fused" or describes(config, "time_mode", "fused"))
     composed = given["composed"] == "true" or fused
@@ -155,11 +157,32 @@ def axis(context):
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
     overrides = folder / "overrides.yaml"
     described = folder / "configuration.yaml"
-    described.write_text(merged(config, override(given, "")), encoding="utf-8")
-    overrides.write_text(json.dumps(override(given, str(described))), encoding="utf-8")
-    running = set(names)
     lockstep = given["rate"] == "lockstep" or (not given["rate"] and describes(config, "time_mode", "lockstep"))
     actions = []
+    if coupled:
+        values = by_axis(override(given, str(described)), coupled)
+        described.write_text(merged(config, values), encoding="utf-8")
+        kinds = [""] if composed else [*NODES, source]
+        kinds += ["recorder"] if given["record"] and not fused else []
+        running = set(kinds)
+        for kind in kinds:
+            words = [kind] if kind else ["--recorder"] if given["record"] and fused else []
+            actions.append(
+                Node(
+                    package=PACKAGE,
+                    executable="hysteresis_stage",
+                    arguments=words,
+                    parameters=[str(described)],
+                    output="screen",
+                    ros_arguments=["--log-level", given["log_level"]],
+                    on_exit=farewell(kind, running, kind == "recorder" and not lockstep),
+                )
+            )
+        names = []
+    else:
+        described.write_text(merged(config, override(given, "")), encoding="utf-8")
+        overrides.write_text(json.dumps(override(given, str(described))), encoding="utf-8")
+        running = set(names)
     for name in names:
         options = dict(
             package=PACKAGE,
@@ -241,6 +264,24 @@ def state_publisher(config: str, namespace: str):
             {"robot_description": ParameterValue(Command(command), value_type=str), "frame_prefix": prefix},
         ],
     )
+
+
+def coupled_axes(config: str) -> list:
+    """Return the names of the axes that the section ``/stage`` of a parameter file couples; empty without one."""
+    with open(config, encoding="utf-8") as stream:
+        section = (yaml.safe_load(stream) or {}).get("/stage", {})
+    return list(section.get("ros__parameters", {}).get("axes", []))
+
+
+def by_axis(overrides: dict, axes: list) -> dict:
+    """Return overrides of a stage under the full names of its sections: whoever reads them needs no pattern."""
+    common = overrides.get("/**", {}).get("ros__parameters", {})
+    found = {"/stage": dict(common)}
+    for axis in axes:
+        for node in (*NODES, "reference_generator", "recorder"):
+            own = overrides.get(f"/**/{node}", {}).get("ros__parameters", {})
+            found[f"/{axis}/{node}"] = {**common, **own}
+    return {name: {"ros__parameters": values} for name, values in found.items() if values}
 
 
 def positive(text: str) -> bool:

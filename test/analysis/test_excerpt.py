@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import importlib.util
 import pathlib
+import shutil
 import sys
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -31,8 +33,9 @@ from hysteresis_ros.analysis.report import render_report
 from hysteresis_ros.analysis.run_charts import error_chart, judged, loops_chart
 from hysteresis_ros.analysis.tables import format_table
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.configuration import config_path, parse_configuration
+from hysteresis_ros.configuration import config_path, load_configuration, parse_configuration
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings import Recording, load_run, save_run
 from hysteresis_ros.recordings.run_bag import write_recording
 
@@ -176,6 +179,50 @@ def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatc
     assert result.exit_code == 0 and "RMS error" in result.output, result.output
     values = parse_configuration(load_run(tmp_path / "bag").configuration, "bag").node("reference_generator")
     assert values["maximum"] == 12e-6
+
+
+#: Processes of a stage, one for each kind of node.
+KINDS = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected", "mode"),
+    [
+        ({"record": "bag"}, [["--recorder"]], "fused"),
+        (
+            {"rate": "lockstep"},
+            [["plant_simulator"], ["hysteresis_compensator"], ["motion_controller"], None],
+            "lockstep",
+        ),
+        ({"factor": "0.02", "composed": "true", "record": "bag"}, [[], ["recorder"]], "realtime"),
+    ],
+)
+def test_the_launch_file_starts_the_processes_of_a_stage(monkeypatch, words, expected, mode):
+    launch = load_launch_file(monkeypatch)
+    started = []
+    monkeypatch.setattr(launch, "Node", lambda **options: started.append(options))
+    given = {"config": "xy_scanner", "plant": "own", "composed": "false", "fused": "false", "description": "false"}
+    given |= {"samples": "500"} | words
+    names = [*given, "namespace", "rate", "factor", "record", "autostart", "log_level"]
+    monkeypatch.setattr(launch, "ARGUMENTS", [SimpleNamespace(name=name) for name in dict.fromkeys(names)])
+    monkeypatch.setattr(
+        launch, "LaunchConfiguration", lambda name: SimpleNamespace(perform=lambda context: given.get(name, ""))
+    )
+    launch.axis(None)
+    assert {one["executable"] for one in started} == {"hysteresis_stage"}
+    assert [one["arguments"] for one in started] == expected
+    (described,) = {path for one in started for path in one["parameters"]}
+    parameters = StageParameters.from_configuration(load_configuration(described))
+    shutil.rmtree(pathlib.Path(described).parent)
+    assert parameters.stage.time_mode == mode
+    for axis in parameters.axes:
+        plant, recorder = axis.plant_simulator, axis.recorder
+        assert (plant.samples, plant.exit_at_end, plant.real_time_factor) == (500, True, float(given.get("factor", 1)))
+        assert plant.wait_for_recorder == bool(given.get("record"))
+        assert not given.get("record") or (recorder.path, recorder.configuration) == ("bag", described)
+    given["namespace"] = "left"
+    with pytest.raises(ValueError, match="namespace:=left: xy_scanner describes a stage"):
+        launch.axis(None)
 
 
 def load_launch_file(monkeypatch):
