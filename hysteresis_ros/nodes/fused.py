@@ -7,8 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fused mode: one compiled thread runs the loop of an axis, or of all axes of a stage; the nodes in the same process
-publish and control it.
+"""Fused mode: one compiled thread runs the loop of an axis or a stage; nodes in its process publish and control it.
 
 The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
 (:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at

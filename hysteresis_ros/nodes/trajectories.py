@@ -197,7 +197,12 @@ class Trajectories:
         told(ending, text)
 
     def _look_for_samples(self) -> None:
-        """Abort the moves of an axis that has stopped to produce samples (timer callback)."""
+        """Abort the moves of an axis that has stopped to produce samples (timer callback).
+
+        In lockstep no clock decides anything, and the loss of a node ends the run.
+        """
+        if self._node.runner.exact:
+            return
         sample, since = self._heard
         if self._node.sample != sample:
             self._heard = (self._node.sample, time.monotonic())

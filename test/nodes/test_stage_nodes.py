@@ -392,7 +392,7 @@ def test_a_trajectory_of_several_joints_moves_them_with_one_clock(processes, obs
     trajectories.publish(message(["x", "y"], (0.02, [24e-6, 50e-6])))  # y is out of range, so x does not move either
     until(lambda: len(refused) == 3, what="the refusals")
     assert "joint_names" in refused[0].data and "points[0].positions" in refused[1].data
-    assert "y: trajectory positions = 5e-05 m" in refused[2].data and "out of range" in refused[2].data
+    assert "y: trajectory positions = 4.0" in refused[2].data and "out of range" in refused[2].data
     trajectories.publish(message(["y", "x"], (0.01, [17e-6, 22e-6]), (0.02, [17e-6, 24e-6])))
     for name in "xy":
         until(lambda name=name: any("1 arrived" in one.data for one in said[name]), what=f"the arrival of {name}")
