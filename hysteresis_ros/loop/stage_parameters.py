@@ -50,7 +50,7 @@ SHARED = ("sample_rate", "time_mode")
 OF_THE_CLOCK = (
     "real_time_factor",
     "samples",
-    *(f"realtime.{name}" for name in ("priority", "cpu", "lock_memory", "force")),
+    *(f"realtime.{name}" for name in ("priority", "cpu", "spin", "lock_memory", "force")),
 )
 
 
