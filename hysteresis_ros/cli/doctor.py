@@ -19,7 +19,7 @@ import platform
 import subprocess
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import click
@@ -27,6 +27,7 @@ import click
 from hysteresis_ros.cli.progress import Progress
 
 if TYPE_CHECKING:
+    from hysteresis_ros.loop.pacing import Lateness
     from hysteresis_ros.nodes.trial import Answers
 
 #: Libraries, and the extra of this package that installs each; empty: always installed.
@@ -171,7 +172,8 @@ def doctor(path: pathlib.Path | None) -> None:
     """Measure the rates at which this machine runs an axis and how late samples begin; list versions and limits.
 
     Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
-    half a period and fewer than 0.5 % are skipped. Composed and as processes: samples per second in lockstep; in real
+    half a period and fewer than 0.5 % are skipped. What delays a loop: for each setting of the machine what it is, what
+    it costs, and the line that changes it. Composed and as processes: samples per second in lockstep; in real
     time at 300 Hz the time from a measurement to its voltage, and how many voltages are late.
     """
     if path is not None and not path.absolute().parent.is_dir():
@@ -185,6 +187,7 @@ def doctor(path: pathlib.Path | None) -> None:
         progress.say(line)
     found["fused"] = _fused(progress)
     found["messages"] = _messages(progress, found["libraries"], begun + BUDGET)
+    found["delays"] = _delays(progress) if found["fused"] else []
     found["kernel_cache"] = kernel_cache()
     cache = found["kernel_cache"]
     if cache["folder"]:
@@ -277,6 +280,8 @@ def _trial(rate: float, priority: int) -> dict:
         "skipped": late.missed,
         "lateness_s": {"p50": late.p50, "p99": late.p99, "p99.9": late.p999, "max": late.max},
         "cost_s": late.cost,
+        "spin_s": late.ahead,
+        "spin_of_a_core": late.looked * rate,
     }
 
 
@@ -284,7 +289,42 @@ def _row(row: dict) -> str:
     late = ", ".join(f"{name} {1e6 * value:.0f}" for name, value in row["lateness_s"].items())
     part = 100.0 * row["skipped"] / row["samples"]
     verdict = "held" if row["held"] else "not held"
+    if row["spin_s"]:
+        verdict += f"; looks from {1e6 * row['spin_s']:.0f} µs before, {100.0 * row['spin_of_a_core']:.2g} % of a core"
     return f"  {row['rate_hz']:>6g} Hz: late {late} µs; {row['skipped']} skipped ({part:.2g} %): {verdict}"
+
+
+def _delays(progress: Progress) -> list[dict]:
+    """Return what delays a loop on this machine."""
+    from hysteresis_ros.cli import delays
+
+    progress.say(
+        "what delays a loop here: what is, what it costs, → what changes it (lateness p50 / p99 at "
+        f"{delays.RATE:g} Hz, {delays.SECONDS:g} s each, load {os.getloadavg()[0]:.1f})"
+    )
+    rows: list[dict] = []
+    settings = delays.delays(_delayed)
+    while True:
+        with progress.during("what delays a loop"):
+            delay = next(settings, None)
+        if delay is None:
+            return rows
+        rows.append(asdict(delay))
+        for line in delays.lines_of(delay):
+            progress.say(line)
+
+
+def _delayed(spin: float = -1.0, cpu: int = -1, whole: bool = False) -> Lateness:
+    """Run the loop for a moment, and return its lateness; ``spin`` [s]."""
+    from hysteresis_ros.cli import delays
+    from hysteresis_ros.loop.fused import trial
+
+    rate, seconds = (delays.WHOLE_RATE, delays.WHOLE_SECONDS) if whole else (delays.RATE, delays.SECONDS)
+    axis = _axis(rate)
+    plant = axis.plant_simulator
+    realtime = replace(plant.realtime, spin=1.0 / rate if whole else spin, cpu=cpu)
+    axis = replace(axis, plant_simulator=replace(plant, realtime=realtime))
+    return trial(axis, seconds, PRIORITY).lateness
 
 
 # -- nodes that exchange messages --------------------------------------------------------------------------------

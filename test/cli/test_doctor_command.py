@@ -11,14 +11,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros.cli import doctor
+from hysteresis_ros.cli import delays, doctor
 from hysteresis_ros.cli import doctor as command
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.loop.pacing import Lateness
 from hysteresis_ros.models.block import COMPILED
 
 
@@ -32,6 +34,8 @@ def short(monkeypatch):
     monkeypatch.setattr(command, "ANSWERED", 30)
     monkeypatch.setattr(command, "BUDGET", 600.0)
     monkeypatch.setattr(command, "HOPELESS", 2.0)
+    monkeypatch.setattr(delays, "SECONDS", 0.02)
+    monkeypatch.setattr(delays, "WHOLE_SECONDS", 0.02)
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba no rate is measured")
@@ -48,6 +52,9 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
         late = row["lateness_s"]
         assert late["p50"] <= late["p99"] <= late["p99.9"] <= late["max"]
         assert row["cost_s"] > 0.0 and f"{row['rate_hz']:g} Hz: late p50" in result.output
+    for delay in found["delays"]:
+        assert delay["state"] and delay["cost"] and f"  {delay['name']} " in result.output
+    assert len(found["delays"]) == 8
     assert all(found["messages"][name]["lockstep_hz"] > 0.0 for name in ("composed", "processes"))
     for name in ("composed", "processes"):
         real = found["messages"][name]["realtime"]
@@ -96,3 +103,98 @@ def test_what_is_missing_comes_with_what_to_do():
     assert 'numba missing: pip install "hysteresis_ros[fast]"' in text
     assert 'rosbags and mcap missing: pip install "hysteresis_ros"' in text
     assert "rtprio 80" in text and "realtime.cpu" in text and "powersave" in text
+
+
+# ------------------------------------------------------------------------------------------------ what delays a loop
+
+
+@pytest.fixture
+def machine(monkeypatch, tmp_path):
+    """A made-up machine of two cores that are siblings; returns a function that writes its files."""
+    monkeypatch.setattr(delays, "PROCESSORS", tmp_path / "cpu")
+    monkeypatch.setattr(delays, "PROC", tmp_path / "proc")
+    monkeypatch.setattr(delays, "_usable", lambda: [0, 1])
+    monkeypatch.setattr(delays, "_busy", lambda core: contextlib.nullcontext())
+    monkeypatch.setattr(delays, "shallow_sleep", lambda: contextlib.nullcontext(True))
+
+    def write(**files):
+        for name, text in files.items():
+            path = tmp_path / name.replace("__", "/")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text + "\n")
+
+    write(
+        proc__interrupts="      CPU0  CPU1\n 24:  10  40  edge\nLOC:  1  2  timer",
+        proc__irq__24__smp_affinity_list="0-1",
+        proc__irq__25__smp_affinity_list="0",
+        proc__sys__kernel__sched_rt_runtime_us="950000",
+        proc__sys__kernel__sched_rt_period_us="1000000",
+        cpu__cpu0__cpuidle__state0__name="C6",
+        cpu__cpu0__cpuidle__state0__latency="133",
+        cpu__cpu0__cpufreq__scaling_governor="powersave",
+        cpu__cpu0__topology__thread_siblings_list="0-1",
+    )
+    return write
+
+
+def paced(spin=-1.0, cpu=-1, whole=False):
+    """Return a lateness that tells how the loop was run."""
+    late = 49e-3 if whole else 1e-6 if spin < 0.0 else (20 + cpu) * 1e-6
+    looked = 1e-5 if spin or whole else 0.0
+    return Lateness(late, late, late, late, late, 5 if whole else 0, 100, 1e-6 * (2 + cpu), 1e-6, looked, looked)
+
+
+def test_each_setting_says_what_it_is_what_it_costs_and_what_changes_it(machine):
+    found = {delay.name: delay for delay in delays.delays(paced)}
+    assert found["looks at the clock"].cost == "lateness 19 / 19 µs without it, 1 / 1 µs with it"
+    assert (
+        found["isolated cores"].state == "none"
+        and "core 0 20 / 20 µs, core 1 21 / 21 µs" in found["isolated cores"].cost
+    )
+    assert "isolcpus=1 nohz_full=1 irqaffinity=0; then realtime.cpu: 1" in found["isolated cores"].change
+    assert found["interrupts"].state == "1 of 2 may go to core 1" and "core 1 0 per s" in found["interrupts"].cost
+    assert found["sleep states"].state.startswith("C6 133 µs") and "deep states off" in found["sleep states"].cost
+    assert found["frequency governor"].state == "powersave" and "performance" in found["frequency governor"].change
+    assert found["frequency governor"].cost.startswith("not measured")
+    assert found["SMT siblings"].state == "0+1" and "a sample takes 2.00 µs" in found["SMT siblings"].cost
+    assert "cpu1/online; then realtime.cpu: 0" in found["SMT siblings"].change
+    throttling = found["real-time throttling"]
+    assert "interrupted for 49.0 ms at most, 5.0 % of its samples" in throttling.cost
+    assert "sched_rt_runtime_us=-1" in throttling.change
+    assert [line.strip() for line in delays.lines_of(throttling)][2].startswith("→ only for a loop")
+
+
+def test_what_is_set_well_needs_no_change(machine):
+    machine(
+        cpu__isolated="1",
+        proc__irq__24__smp_affinity_list="0",
+        proc__sys__kernel__sched_rt_runtime_us="-1",
+        cpu__cpu0__cpufreq__scaling_governor="performance",
+        cpu__cpu0__topology__thread_siblings_list="0",
+    )
+    found = {delay.name: delay for delay in delays.delays(paced)}
+    good = (
+        "looks at the clock",
+        "isolated cores",
+        "interrupts",
+        "frequency governor",
+        "SMT siblings",
+        "real-time throttling",
+    )
+    assert [found[name].change for name in good] == [""] * 6
+    assert found["isolated cores"].state == "1" and found["real-time throttling"].state == "off"
+
+
+def test_what_is_not_permitted_is_not_measured(machine, monkeypatch):
+    monkeypatch.setattr(delays, "shallow_sleep", lambda: contextlib.nullcontext(False))
+    monkeypatch.setattr(delays, "_usable", lambda: [0])
+    found = {delay.name: delay for delay in delays.delays(lambda **how: paced(0.0, how.get("cpu", -1)))}
+    assert found["sleep states"].cost == "not measured: /dev/cpu_dma_latency is not permitted"
+    assert found["SMT siblings"].cost == "not measured: this process may not use both"
+    assert found["real-time throttling"].cost.startswith("not measured")
+    assert found["isolated cores"].change == "a second core is needed"
+    assert found["looks at the clock"].state.startswith("off")
+
+
+def test_lists_of_cores_are_read():
+    assert delays.cores_of("0,2-4") == [0, 2, 3, 4] and delays.cores_of("") == []
