@@ -367,8 +367,10 @@ def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, note
     """Return the errors without the spans after skipped samples, and the share [%] of these spans."""
     if not recording.has("skipped"):
         return {}
-    error = run.reference - run.displacement
-    span = disturbed(np.nan_to_num(recording["skipped"])[good][judged] > 0.0, error)
+    error, place = run.reference - run.displacement, np.flatnonzero(good)[judged]
+    whole = np.full(len(recording), np.nan)  # a skipped sample of a device has no measurement, hence no error
+    whole[place] = error
+    span = disturbed(np.nan_to_num(recording["skipped"]) > 0.0, whole)[place]
     share = 100.0 * float(np.mean(span))
     if not np.any(span) or np.all(span):
         why = "every sample is" if np.any(span) else "no sample was skipped: none is"

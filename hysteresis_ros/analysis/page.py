@@ -126,6 +126,7 @@ def _chart(chart: Chart, columns, points: int) -> dict:
         "logarithmic": chart.logarithmic,
         "levels": list(chart.levels),
         "shaded": None if chart.shaded is None else [float(end) for end in chart.shaded],
+        "marked": [] if chart.marked is None else chart.marked.tolist(),
         "limits": None if chart.limits is None else [float(end) for end in chart.limits],
         "lines": lines,
     }

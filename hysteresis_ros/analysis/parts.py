@@ -429,20 +429,21 @@ EXCESS, COMPARED = 0.1, 0.1
 def disturbed(skipped, error) -> np.ndarray:
     """Return which samples are disturbed by skipped ones: each of these, and what follows it until its effect decays.
 
-    Shape (N,), for a flag and an error [m] of each sample. The span has one length for the whole run, the shortest of
+    Shape (N,), for a flag and an error [m] of each sample; NaN: the error does not count, as that of a sample without
+    measurement. The span has one length for the whole run, the shortest of
     1, 2, 4, … samples whose following ones, of as many samples again and averaged over all skipped samples, have no
     larger mean square error than samples farther away, but for :data:`EXCESS`.
     """
     places = np.flatnonzero(skipped)
-    number, square = np.arange(len(error)), np.square(error)
+    number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
     if not places.size:
         return np.zeros(number.size, dtype=bool)
     last = np.searchsorted(places, number, side="right") - 1
     since = np.where(last < 0, number.size, number - places[last])
     length = 1
     while True:
-        following, apart = (since >= length) & (since < 2 * length), since >= 2 * length
-        if np.mean(apart) < COMPARED or not np.any(following):
+        following, apart = counted & (since >= length) & (since < 2 * length), counted & (since >= 2 * length)
+        if np.sum(apart) < COMPARED * np.sum(counted) or not np.any(following):
             break
         if np.mean(square[following]) <= (1.0 + EXCESS) * np.mean(square[apart]):
             break

@@ -142,6 +142,9 @@ class Chart:
     level_label: str = ""  #: Meaning of the levels.
     shaded: tuple[float, float] | None = None  #: Range of x that is shaded; :attr:`shaded_label` says why.
     shaded_label: str = ""
+    #: Further ranges of x, shape (M, 2), in another colour; :attr:`marked_label` says why.
+    marked: np.ndarray | None = None
+    marked_label: str = ""
     limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default those of the lines.
     note: str = ""  #: A sentence below the chart.
     height: float = 2.8  #: Height of the static figure [inches].
@@ -200,6 +203,12 @@ def chart_figure(chart: Chart):
     figure, (axis,) = new_figure(chart.height)
     if chart.shaded is not None:
         axis.axvspan(*chart.shaded, color=COLOURS["setpoint"][0], alpha=0.25, label=chart.shaded_label, linewidth=0)
+    if chart.marked is not None:
+        from matplotlib.collections import PolyCollection
+
+        style = dict(color=COLOURS["late"][0], alpha=0.3, linewidth=0, transform=axis.get_xaxis_transform())
+        corners = [[(left, 0), (right, 0), (right, 1), (left, 1)] for left, right in chart.marked]
+        axis.add_collection(PolyCollection(corners, label=chart.marked_label, **style))
     for line in chart.lines:
         style = dict(color=COLOURS[line.colour][0], linewidth=line.width, label=line.label)
         if line.dash:
@@ -220,7 +229,7 @@ def chart_figure(chart: Chart):
     if chart.limits is not None:
         axis.set_ylim(*chart.limits)
     axis.set(xlabel=chart.across, ylabel=chart.up)
-    if len(chart.lines) > 1 or chart.shaded is not None or chart.level_label:
+    if len(chart.lines) > 1 or chart.shaded is not None or chart.marked is not None or chart.level_label:
         # labels of paths are long
         add_legend(axis, 1 if chart.kind == "path" else 4)
     return figure

@@ -20,13 +20,15 @@ import numpy as np
 from scipy import signal
 
 from hysteresis_ros.analysis.metrics import AxisSettings, actual_name, axis_settings, judged_reference
-from hysteresis_ros.analysis.parts import REVERSAL, period_ends, scan_start, stopped
+from hysteresis_ros.analysis.parts import REVERSAL, disturbed, period_ends, scan_start, stopped
 from hysteresis_ros.analysis.plots import Chart, Line, length_unit
 from hysteresis_ros.models.adaptation import ADAPTING
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning_points
 from hysteresis_ros.recordings.provenance import configured
 
+#: Most spans that are marked in a chart, about.
+MOST_MARKS = 500
 #: Fewest whole periods for the chart.
 LEAST_PERIODS = 3
 
@@ -68,6 +70,14 @@ class Judged:
     unit: tuple[str, float] = ("µm", _MICRO)  #: Unit in which errors are drawn, and its factor from metres.
 
     @property
+    def disturbed(self) -> np.ndarray:
+        """Whether each sample is disturbed by a skipped one, shape (N,)."""
+        if self.error is None or not self.recording.has("skipped"):
+            return np.zeros(len(self.recording), dtype=bool)
+        error = np.where(self.counted, self.error, np.nan)
+        return disturbed(np.nan_to_num(self.recording["skipped"]) > 0.0, error)
+
+    @property
     def counted(self) -> np.ndarray:
         """Whether the error of each sample counts, shape (N,)."""
         if self.error is None:
@@ -96,6 +106,20 @@ def largest_error(run: Judged) -> float:
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
+def _marks(run: Judged) -> dict:
+    """Return the fields of a chart over time that mark the spans around skipped samples; close spans are joined."""
+    span = run.disturbed
+    if not np.any(span):
+        return {}
+    time = run.recording.time
+    starts, ends = np.flatnonzero(np.diff(np.r_[False, span, False].astype(int))).reshape(-1, 2).T
+    apart = starts[1:] - ends[:-1] > len(span) // MOST_MARKS
+    first, last = time[starts[np.r_[True, apart]]], time[ends[np.r_[apart, True]] - 1]
+    count = int(np.sum(np.nan_to_num(run.recording["skipped"]) > 0.0))
+    label = f"disturbed by {count} skipped samples ({100.0 * np.mean(span):.2g} % of the run)"
+    return {"marked": np.stack([first, last], axis=1), "marked_label": label, "note": f"Orange: {label}."}
+
+
 def traces_chart(run: Judged) -> Chart:
     """Return the chart of setpoint, reference (delayed by the preview), displacement and estimate over time [µm, s]."""
     recording, preview = run.recording, run.settings.preview
@@ -115,7 +139,8 @@ def traces_chart(run: Judged) -> Chart:
         for name, style in styles.items()
         if name in signals
     ]
-    return Chart("traces", "Displacement over time", "time [s]", "displacement [µm]", lines, height=3.6)
+    marks = _marks(run)
+    return Chart("traces", "Displacement over time", "time [s]", "displacement [µm]", lines, height=3.6, **marks)
 
 
 def error_chart(run: Judged) -> Chart | None:
@@ -130,6 +155,13 @@ def error_chart(run: Judged) -> Chart | None:
         largest = 1.5 * factor * largest_error(run)
         shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump into the scan")
         shown["limits"] = (-largest, largest)
+    if marks := _marks(run):
+        left = run.error[run.counted & ~run.disturbed]
+        parts = (("RMS error", run.error[run.counted]), ("without these spans", left))
+        figures = ", ".join(
+            f"{name} {factor * np.sqrt(np.mean(values**2)):.4g} {unit}" for name, values in parts if values.size
+        )
+        shown |= marks | {"note": f"{marks['note']} {figures}."}
     caption = "Error (reference − displacement) over time"
     return Chart("error", caption, "time [s]", f"error [{unit}]", [line], levels=(0.0,), **shown)
 

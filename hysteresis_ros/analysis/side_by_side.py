@@ -133,7 +133,9 @@ def _laid_over(name: str, charts: list[tuple[str, str, Chart]]) -> Chart:
         lines += _references(charts)
     kind = "overlay" if first.kind == "time" else first.kind
     caption = first.caption if name != "traces" else "Displacement over time since the first sample"
-    return replace(first, caption=caption, lines=lines, kind=kind, shaded=None, limits=None, note="\n".join(notes))
+    return replace(
+        first, caption=caption, lines=lines, kind=kind, shaded=None, marked=None, limits=None, note="\n".join(notes)
+    )
 
 
 def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:

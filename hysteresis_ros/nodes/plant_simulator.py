@@ -562,7 +562,10 @@ class PlantSimulatorNode(AxisNode):
         rate = self.sample / wall
         factor = rate / self.parameters.sample_rate
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
-        self.get_logger().info(f"{text}, {self.late} late samples")
+        text += f", {self.late} late samples ({100.0 * self.late / self.sample:.3g} %)"
+        if self.late and self.parameters.time_mode == "fused":
+            text += "; hysteresis report gives the errors with and without the spans that they disturbed"
+        self.get_logger().info(text)
         limited = limited_in_all(self._limited_counts(), self.sample, self.parameters.sample_rate)
         if limited:
             self.get_logger().warning(limited)

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.analysis.metrics import compute_metrics
+from hysteresis_ros.analysis.page import chart_payload
 from hysteresis_ros.analysis.parts import Kind, disturbed, find_parts, period_ends, scan_start, stopped
 from hysteresis_ros.analysis.report import columns_of
-from hysteresis_ros.analysis.run_charts import judged
+from hysteresis_ros.analysis.run_charts import error_chart, judged, traces_chart
 from hysteresis_ros.analysis.side_by_side import format_runs
 from hysteresis_ros.analysis.tables import format_table, leading
 from hysteresis_ros.recordings import Recording
@@ -227,3 +228,26 @@ def test_without_a_skipped_sample_nothing_is_disturbed_and_the_figures_say_so():
     assert figures["disturbed_percent"] == 0.0 and figures["undisturbed_rms_error_m"] is None
     assert "no sample was skipped" in figures["notes"]["undisturbed_rms_error_m"]
     assert compute_metrics(run(STEPS, STEPS - 1e-6))["disturbed_percent"] is None
+
+
+def test_a_skipped_sample_of_a_device_disturbs_although_it_has_no_measurement_and_charts_mark_it():
+    random = np.random.default_rng(5)
+    skipped = np.zeros(8000)
+    skipped[[1200, 1230, 4000, 5500]] = 1.0
+    decay = np.exp(-np.arange(8000) * np.log(1e3) / 60)
+    error = random.normal(0.0, 2e-9, 8000) + 1e-7 * np.convolve(skipped, decay)[:8000]
+    reference = 5e-6 * np.sin(2 * np.pi * np.arange(8000) / 2000)
+    measured = np.where(skipped > 0.0, np.nan, reference - error)
+    recording = Recording(np.arange(8000) * 1e-3, {"reference": reference, "measured": measured, "skipped": skipped})
+    figures = compute_metrics(recording, parts=False)
+    assert figures["undisturbed_rms_error_m"] == pytest.approx(2e-9, rel=0.05)
+    assert figures["rms_error_m"] > 2.0 * figures["undisturbed_rms_error_m"]
+    run = judged(recording)
+    for chart in (traces_chart(run), error_chart(run)):
+        assert chart.marked.shape == (3, 2)  # the first two overlap
+        assert chart.marked[:, 0] == pytest.approx([1.2, 4.0, 5.5]) and np.all(np.diff(chart.marked) > 0.03)
+        assert chart_payload([chart])["charts"][0]["marked"] == chart.marked.tolist()
+        assert "disturbed by 4 skipped samples" in chart.note
+    assert f"without these spans {1e9 * figures['undisturbed_rms_error_m']:.4g} nm" in error_chart(run).note
+    still = Recording(recording.time, {"reference": reference, "measured": reference - error, "skipped": 0.0 * skipped})
+    assert traces_chart(judged(still)).marked is None and not error_chart(judged(still)).note

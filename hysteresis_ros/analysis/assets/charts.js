@@ -35,14 +35,19 @@ function axes(chart) {
 function marks(chart) {
   return {
     drawAxes: (u) => {
-      if (!chart.shaded) return;
-      const [left, right] = chart.shaded.map((value) => u.valToPos(value, "x", true));
       u.ctx.save();
-      u.ctx.fillStyle = ground("shade");
       u.ctx.beginPath();
       u.ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
       u.ctx.clip();
-      u.ctx.fillRect(left, u.bbox.top, right - left, u.bbox.height);
+      const fill = (range) => {
+        const [left, right] = range.map((value) => u.valToPos(value, "x", true));
+        u.ctx.fillRect(left, u.bbox.top, Math.max(right - left, 1), u.bbox.height);
+      };
+      u.ctx.fillStyle = ground("shade");
+      if (chart.shaded) fill(chart.shaded);
+      u.ctx.fillStyle = colour("late");
+      u.ctx.globalAlpha = 0.3;
+      (chart.marked || []).forEach(fill);
       u.ctx.restore();
     },
     draw: (u) => {
