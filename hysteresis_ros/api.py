@@ -418,7 +418,7 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
     parameters : ControllerParameters
         Type, gains and model of the controller.
     margins : Margins
-        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` tells whether they
+        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` states whether they
         meet the specification of every design, ``margins.misses()`` lists the unmet specifications.
     warnings : tuple of str
         Warnings, one sentence each.
@@ -1044,8 +1044,8 @@ def scan_run(
     source : path-like or Recording
         The whole run of a stage.
     first, last : float, optional
-        Part of the run that counts [s]; by default what follows the first period of the path, or its first line if the
-        run has fewer than two periods.
+        Part of the run that counts [s]; by default all samples after the first period of the path, or after its first
+        line if the run has fewer than two periods.
 
     Returns
     -------

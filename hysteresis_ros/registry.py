@@ -277,7 +277,7 @@ sample_time : float, default {SAMPLE_TIME}
 Raises
 ------
 ParameterError
-    A parameter is missing, mistyped or out of range; the message says what is allowed.
+    A parameter is missing, mistyped or out of range; the message states what is allowed.
 KeywordError
     The parameter does not exist; the message names the nearest one.
 {law_of(law) if law else ""}"""

@@ -9,6 +9,6 @@
 
 """Judging a run: figures of merit, charts, reports. Matplotlib and Jinja2 are imported only here, at first use.
 
-Read ``metrics`` (what is computed) and ``parts`` (over which part of a run), then ``run_charts`` and ``report``;
-``plots`` and ``page`` draw for all of them. Inchworms have ``inchworm`` and ``inchworm_report``.
+Read ``metrics`` (what is computed) and ``parts`` (over which part of a run), then ``run_charts`` and ``report``; all of
+them draw with ``plots`` and ``page``. ``inchworm`` and ``inchworm_report`` do the same for inchworm motors.
 """

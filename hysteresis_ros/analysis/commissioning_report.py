@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report page of a commissioning: the findings and charts of every stage, as numbers that JSON can hold."""
+"""The report page of a commissioning: findings and charts of every step, as data that JSON can store."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hysteresis_ros import __version__
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
 
-#: Most points of a stored line.
+#: Largest number of points of a stored line.
 POINTS = 3000
 #: Colours of the lines, in order.
 COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
@@ -76,7 +76,7 @@ def picture_figure(picture: Picture):
 
 
 class Found(Protocol):
-    """The findings of a stage that the page shows."""
+    """Findings of a step, as the page shows them."""
 
     lines: list[str]
     figures: dict

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the demonstration shows: one triangle without and with the inverse of the hysteresis, and steps."""
+"""Results of the demonstration: one triangle without and with the inverse of the hysteresis, and steps."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _MISSED = "#e08e0b"
 
 
 def opening_of_stroke(run: Recording) -> float:
-    """Return the width of the loop of displacement over reference, as a part of the reference's stroke."""
+    """Return the width of the loop of displacement over reference, as a fraction of the reference's stroke."""
     opening = loop_opening(run["reference"], run["displacement"]) or 0.0
     return opening / float(np.ptp(run["reference"]))
 
 
 def moved_part(run: Recording, before: float, after: float) -> Recording:
-    """Return the part of a run in which setpoints came; its time begins at zero.
+    """Return the part of a run with setpoints; its time begins at zero.
 
     Units: ``before`` [s], ``after`` [s].
     """
@@ -42,11 +42,11 @@ def moved_part(run: Recording, before: float, after: float) -> Recording:
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return the results in sentences: first those of the method offline, then those of the runs on this machine."""
+    """Return the results in sentences: first the method, offline, then the runs on this machine."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
-        f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, "
-        f"{inverse} with it (offline, no missed deadlines)."
+        f"The hysteresis loop is {without} of the stroke wide without the inverse of the hysteresis, {inverse} with it "
+        f"(offline, where no deadline is missed)."
     ]
     if not live:
         return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
@@ -77,7 +77,7 @@ def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording
         if made is not None and missed.size:
             x, y = made["reference"][missed] * _MICRO, made["displacement"][missed] * _MICRO
             style = dict(color=_MISSED, marker="x", markersize=5, linewidth=0.0, zorder=4)
-            loop.plot(x, y, label=None if marked else "samples that this machine skipped", **style)
+            loop.plot(x, y, label=None if marked else "samples skipped by this machine", **style)
             error.plot(x, y - x, **style)
             marked = True
     loop.plot(loop.get_xlim(), loop.get_xlim(), color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)

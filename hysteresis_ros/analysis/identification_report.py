@@ -25,7 +25,7 @@ from hysteresis_ros.units import readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
-#: Most samples of a drawn loop.
+#: Largest number of samples of a drawn loop.
 LOOP_POINTS = 20000
 #: Rows of the table: name, label, unit, factor from SI.
 ROWS = (

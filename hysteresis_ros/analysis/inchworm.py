@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of merit of an inchworm motor's run: its moves, its steps, and whether a clamp always held. SI units."""
+"""Figures of merit of an inchworm motor's run: moves, steps, and the clamping forces. SI units."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ REQUIRED = (
 #: Signals that only an inchworm's run has.
 DISTINCTIVE = ("phase", "total_steps", "step_achieved", "front_voltage", "rear_voltage")
 
-#: Without a configured tolerance: a run that begins within this distance [m] of its first setpoint begins at rest.
+#: Default tolerance [m]: a run that begins this close to its first setpoint begins at rest.
 TOLERANCE = 10.0e-9
 
 
@@ -46,7 +46,7 @@ class Steps:
     #: commanded, achieved: shape (S,); Lengths [m], negative backward; ``achieved`` by the measured slider.
     commanded: np.ndarray
     achieved: np.ndarray
-    slip: np.ndarray  #: shape (S,); Extension less movement of the slider along it [m].
+    slip: np.ndarray  #: shape (S,); Extension minus the movement of the slider in its direction [m].
     missed: np.ndarray  #: shape (S,); Whether the sequencer counted it as missed.
 
     @property
@@ -74,7 +74,7 @@ class Move:
 
 @dataclass(frozen=True)
 class InchwormRun:
-    """An inchworm motor's run, prepared: samples that lack a signal are omitted."""
+    """The run of an inchworm motor, prepared for evaluation: samples that lack a signal are omitted."""
 
     #: time, setpoint, slider: shape (N,) [s], [m], and the displacement of the slider [m]: the true one, or the
     #: measured one when the true one is unknown.
@@ -86,7 +86,7 @@ class InchwormRun:
     moves: tuple
     gait: GaitParameters | None  #: Gait of the configuration.
     tolerance: float  #: Distance at which the motor has arrived [m].
-    notes: tuple  #: What a reader must know.
+    notes: tuple  #: Notes for the reader.
 
 
 def is_inchworm(recording: Recording) -> bool:
@@ -102,7 +102,7 @@ def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | N
     absent = [name for name in ("setpoint", actual, *REQUIRED) if not recording.has(name)]
     if absent:
         raise RecordingError(
-            f"the recording of an inchworm lacks {', '.join(absent)}; record inchworm_sequencer/state and "
+            f"the recording of an inchworm motor lacks {', '.join(absent)}; record inchworm_sequencer/state and "
             "plant_simulator/state or joint_states"
         )
     notes = list(recording.notes)
@@ -145,7 +145,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
     """
     setpoint, size = signals["setpoint"], len(slider)
     request = np.nan_to_num(signals.get("request", np.zeros(size)))
-    request = np.where(request <= at.RELEASE_REQUEST, request, at.NO_REQUEST)  # learning requests no motion
+    request = np.where(request <= at.RELEASE_REQUEST, request, at.NO_REQUEST)  # a request to learn causes no motion
     speed = np.nan_to_num(signals.get("speed", np.zeros(size)))
     changed = (np.diff(setpoint) != 0.0) | (np.diff(speed) != 0.0) | (request[1:] != 0.0)
     starts = [0, *(np.flatnonzero(changed) + 1).tolist()]
@@ -197,7 +197,7 @@ def _parameters(recording: Recording):
         return None
 
 
-#: A full step extends by at least this part of the move's median extension.
+#: A full step extends by at least this fraction of the move's median extension.
 FULL_PART = 0.95
 
 #: Figures of a move: name, label, displayed unit, factor from SI.
@@ -228,14 +228,14 @@ RUN_FIGURES = (
     ("step_error_std_m", "Step length, commanded − achieved, 1 σ", "nm", 1e9),
     ("slip_m", "Slip, all steps", "µm", 1e6),
     ("slip_percent", "Slip", "% of extension", 1.0),
-    ("clamp_voltage_v", "Higher clamp voltage, lowest", "V", 1.0),
+    ("clamp_voltage_v", "Higher of the clamp voltages, minimum", "V", 1.0),
     ("clamp_threshold_v", "Lowest voltage of a closed clamp", "V", 1.0),
-    ("clamp_force_n", "Larger clamp force, lowest", "N", 1.0),
+    ("clamp_force_n", "Larger of the clamp forces, minimum", "N", 1.0),
     ("gait_speed_m_s", "Speed of the gait", "µm/s", 1e6),
     ("stroke_m", "Stroke of the gait", "µm", 1e6),
     ("period_s", "Period of the gait", "ms", 1e3),
 )
-#: Figures of every report that also apply to an inchworm motor.
+#: General figures that also apply to an inchworm motor.
 COMMON = (
     *("chattering_m", "chattering_m_s", "command_reversals_hz", "voltage_rate_v_s", "voltage_variation_v"),
     *("samples", "missing_samples", "duration_s", "sample_rate_hz", "rate_hz", "jitter_p99_s"),
@@ -255,10 +255,10 @@ def inchworm_figures(recording: Recording) -> dict:
     ``outcome``                    ``arrived``, ``not arrived``, ``walking``, ``stopped``, ``released``, ``holding``, or
                                    ``error:`` and its name
     ``travel_m``                   setpoint - q at the beginning; without a setpoint q at the end - q at the beginning
-    ``time_s``                     until the sequencer reports arrival that lasts until the next move
-    ``steps``, ``missed``          number of steps, whole and partial; missed or repeated grips
-    ``mean_speed_m_s``             abs(q at arrival - q at the beginning) / ``time_s``
-    ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; full
+    ``time_s``                     until the sequencer reports arrival that lasts until the next move ``steps``,
+    ``missed``          number of steps, whole and partial; missed or repeated grips ``mean_speed_m_s``
+    abs(q at arrival - q at the beginning) / ``time_s`` ``walking_speed_m_s``          abs(q after the last full step -
+    q after the first one) / time between them; full
                                    steps are those of at least 95 % of the move's median extension
     ``walking_speed_percent``      the same in % of the gait's: stroke / period
     ``final_error_rms_m``          √(mean (setpoint - q)²) over the second half of the time from arrival to the end

@@ -30,11 +30,11 @@ from hysteresis_ros.references import inchworm_layout as at
 
 #: Number of steps shown individually.
 SHOWN_STEPS = 3
-#: Most moves whose arrival is shown, from the first one on.
+#: Largest number of moves whose arrival is shown, beginning with the first.
 SHOWN_MOVES = 40
 #: Time shown before and after the arrival [s].
 BEFORE, AFTER = 0.1, 0.15
-#: Bars of a histogram.
+#: Number of bars of a histogram.
 BARS = 60
 
 #: Colours of the phases; both clamps closed is white.
@@ -50,7 +50,7 @@ PHASE_COLOURS = {
     at.STOPPING: "#f7b5b0",
     at.STARTING: "#efefef",
 }
-#: Activity of each phase and its colour, for plots without room for single steps.
+#: Activity of each phase and its colour, for plots that cannot show single steps.
 ACTIVITIES = {
     "walking": ("#cfdff2", range(at.RELEASING_REAR, at.GRIPPING_FRONT + 1)),
     "fine positioning": ("#cdebc8", (at.POSITIONING,)),
@@ -166,7 +166,7 @@ def step_length_figure(run: InchwormRun):
                 style = dict(histtype="step", color=colour, linewidth=1.6, label=f"achieved, {label}")
                 lengths.hist(chosen, edges, **style)
         difference = steps.direction * (steps.commanded - steps.achieved) * 1e9
-        # outliers (missed grips, the first step) would squeeze all other steps into one bar
+        # with outliers (missed grips, the first step) all other steps would fall into one bar
         middle = np.median(difference)
         spread = max(float(np.median(np.abs(difference - middle))), 1e-3)
         low, high = _span(np.clip(difference, middle - 6.0 * spread, middle + 6.0 * spread))
@@ -212,7 +212,7 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
-#: Charts of the page whose static picture shows more than the chart: name, caption and picture.
+#: Interactive charts whose static picture shows more than the chart: name, caption and picture.
 IN_THE_PLACE = (
     ("travel", "Position over time", travel_figure),
     ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),
@@ -221,7 +221,7 @@ IN_THE_PLACE = (
 INCHWORM_PLOTS = (
     (f"{SHOWN_STEPS} steps: positions, voltages and clamp forces", gait_figure),
     ("Arrival: the last micrometres and the last nanometres", arrival_figure),
-    ("Length of the steps (the outermost bars on the right hold all steps beyond)", step_length_figure),
+    ("Length of the steps (the outermost bars on the right include all steps beyond)", step_length_figure),
     ("Slip and missed grips", slip_figure),
 )
 
@@ -264,7 +264,7 @@ def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:
 
 
 def draw_steps(axis, run: InchwormRun, shown: slice) -> None:
-    """Draw slider and extender of the samples ``shown`` as distances from their beginnings [µm, ms]."""
+    """Draw slider and extender of the samples ``shown`` as displacements from their first values [µm, ms]."""
     time = _milliseconds(run, shown)
     slider = run.slider[shown]
     axis.plot(time, (slider - slider[0]) * 1e6, color=_SLIDER, linewidth=1.8, label="slider", zorder=4)
@@ -293,7 +293,7 @@ def draw_phases(axis, run: InchwormRun, shown: slice, labels: bool = True) -> No
 
 
 def draw_activities(axis, run: InchwormRun) -> None:
-    """Draw walking, fine positioning, stops and releases as bands [s]; pauses between steps belong to the walk."""
+    """Draw walking, fine positioning, stops and releases as bands [s]; pauses between steps count as walking."""
     codes = np.zeros(len(run.time))
     for number, (_, phases) in enumerate(ACTIVITIES.values(), 1):
         codes[np.isin(run.signals["phase"], list(phases))] = number
@@ -311,7 +311,7 @@ def draw_activities(axis, run: InchwormRun) -> None:
 
 
 def _stretches(codes) -> list[tuple[int, int, int]]:
-    """Return (first, last, code) of each interval ``first`` ≤ k < ``last`` with one code."""
+    """Return (first, last, code) of each interval ``first`` ≤ k < ``last`` with a constant code."""
     cuts = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), len(codes)]
     return [(first, last, int(codes[first])) for first, last in zip(cuts, cuts[1:], strict=False) if last > first]
 
@@ -321,7 +321,7 @@ def _milliseconds(run: InchwormRun, shown: slice):
 
 
 def _span(values) -> tuple[float, float]:
-    """Return a range around ``values`` that is not empty."""
+    """Return a non-empty range around ``values``."""
     low, high = float(np.min(values)), float(np.max(values))
     room = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room

@@ -48,7 +48,9 @@ class AxisSettings:
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0  #: Preload offset W of the controller's model, which is not part of the reference [m].
-    preview: int = 0  #: Samples by which the recorded reference is ahead of the one that the controller follows.
+    preview: int = (
+        0  #: Number of samples by which the recorded reference is ahead of the one that the controller follows.
+    )
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
@@ -72,12 +74,12 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
     """Return the reference that the displacement is compared with, shape (N,) [m].
 
     With a preview of P samples it is the recorded reference P samples later. Before the recording the reference is
-    assumed to equal its first value. It is NaN when the sample P earlier is missing or outside of an excerpt.
+    assumed to equal its first value. It is NaN when the sample P samples earlier is missing or outside an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
         return reference
-    # by time, not by index: samples may be missing
+    # by time and not by index, because samples may be missing
     numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
     places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
     found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
@@ -146,11 +148,11 @@ FIGURES = (
     ("loop_width_percent", "Loop width, reference → displacement", "%", 1.0),
     ("voltage_loop_width_percent", "Loop width, voltage → displacement", "%", 1.0),
     ("chattering_m", "Chattering of the command", "nm rms", 1e9),
-    ("chattering_m_s", "Needless variation of the command", "µm/s", 1e6),
+    ("chattering_m_s", "Variation of the command beyond that of the reference", "µm/s", 1e6),
     ("command_reversals_hz", "Reversals of the command", "1/s", 1.0),
     ("voltage_rate_v_s", "Control effort, voltage rate", "V/s rms", 1.0),
     ("voltage_variation_v", "Total variation of the voltage", "V", 1.0),
-    ("saturated_percent", "Samples cut by the limits", "% of samples", 1.0),
+    ("saturated_percent", "Samples limited by range or slew rate", "% of samples", 1.0),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("steps", "Steps", "", 1.0),
     ("samples", "Samples", "", 1.0),
@@ -166,8 +168,8 @@ FIGURES = (
 def axes_figures(recording: Recording) -> dict[str, dict]:
     """Return the figures of merit of each axis of a stage, by its name.
 
-    All axes are judged from the instant at which the last of them begins its scan
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis that holds is judged while the others scan.
+    All axes are evaluated from the instant at which the last of them begins its scan
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), so that an axis at rest is evaluated while the others scan.
     """
     axes = {name: recording.axis(name) for name in recording.axes}
     starts = [scan_start(judged_reference(one), one["displacement"]) for one in axes.values()]
@@ -181,10 +183,11 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     The error is e = reference - displacement. The displacement is the true one less the preload offset W of the
     controller's model; on hardware it is the measured one, and the recording's notes say so. With
     ``feedforward.preview`` every figure uses the reference that many samples later. Samples without reference or
-    displacement do not count. If a jump leads into a scan, errors count from the scan's first reversal
-    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, which counts whole. Errors, steps, loops
-    and the residual omit the samples in which the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`).
-    Without a reference there are no errors, and the stroke is that of the displacement.
+    displacement do not count. If a scan begins with a jump, errors count from its first reversal
+    (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, of which all samples count. Errors, steps,
+    loops and the residual omit the samples in which the axis is stopped
+    (:func:`hysteresis_ros.analysis.parts.stopped`). Without a reference there are no errors, and the stroke is that of
+    the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -299,7 +302,7 @@ _JUDGED = (
 
 
 class _Tracked(NamedTuple):
-    """Reference and displacement of a run, shape (N,) [s], [m], [m]."""
+    """Time [s], reference [m] and displacement [m] of a run, shape (N,) each."""
 
     time: np.ndarray
     reference: np.ndarray
@@ -314,7 +317,7 @@ def _residual_figure(run: _Tracked, stroke: float, notes: dict) -> dict[str, flo
     zero = [hold for hold in find_holds(run.reference) if abs(hold.level) <= 1e-9 * stroke]
     zero = [hold for hold in zero if np.any(np.abs(run.reference[: hold.start]) > 1e-9 * stroke)]
     if not zero:
-        notes["residual_m"] = "the reference does not return to zero and stay there"
+        notes["residual_m"] = "the reference does not return to zero and hold it"
         return {}
     return {"residual_m": float(np.mean(run.displacement[zero[-1].final]))}
 
@@ -354,12 +357,18 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
 
 def _error_figures(run: _Tracked, start: int, stroke: float, notes: dict) -> dict:
     if start:
-        text = f"errors count from {run.time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
+        text = (
+            f"errors count from {run.time[start]:.4g} s on: the scan begins with a jump, which lasts until "
+            f"its first reversal"
+        )
         notes["recording"] = [*notes["recording"], text]
     error = (run.reference - run.displacement)[start:]
     figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(run.time[start:], error)}
     if stroke == 0.0:
-        notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
+        notes |= {
+            f"{name}_error_percent_of_stroke": "the reference never moves, so there is no stroke"
+            for name in ("rms", "max")
+        }
     return figures
 
 
@@ -373,7 +382,7 @@ def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, note
     span = disturbed(np.nan_to_num(recording["skipped"]) > 0.0, whole)[place]
     share = 100.0 * float(np.mean(span))
     if not np.any(span) or np.all(span):
-        why = "every sample is" if np.any(span) else "no sample was skipped: none is"
+        why = "every sample is" if np.any(span) else "no sample was skipped"
         notes |= {f"undisturbed_{name}_error_m": f"{why} disturbed" for name in ("rms", "max")}
         return {"disturbed_percent": share}
     left = error_figures(error[~span], 0.0)
@@ -424,7 +433,7 @@ def _loop_figures(run: _Tracked, voltage: np.ndarray | None, stroke: float, note
     figures: dict = {}
     opening = loop_opening(run.reference, run.displacement)
     if opening is None or stroke <= 0.0:
-        why = "no loop: the reference does not rise and fall through at least ten levels"
+        why = "no loop: the reference does not rise and fall over at least ten levels"
         notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
         return figures
     figures["loop_width_percent"] = 100.0 * opening / stroke
@@ -508,12 +517,12 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
         figures["jitter_p99_s"] = timing["jitter_p99_s"]
     else:
         figures["rate_hz"] = figures.get("sample_rate_hz")
-        notes["rate_hz"] = "from the stamps: the recording has no times of reception"
+        notes["rate_hz"] = "computed from the stamps: the recording has no times of reception"
         notes["jitter_p99_s"] = "no times of reception in the recording (simulated, or a plain table)"
     late = recording["lateness"] if recording.has("lateness") else np.zeros(0)
     late = late[np.isfinite(late)]
     if late.size or "lateness_max_s" in timing:
-        # metadata hold the figures of the whole run only: a part of it has none
+        # the metadata contain these figures for the whole run only, not for a part of it
         figures |= {
             name: float(np.percentile(late, part)) if late.size else timing[name] for name, part in LATENESS.items()
         }
@@ -528,12 +537,12 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-#: Shortest saturation that is reported: total time [s], or share of the run.
+#: Shortest saturation that is reported: total time [s], or fraction of the run.
 MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return for how long the output was limited and by what; empty when it was for less than :data:`MOMENT`."""
+    """Return the duration and the causes of output limits; empty for less than :data:`MOMENT`."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0
@@ -558,6 +567,6 @@ def limited_text(recording: Recording) -> str:
     found = sorted(((float(np.mean(which)), name) for name, which in reasons if np.any(which)), reverse=True)
     by = ", ".join(f"{name} ({100.0 * part:.3g} %)" for part, name in found)
     return (
-        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: the actuator "
-        "received less than the command, and the figures of these samples are those of the limits"
+        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: the actuator received "
+        "less than the command, so the figures of these samples are determined by the limits"
     )

@@ -40,7 +40,7 @@ MODEL_ROWS = (
     ("fit_percent", "fit", "%"),
     ("inverse_rmse_v", "RMS error of the inverse", "V"),
 )
-#: Most warnings in one cell.
+#: Largest number of warnings in one cell.
 MOST_WARNINGS = 3
 
 
@@ -49,14 +49,14 @@ def run_cell(run: Recording) -> str:
     rows = [("samples", f"{len(run)}, every {readable(run.sample_time, 's')}")]
     try:
         judged_rows = _rows(report_of(run).figures(run), RUN_ROWS)
-    except HysteresisError:  # signals that are not a run of an axis
+    except HysteresisError:  # the signals are not those of a run of an axis
         judged_rows = []
     rows += judged_rows or [("signals", ", ".join(f"{name} [{unit}]" for name, unit in run.units.items()))]
     return _cell("Run", rows, (), lambda: chart_figure(traces_chart(judged(run))))
 
 
 def model_cell(found: Compared, title: str) -> str:
-    """Return the HTML of a model beside a recording."""
+    """Return the HTML of a model compared with a recording."""
     rows = [("samples", f"{len(found.data)}, every {readable(found.data.sample_time, 's')}")]
     rows += _rows(found.figures, MODEL_ROWS)
     return _cell(title, rows, found.warnings, lambda: loops_figure(found.data, found.predicted, found.validation))

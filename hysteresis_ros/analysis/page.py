@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Report pages: self-contained HTML files, with the charts and sums that their scripts draw."""
+"""Report pages: self-contained HTML files, with the data that their scripts draw."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ def require_page(path) -> None:
 
 
 def write_page(path, html: str) -> None:
-    """Write a page whole or not at all."""
+    """Write a page completely or not at all."""
     require_page(path)
     write_text(path, html, RecordingError)
 
 
-#: Most points of the shared time axis, and of any other line.
+#: Largest number of points of the shared time axis, and of any other line.
 TIME_POINTS, LINE_POINTS = 12000, 4000
 
 
@@ -91,9 +91,9 @@ def packed(values, kind: str = "<f4") -> str:
 
 
 def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
-    """Return charts for the page: those over time on one thinned time axis, each other line with its own x."""
+    """Return charts for the page: charts over time share one thinned time axis, every other line has its own x."""
     over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
-    # 7 digits are enough for a drawn value, but not for a time far from 0
+    # float32 (7 digits) is enough for a drawn value, but not for a time far from 0
     time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
     kept = iter(columns)
     return {
@@ -133,6 +133,6 @@ def _chart(chart: Chart, columns, points: int) -> dict:
 
 
 def script_text(payload: dict) -> str:
-    """Return JSON for a script element; no text in it can end the element."""
+    """Return JSON for a script element, escaped so that no text can end the element."""
     text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

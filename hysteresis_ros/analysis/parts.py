@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parts of a run (steps and holds, approach, scan, path, shutdown) with the figures that apply to each, and excerpts.
+"""Parts of a run (steps and holds, approach, scan, path, shutdown), the figures that apply to each, and excerpts.
 
-A scan repeats: its reference equals itself one period later, which is checked and not assumed from two reversals. Steps
-lead from one hold to another. Any other motion is a path; a single move into a scan is its approach. While the axis is
-stopped, its voltage goes to the safe value and it does not follow the reference: a shutdown has no figures.
+In a scan the reference equals itself one period later; this is checked, not assumed from two reversals. Steps lead from
+one hold to another. A single move into a scan is its approach; any other motion is a path. While the axis is stopped,
+its voltage goes to the safe value and it does not follow the reference, so a shutdown has no figures.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
 from hysteresis_ros.units import quantity
 
-#: Fewest samples of constant reference that count as a hold.
+#: Least number of samples of constant reference that count as a hold.
 HOLD_SAMPLES = 10
-#: Part of a hold, at its end, whose mean is the value finally reached.
+#: Fraction of a hold, at its end, over which the final value is averaged.
 FINAL_PART = 0.1
-#: The reference jumps when its movement per sample changes by more than this part of its stroke.
+#: The reference jumps when its movement per sample changes by more than this fraction of its stroke.
 JUMP = 0.01
-#: A reversal of a scan is at least this part of its stroke.
+#: A reversal of a scan is at least this fraction of its stroke.
 REVERSAL = 0.1
-#: Half width of the band of the settling time, as a part of the step.
+#: Half width of the band of the settling time, as a fraction of the step.
 SETTLING_BAND = 0.02
 
 
@@ -61,7 +61,7 @@ class StepResponse:
     start: float  #: Time at which the reference began to move [s].
     size: float  #: Height of the step in the reference, signed [m].
     final: float  #: Value finally reached: mean displacement over the last tenth of the hold [m].
-    #: Farthest displacement beyond ``final`` in the direction of the step, as a part of ``|size|``; at least 0.
+    #: Overshoot beyond ``final`` in the direction of the step, as a fraction of ``|size|``; at least 0.
     overshoot: float
     #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None if it has not
     #: settled before the last tenth of the hold.
@@ -137,10 +137,11 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
     return responses
 
 
-#: A reference repeats when it differs from itself one period later by at most this part of its range, by more for at
-#: most this many samples in a row, and over at least this part of a period beyond the first one.
+#: A reference repeats when it differs from itself one period later by at most this fraction of its range. The
+#: difference may be larger for at most this number of samples in a row. The comparison must cover at least this
+#: fraction of a period beyond the first one.
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
-#: Most reversals in a period.
+#: Largest number of reversals in a period.
 REVERSALS = 40
 #: Modes of nodes in which the axis is stopped.
 MODES = ("plant_mode", "compensator_mode", "controller_mode")
@@ -169,10 +170,10 @@ JUDGED_BY = {
     Kind.HOLD: ("rms_error_m", "max_error_m"),
     Kind.SHUTDOWN: (),
 }
-#: Why a kind has no figures.
+#: Reasons why a kind of part has no figures.
 NOT_JUDGED = {
-    Kind.APPROACH: "not judged: it leads into the scan",
-    Kind.SHUTDOWN: "not judged: the axis was stopped, its voltage goes to the safe value",
+    Kind.APPROACH: "not evaluated: it leads into the scan",
+    Kind.SHUTDOWN: "not evaluated: the axis was stopped, its voltage goes to the safe value",
 }
 
 
@@ -195,10 +196,10 @@ class Part:
 
 
 def stopped(recording: Recording) -> np.ndarray:
-    """Return at which samples the axis is stopped, shape (N,).
+    """Return whether the axis is stopped at each sample, shape (N,).
 
-    The plant or a node between reference and voltage reports it. A node without input also counts when the axis is
-    stopped next or the run ends in that state. Without these signals the recorded causes of the stop decide.
+    The plant, or a node between reference and voltage, reports a stop. A node without input also counts if a stop of
+    the axis follows, or if the run ends in that state. Without these signals the recorded causes of the stop are used.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -231,7 +232,7 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
 
 
 def find_parts(reference, displacement=None, off=None) -> list[Part]:
-    """Return the parts of a run in order; together they cover it.
+    """Return the parts of a run in order; together they cover the whole run.
 
     Units: ``reference`` [m], ``displacement`` [m].
     """
@@ -249,7 +250,7 @@ def find_parts(reference, displacement=None, off=None) -> list[Part]:
 
 
 def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
-    """Split the approach off a scan or a hold that a jump leads into: up to the first reversal, or until settled."""
+    """Separate the approach from a scan or hold that begins with a jump: until the first reversal, or until settled."""
     if parts[0].kind is Kind.HOLD:
         inside = slice(parts[0].start, parts[0].stop)
         error = np.abs(reference[inside] - displacement[inside])
@@ -301,7 +302,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
     """Return the longest interval between two samples in which the reference equals itself one period later."""
     points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
     size = EQUAL * float(np.ptp(reference[first:last]))
-    # the first reversal may belong to the approach, the last ones to the return
+    # the first reversal may belong to the approach, the last reversals to the return
     counts = range(2, min(points.size, REVERSALS + 1), 2)
     for reversals, skipped, tail in ((n, i, j) for n in counts for i in range(2) for j in range(3)):
         ends = points[: points.size - tail][::-1][::reversals][::-1][skipped:]
@@ -312,7 +313,7 @@ def _repeating(reference, first: int, last: int) -> Part | None:
         if np.ptp(periods) > max(EQUAL * period, JITTER):
             continue
         unlike = np.abs(reference[first + period : last] - reference[first : last - period]) > size
-        # a difference of one or two samples comes from a jump between samples
+        # a jump between samples causes a difference of one or two samples
         unlike[JITTER:] &= unlike[1 : unlike.size - JITTER + 1] & unlike[: unlike.size - JITTER]
         begin, end = int(ends[0]) - first, max(int(ends[-1]) - first - period, int(ends[0]) - first + 1)
         if end > unlike.size or unlike[begin:end].any():
@@ -421,18 +422,18 @@ def step_figures(time, reference, displacement) -> dict:
     return found
 
 
-#: Excess of the mean square error over that of undisturbed samples from which a span still counts as disturbed, and
-#: the least share of samples that must be left to compare with.
+#: Relative excess of the mean square error, over that of undisturbed samples, above which a span counts as disturbed;
+#: and the least fraction of samples that must remain for this comparison.
 EXCESS, COMPARED = 0.1, 0.1
 
 
 def disturbed(skipped, error) -> np.ndarray:
-    """Return which samples are disturbed by skipped ones: each of these, and what follows it until its effect decays.
+    """Return which samples are disturbed: skipped ones, and those that follow until the effect has decayed.
 
     Shape (N,), for a flag and an error [m] of each sample; NaN: the error does not count, as that of a sample without
-    measurement. The span has one length for the whole run, the shortest of
-    1, 2, 4, … samples whose following ones, of as many samples again and averaged over all skipped samples, have no
-    larger mean square error than samples farther away, but for :data:`EXCESS`.
+    measurement. The span after a skipped sample has the same length n in the whole run, the shortest of 1, 2, 4, …
+    samples for which the n samples after the span, averaged over all skipped samples, have at most the mean square
+    error of samples farther away plus :data:`EXCESS`.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
@@ -452,7 +453,7 @@ def disturbed(skipped, error) -> np.ndarray:
 
 
 def seconds(text: str, option: str) -> float:
-    """Return a time of the run [s]."""
+    """Return a time of the run [s] from its text or number."""
     try:
         value, unit = quantity(text)
         if unit not in ("", "s") or value < 0.0:
@@ -477,7 +478,7 @@ def within(recording: Recording, first: float, last: float) -> Recording:
     metadata = {**recording.metadata, "notes": [*recording.notes, note]}
     metadata.setdefault("first_s", float(recording.time[0]))
     if not chosen[0]:
-        # with a preview, the reference before the excerpt differs from its first one
+        # with a preview, the reference before the excerpt differs from the first one in it
         metadata["excerpt"] = True
     signals = {name: values[chosen] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
@@ -496,7 +497,7 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a repeating reference, up to its last reversal, without a rest after it."""
+    """Return the last periods of a repeating reference, up to its last reversal, without the rest that may follow."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures with Matplotlib's object interface (no pyplot, no display), and charts as data for pages.
+"""Figures with Matplotlib's object interface (without pyplot or display), and charts as data for pages.
 
 Matplotlib is imported with the first figure.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
-#: Most points of a drawn line; longer signals are drawn as minimum and maximum of intervals.
+#: Largest number of points of a drawn line; longer signals are drawn as minimum and maximum of intervals.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
@@ -68,7 +68,7 @@ def envelope(time, values, points: int = LINE_POINTS):
 
 
 def length_unit(largest: float) -> tuple[str, float]:
-    """Return the unit in which lengths are drawn, µm or nm by the largest one, and the factor from metres.
+    """Return the unit for drawn lengths, µm or nm depending on the largest one, and the factor from metres.
 
     Units: ``largest`` [m].
     """
@@ -94,7 +94,7 @@ def add_legend(axis, columns: int = 4) -> None:
     )
 
 
-#: Colours of lines: on white, and on a dark ground.
+#: Colours of lines, on a light and on a dark background.
 COLOURS = {
     "setpoint": ("#9a9a9a", "#8b8f98"),
     "reference": ("#1f3b73", "#8fb0f0"),
@@ -106,7 +106,7 @@ COLOURS = {
 }
 #: Colours of the runs in a comparison, in order.
 SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
-#: Most points of a path in a static figure; a page has fewer.
+#: Largest number of points of a path in a static figure; a page has fewer.
 PATH_POINTS = 20000
 
 
@@ -140,7 +140,7 @@ class Chart:
     logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, ``xy`` or empty.
     levels: Sequence[float] = ()  #: Horizontal lines, such as limits.
     level_label: str = ""  #: Meaning of the levels.
-    shaded: tuple[float, float] | None = None  #: Range of x that is shaded; :attr:`shaded_label` says why.
+    shaded: tuple[float, float] | None = None  #: Range of x that is shaded, with its label :attr:`shaded_label`.
     shaded_label: str = ""
     #: Further ranges of x, shape (M, 2), in another colour; :attr:`marked_label` says why.
     marked: np.ndarray | None = None

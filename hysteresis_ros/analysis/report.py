@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of a run: a static page that, with scripts enabled, also shows the figures of any span."""
+"""The report of a run: a static page; with scripts enabled it also shows the figures of any time span."""
 
 from __future__ import annotations
 
@@ -52,13 +52,14 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import FINE
 
-#: Number of blocks of samples whose sums the page contains; a span of the page consists of whole blocks.
+#: Number of blocks of samples; the page contains sums over each, and a time span consists of whole blocks.
 BLOCKS = 1500
-#: Number of last periods in the second column of figures.
+#: Number of periods at the end of a run that have their own column of figures.
 LAST = 2
-#: Kinds of parts with a column, most such columns, and the share from which a part counts as the whole run.
+#: Kinds of parts with a column, largest number of such columns, and the fraction from which a part counts as the whole
+#: run.
 SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
-#: Figures that the page computes for the span it shows; the others need every sample.
+#: Figures that the page computes for the displayed time span; the others need every sample.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
     *("voltage_rate_v_s", "voltage_variation_v", "saturated_percent", "stroke_m", "samples", "duration_s"),
@@ -67,7 +68,7 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the spans with a column in the page's table: the whole run, its longest parts, and last periods."""
+    """Return the time spans with a column in the page's table: the whole run, its longest parts, its last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
     # a part that is the whole run needs no column of its own
@@ -90,7 +91,7 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
 
 
 def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
-    """Return sums over blocks of samples, from which the figures of any span of whole blocks follow exactly.
+    """Return sums over blocks of samples, which determine the figures of any span of whole blocks exactly.
 
     A term between two samples belongs to the later sample's block; ``joint_…`` is the term of the block's first sample,
     which a span that begins with the block omits.
@@ -160,7 +161,7 @@ def _voltage_sums(block, time, voltage, count: int) -> dict[str, np.ndarray]:
 
 
 def _joined(name: str, block, terms, count: int) -> dict[str, np.ndarray]:
-    """Return for each block the sum of terms between neighbours, and the term that leads into it."""
+    """Return for each block the sum of terms between neighbouring samples, and the term that leads into the block."""
     joint = np.zeros(count)
     crossing = np.flatnonzero(np.diff(block)) + 1
     joint[block[crossing]] = terms[crossing - 1]
@@ -184,13 +185,13 @@ def charts_of(run: Judged) -> list[Chart]:
 def sampling_text(recording: Recording) -> str:
     """Return a sentence about the samples that the figures use."""
     if len(recording) < 2:
-        return "Judged at a single sample."
+        return "Evaluated at a single sample."
     limited = limited_text(recording)
     first = f"{limited[0].upper()}{limited[1:]}. " if limited else ""
-    judged_at = f"{first}Judged at all {len(recording)} samples, one every {1e3 * recording.sample_time:.6g} ms"
+    judged_at = f"{first}Evaluated at all {len(recording)} samples, one every {1e3 * recording.sample_time:.6g} ms"
     held = _samples_per_voltage(recording)
     if held > 1:
-        return f"{judged_at}: {held} for each voltage, so between the commands too."
+        return f"{judged_at}: {held} for each voltage, and thus also between the commands."
     return f"{judged_at}; what happens between them is not in the recording."
 
 
@@ -203,7 +204,7 @@ def _samples_per_voltage(recording: Recording) -> int:
 
 
 def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
-    """Return the charts as a template shows them without scripts: name, caption, picture and note."""
+    """Return the charts for display without scripts: name, caption, picture and note."""
     return [
         dict(
             name=chart.name,
@@ -218,7 +219,7 @@ def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
 def render_interactive(
     template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
 ) -> str:
-    """Return a page with charts, with fewer points if it were larger than :data:`LARGEST`."""
+    """Return a page with charts, with fewer points if it would otherwise be larger than :data:`LARGEST`."""
     pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
@@ -277,6 +278,6 @@ def write_report(
     recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> None:
     """Write the report; the other parameters are those of :func:`render_report`."""
-    # before the slow drawing
+    # checked before the slow drawing
     require_page(path)
     write_page(path, render_report(recording, title, figures, first))

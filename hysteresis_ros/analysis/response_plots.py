@@ -25,12 +25,12 @@ from hysteresis_ros.identification.frequency_response import PROBABILITY, Analys
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
-#: Part of the plane around −1 that the Nyquist plot shows.
+#: Half width of the region around −1 that the Nyquist plot shows.
 NYQUIST = 2.5
 
 
 class Shown(Protocol):
-    """A measured axis, as far as the plots need it."""
+    """The data of a measured axis that the plots need."""
 
     plant: Analysis
     loop: MeasuredLoop | None
@@ -38,7 +38,7 @@ class Shown(Protocol):
     model_loop: np.ndarray | None
 
     def lines(self) -> list[str]:
-        """Return the table that is printed."""
+        """Return the printed table."""
 
 
 def response_figures(found: Shown) -> list[tuple[str, object]]:
@@ -92,7 +92,7 @@ def _rows(found: Shown) -> int:
 
 
 def _bode(axes, found: Shown) -> None:
-    """Draw magnitude and phase with their bands, levels of distortion, and the coherence if there is one."""
+    """Draw magnitude and phase with their bands, levels of distortion, and the coherence if known."""
     response, levels = found.plant.response, found.plant.distortion
     f, G = response.frequency, response.single
     magnitude, phase = axes[:2]
@@ -124,7 +124,7 @@ def _bode(axes, found: Shown) -> None:
 
 
 def _band(axis, f, size, radius, label: str | None = None) -> None:
-    """Fill from size − radius, at least a hundredth of the size, to size + radius."""
+    """Fill the band from size − radius (at least a hundredth of the size) to size + radius."""
     axis.fill_between(
         f,
         np.maximum(size - radius, 0.01 * size),

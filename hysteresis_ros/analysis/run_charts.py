@@ -29,14 +29,14 @@ from hysteresis_ros.recordings.provenance import configured
 
 #: Most spans that are marked in a chart, about.
 MOST_MARKS = 500
-#: Fewest whole periods for the chart.
+#: Least number of whole periods for the chart.
 LEAST_PERIODS = 3
 
 
 def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the learned periods [s], and the RMS error against the undelayed reference in each [m].
+    """Return the end of each learned period [s], and its RMS error [m] against the undelayed reference.
 
-    Both are empty when fewer than three periods were learned. Without a true displacement the measured one counts.
+    Both are empty when fewer than three periods were learned. Without a true displacement the measured one is used.
     """
     given = configured(recording.configuration, "motion_controller", recording.metadata.get("namespace") or "")
     nothing = np.zeros(0), np.zeros(0)
@@ -151,9 +151,9 @@ def error_chart(run: Judged) -> Chart | None:
     line = Line("error", "displacement", time, run.error * factor, 1.0)
     shown: dict = {}
     if run.start:
-        # errors that do not count do not set the scale
+        # errors that do not count are ignored in the scale
         largest = 1.5 * factor * largest_error(run)
-        shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump into the scan")
+        shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump at the beginning of the scan")
         shown["limits"] = (-largest, largest)
     if marks := _marks(run):
         left = run.error[run.counted & ~run.disturbed]
@@ -186,7 +186,7 @@ def loops_chart(run: Judged) -> Chart | None:
         label = f"{text} ({low * factor:.4g} … {high * factor:.4g} {unit}): {100.0 * opening / stroke:.3g} % of stroke"
         part = 100.0 * (values - low) / (high - low)
         lines.append(Line(label, colour, part, run.displacement * _MICRO, 0.9, key=recording.time))
-    # a voltage that jumps back and forth with its reference has no loop either
+    # a voltage that jumps up and down with its reference has no loop either
     if not lines or lines[-1].colour != inputs[-1][1]:
         return None
     across, caption = "voltage or reference [% of its range]", "Hysteresis loop before and after compensation"
@@ -241,31 +241,31 @@ def lateness_chart(run: Judged) -> Chart | None:
 
 
 def late_samples_chart(run: Judged) -> Chart | None:
-    """Return the chart of the part of the samples that exceed a lateness [µs]; None if it was not recorded."""
+    """Return the chart of the fraction of samples that exceed a lateness [µs]; None if it was not recorded."""
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
-    # both axes are logarithmic: every one of the latest samples, ever fewer of the others
+    # both axes are logarithmic, so all of the latest samples are kept, and increasingly fewer of the others
     ranks = np.unique(np.rint(np.geomspace(1, late.size, 400)).astype(np.int64))
-    # a lateness of 0 has no place on a logarithmic axis
+    # a lateness of 0 cannot be drawn on a logarithmic axis
     line = Line("samples", "late", np.maximum(late[ranks - 1], 0.1)[::-1], (ranks / late.size)[::-1])
-    caption = "Part of the samples with at least this lateness"
-    return Chart("late_samples", caption, "lateness [µs]", "part of the samples [1]", [line], "graph", "xy")
+    caption = "Fraction of samples with at least this lateness"
+    return Chart("late_samples", caption, "lateness [µs]", "fraction of samples [1]", [line], "graph", "xy")
 
 
 def _finite(values) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-#: Fewest segments into which a spectrum divides a run, and most samples of a segment.
+#: Least number of segments of a spectrum, and largest number of samples of a segment.
 SEGMENTS, LONGEST_SEGMENT = 4, 2**16
-#: Fewest samples for a spectrum.
+#: Least number of samples for a spectrum.
 LEAST_SAMPLES = 64
-#: Most points of a spectrum; of more lines, the largest of each interval is drawn.
+#: Largest number of points of a spectrum; of more lines, the largest of each interval is drawn.
 SPECTRUM_POINTS = 1500
-#: Bars of a histogram.
+#: Number of bars of a histogram.
 BARS = 60
-#: Most overlaid periods.
+#: Largest number of overlaid periods.
 PERIODS = 3
 
 _NANO, _TO_MICROMETRES = 1e9, 1e6
@@ -308,8 +308,8 @@ def spectrum_chart(run: Judged) -> Chart | None:
         [Line("error", "displacement", x[positive], y[positive], 1.0)],
         "graph",
         "xy",
-        note=f"Largest at {peak:.4g} Hz; half of the variance lies below {half:.4g} Hz. Lines are "
-        f"{frequency[0]:.3g} Hz apart (Welch, Hann windows, without the mean).",
+        note=f"Largest at {peak:.4g} Hz; half of the variance lies below {half:.4g} Hz. Lines are {frequency[0]:.3g} "
+        f"Hz apart (Welch's method, Hann windows, mean removed).",
     )
 
 
@@ -351,7 +351,7 @@ def last_periods_chart(run: Judged) -> Chart | None:
     ends = period_ends(run.recording)
     period = float(ends[0] - ends[1]) if ends.size > 1 else 0.0
     unit, factor = ("ms", 1e3) if period < 0.5 else ("s", 1.0)
-    names = ("last", "the one before", "the one before that")
+    names = ("last", "second to last", "third to last")
     colours = ("displacement", "reference", "setpoint")
     lines = []
     for number in range(min(PERIODS, ends.size - 1)):
@@ -386,7 +386,7 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of trace and retrace over the reference [nm, µm]; None without reversals."""
+    """Return the chart of the errors of trace and retrace over the reference [nm, µm]; None without reversals."""
     if run.error is None or run.reference is None:
         return None
     branches = last_branches(run.recording, run.reference)

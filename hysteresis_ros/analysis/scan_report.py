@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How well a plane was scanned: figures, the map of the error, line by line, trace against retrace, and their page.
+"""Accuracy of a scan of a plane: figures, map of the error, errors by line, trace against retrace, and the page.
 
 Errors are reference - displacement. Only errors on the passes (:class:`hysteresis_ros.references.scan.Passes`), where
-data are taken, count; turns and flyback have their own figure. Along is the direction of the lines, across the other
-direction in the plane.
+data are taken, count; turns and flyback have their own figure. *Along* is the direction of the lines, *across* the
+other direction in the plane.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
-#: Most bins of the map along the longer side, and points of a path in a picture.
+#: Largest number of bins of the map along its longer side, and of points of a path in a picture.
 BINS, PATH_POINTS = 64, 20_000
-#: Passes of which a picture of a scan shows the velocities.
+#: Number of passes for which a picture of a scan shows the velocities.
 SHOWN = 6
 #: Least span of both references of a map [m]: below it an axis holds its place.
 LEAST_MAP = 1e-8
@@ -82,7 +82,7 @@ class InPlane:
 
     @cached_property
     def measured(self) -> np.ndarray:
-        """Samples at which all is known, shape (N,)."""
+        """Whether all signals of a sample are known, shape (N,)."""
         return np.all(np.isfinite(self.error), axis=0)
 
     @property
@@ -128,22 +128,22 @@ def plane_figures(run: PlaneRun) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class ScanRun(InPlane):
-    """A scan that was run."""
+    """The recorded run of a scan."""
 
     scan: Scan
-    time: np.ndarray  #: shape (N,); Since the scan began, increasing [s].
+    time: np.ndarray  #: shape (N,); Time since the beginning of the scan, increasing [s].
     reference: np.ndarray  #: shape (axes, N) [m]
     displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
 
     def __post_init__(self):
-        """Refuse shapes that do not fit, and a run without a sample that counts."""
+        """Refuse inconsistent shapes, and a run without a sample that counts."""
         expected = (self.scan.axes, np.size(self.time))
         for name in ("reference", "displacement"):
             given = np.shape(getattr(self, name))
             if given != expected:
                 raise RecordingError(f"{name} has shape {given}, must be {expected}: axes of the scan, samples")
         if not np.any(self.counted):
-            raise RecordingError("no sample of the run lies on a line of the scan and has a displacement")
+            raise RecordingError("no sample of the run is on a line of the scan and has a displacement")
 
     @cached_property
     def clock(self) -> Clock:
@@ -157,7 +157,7 @@ class ScanRun(InPlane):
 
     @cached_property
     def counted(self) -> np.ndarray:
-        """Samples whose error counts: those on lines, shape (N,)."""
+        """Whether the error of a sample counts, because it is on a line, shape (N,)."""
         return self.measured & (self.clock.line >= 0)
 
     @property
@@ -173,8 +173,8 @@ class LineErrors:
     frame: np.ndarray  #: frame, line, direction: shape (P,)
     line: np.ndarray
     direction: np.ndarray
-    rms: np.ndarray  #: shape (P,); In the plane [m].
-    across: np.ndarray  #: shape (P,); RMS across the line about its mean [m].
+    rms: np.ndarray  #: shape (P,); Error in the plane [m].
+    across: np.ndarray  #: shape (P,); RMS error across the line, about its mean [m].
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +191,13 @@ class ErrorMap:
 
     x: np.ndarray  #: x, y: shape (columns + 1,), (rows + 1,); Edges of the bins [m].
     y: np.ndarray
-    count: np.ndarray  #: shape (rows, columns); Samples of each bin.
-    mean: np.ndarray  #: shape (2, rows, columns); Of x and y [m].
-    rms: np.ndarray  #: shape (rows, columns); Of the magnitude [m].
+    count: np.ndarray  #: shape (rows, columns); Number of samples of each bin.
+    mean: np.ndarray  #: shape (2, rows, columns); Mean errors of x and y [m].
+    rms: np.ndarray  #: shape (rows, columns); RMS of the magnitude of the error [m].
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return from when on a run of a scan counts [s]: after its first period, or after its first line if it has one."""
+    """Return the time [s] from which a run of a scan counts: after the first of several periods, or after a line."""
     lasts = time[-1] - time[0]
     return scan.period if lasts >= 1.9 * scan.period else float(scan.passes.begin[1]) / scan.rate
 
@@ -233,7 +233,7 @@ def profile(run: ScanRun) -> Profile:
 
 
 def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
-    """Return the map of the error in the plane; by default with bins that neighbouring lines do not leave empty."""
+    """Return the map of the error in the plane; by default the bins are so wide that none between lines is empty."""
     on = run.counted
     places, errors = run.reference[:2, on], run.error[:2, on]
     low, high = places.min(axis=1), places.max(axis=1)
@@ -257,15 +257,15 @@ def error_map(run: InPlane, bins: int | None = None) -> ErrorMap:
 
 
 def retraced(run: ScanRun) -> bool:
-    """Tell whether traces and retraces go over the same places, so that they can be compared."""
+    """Return whether traces and retraces pass the same points, so that they can be compared."""
     return run.scan.slow_axis and bool(np.any(run.scan.passes.direction < 0))
 
 
 def scan_figures(run: ScanRun) -> dict:
-    """Return the figures of a scan, see :data:`ROWS`; None: not of this kind of scan.
+    """Return the figures of a scan, see :data:`ROWS`; None for those that this kind of scan does not have.
 
-    Coupling is the error of the axis that does not scan: across a line, about its mean over the line, because an offset
-    of the whole line is an error of that axis itself.
+    Coupling is the error across a line, caused by the motion along it. It is computed about its mean over the line,
+    because an offset of the whole line is an error of the other axis itself.
     """
     scan, on = run.scan, run.counted
     lines, sides = line_errors(run), profile(run)
@@ -313,7 +313,7 @@ def path_figure(run: InPlane):
     there = np.flatnonzero(run.measured)
     step = -(-there.size // PATH_POINTS)
     starts = np.arange(0, there.size, step)
-    # the largest error of each stretch, so that none is lost
+    # the largest error of each segment, so that no peak is lost
     sizes = np.maximum.reduceat(run.size[there], starts)
     unit, factor = length_unit(float(np.max(sizes)))
     points = run.displacement[:2, there[starts]].T * _MICRO
@@ -337,7 +337,7 @@ def map_figure(run: InPlane):
     figure, axes = new_figure(float(np.clip(1.6 + 2.5 * ratio, 2.5, 6.0)), 3)
     edges = [found.x * _MICRO, found.y * _MICRO]
     unit, factor = length_unit(float(np.nanmax(found.rms)))
-    # single samples in bins on the edge do not set the colours of all
+    # bins on the edge with single samples are ignored in the scale of the colours
     steepest = max(float(np.nanpercentile(np.abs(found.mean), 99.0)), 1e-15) * factor
     panels = [("RMS error", found.rms, dict(cmap="viridis", vmin=0.0))]
     panels += [
@@ -361,7 +361,7 @@ def map_figure(run: InPlane):
 
 
 def lines_figure(run: ScanRun):
-    """Return the figure of the RMS error of each line: the mean over the frames, and from the least to the largest."""
+    """Return the figure of the RMS error of each line: mean over the frames, and range from smallest to largest."""
     lines = line_errors(run)
     figure, (axis,) = new_figure(3.2)
     unit, factor = length_unit(float(np.max(lines.rms)))
@@ -405,7 +405,7 @@ def scan_picture(scan: Scan):
     time = np.linspace(0.0, scan.period, PATH_POINTS)
     x, y = scan.position(time)[:2] * _MICRO
     direction = scan.clock(time).direction
-    # a retrace lies under its trace, and is wider
+    # a retrace is drawn below its trace, with a wider line
     for value, label, colour, width in (
         (0, "turns", "setpoint", 0.9),
         (-1, "retrace", "displacement", 2.2),
@@ -459,7 +459,7 @@ def write_picture(path, figure) -> None:
 
 
 def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:
-    """Yield the captions and figures that there are of a scan."""
+    """Yield captions and figures of a scan."""
     yield from plane_plots(run)
     yield "RMS error line by line", lines_figure(run)
     if retraced(run):
@@ -467,7 +467,7 @@ def scan_plots(run: ScanRun) -> Iterable[tuple[str, object]]:
 
 
 def write_scan_report(path, run: ScanRun, title: str) -> None:
-    """Write the page of a scan: one HTML file that needs nothing beside it."""
+    """Write the page of a scan as one self-contained HTML file."""
     require_page(path)
     figures = scan_figures(run)
     rows = [shown_row(label, figures[name], unit, factor) for name, label, unit, factor in ROWS]

@@ -47,7 +47,7 @@ from hysteresis_ros.analysis.tables import aligned, format_parts, format_table, 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Lines of each chart that are overlaid with those of other runs, and their styles.
+#: Lines of each chart that are overlaid for several runs, and their styles.
 OVERLAID: dict[str, dict[str, tuple[float, ...]]] = {
     "traces": {"displacement": ()},
     "error": {"error": ()},
@@ -108,7 +108,7 @@ def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
-    """Return the overlaid charts of several runs, each from its first sample on."""
+    """Return the overlaid charts of several runs, whose times begin at their first samples."""
     unit = length_unit(max(largest_error(run) for run in runs.values()))
     charts: dict[str, list[tuple[str, str, Chart]]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -139,7 +139,7 @@ def _laid_over(name: str, charts: list[tuple[str, str, Chart]]) -> Chart:
 
 
 def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
-    """Return the references of the runs; equal ones once."""
+    """Return the references of the runs, without repeating equal ones."""
     found: list[Line] = []
     for label, _, chart in charts:
         for line in chart.lines:
@@ -167,7 +167,7 @@ def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
             texts += [(f"Configuration of {name}", f"the same as that of {first}")] if text else []
         elif text:
             lines = difflib.unified_diff(base.splitlines(), text.splitlines(), first, name, lineterm="")
-            texts.append((f"Configuration of {name}: what differs from {first}", "\n".join(lines)))
+            texts.append((f"Configuration of {name}: differences from {first}", "\n".join(lines)))
     return texts
 
 
@@ -224,7 +224,7 @@ def render_laid_over(
 SUMMARY = (
     ("moves", "Moves", "", 1.0),
     ("arrived", "Moves that arrived", "", 1.0),
-    ("failed", "Moves that did not arrive, or ended with an error", "", 1.0),
+    ("failed", "Moves without arrival, or ended with an error", "", 1.0),
     ("time_s", "Time of the moves that arrived", "s", 1.0),
     ("walking_speed_m_s", "Walking speed, slowest move", "µm/s", 1e6),
     ("final_error_rms_m", "Final error, RMS, worst move", "nm", 1e9),
@@ -236,7 +236,7 @@ OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
 
 
 def summary(moves: list[dict]) -> dict:
-    """Return the summary of moves, by the names of :data:`SUMMARY`; None for a figure that no move has."""
+    """Return the summary of moves with the names of :data:`SUMMARY`; None for a figure that no move has."""
 
     def of(name: str) -> list[float]:
         return [move[name] for move in moves if move[name] is not None]
@@ -301,7 +301,7 @@ def render_motors(
 
 
 class Report(NamedTuple):
-    """The figures, the table and the page of one run, and of several runs side by side, of one kind of axis."""
+    """Functions for figures, table and page of one run, and of several runs side by side, for one kind of axis."""
 
     figures: Callable[[Recording], dict]
     table: Callable[[dict], str]  #: ``table(figures)`` returns lines for a terminal.
@@ -323,7 +323,7 @@ def report_of(run: Recording) -> Report:
 
 
 def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
-    """Return a name for each recording: that of its file, with as much of its path as makes it unique."""
+    """Return a name for each recording: its file name, with as much of the path as is needed to make it unique."""
     whole = [pathlib.Path(path).resolve() for path in paths]
     if len(set(whole)) < len(whole):
         again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
@@ -340,8 +340,8 @@ def common_report(runs: dict[str, Recording]) -> Report:
     names = {report_of(run): name for name, run in reversed(runs.items())}
     if len(names) > 1:
         raise RecordingError(
-            f"{names[INCHWORM_REPORT]} is a run of an inchworm motor, whose figures are of its moves, and "
-            f"{names[REPORT]} is of an actuator: report runs of one kind together"
+            f"{names[INCHWORM_REPORT]} is a run of an inchworm motor, whose figures describe moves, and "
+            f"{names[REPORT]} is a run of an actuator: compare runs of one kind only"
         )
     (report,) = names
     return report

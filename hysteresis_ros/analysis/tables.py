@@ -29,7 +29,7 @@ def shown(value, unit: str, factor: float) -> tuple[str, str]:
 
 
 def shown_row(label: str, value, unit: str, factor: float) -> dict:
-    """Return a row of a page's table: label, value and unit as of :func:`shown`."""
+    """Return a row of a page's table: label, and value and unit as :func:`shown` returns them."""
     text, finer = shown(value, unit, factor)
     return dict(label=label, value=text, unit=finer)
 
@@ -90,7 +90,7 @@ def leading(columns: Sequence[dict]) -> tuple:
 
 
 def format_table(figures: dict) -> str:
-    """Return parts and figures as aligned lines for a terminal, and the reasons for figures without a value."""
+    """Return parts and figures as aligned lines for a terminal, with the reason for each figure without a value."""
     rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in leading([figures])]
     width = max(len(label) for label, *_ in rows)
     lines = format_parts(figures)
@@ -121,7 +121,7 @@ def format_value(value, factor: float = 1.0) -> str:
 
 
 def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
-    """Return figures as text and their unit, the finer one when even the largest is small."""
+    """Return figures as text and their common unit, the finer one when even the largest is small."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     if unit in FINER and 0.0 < largest * factor < FINE:
         unit, factor = FINER[unit], 1e3 * factor

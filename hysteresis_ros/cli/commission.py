@@ -41,7 +41,7 @@ QUESTIONS = {
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours publishes joint_states instead of plant_simulator.",
+    help="external: your own node publishes joint_states instead of plant_simulator.",
 )
 @click.option("--joint", default="stage", show_default=True, help="Name of the joint in joint_states.")
 def new(file, driver, options, plant, joint, **given):
@@ -91,7 +91,7 @@ SILENCE = 5.0
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
-    help="external: a running node of yours replaces plant_simulator; by default as in the file.",
+    help="external: your own running node replaces plant_simulator; by default as in the file.",
 )
 @click.option("--offline", is_flag=True, help="Rehearse on the simulated plant of the file, without ROS, at once.")
 @click.option(

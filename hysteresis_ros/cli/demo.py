@@ -220,7 +220,7 @@ def _same_as_live(folder: pathlib.Path) -> str:
     processes, loop = (load_run(folder / name, further=True) for name in (PROCESSES, WITH))
     size = processes.time.size
     if loop["skipped"][:size].any():
-        return "four processes and one loop: different samples here, because the loop had to skip some"
+        return "four processes and one loop: the samples differ, because the loop had to skip some"
     same = np.array_equal(processes["displacement"], loop["displacement"][:size])
     return f"four processes and one loop: {'the same' if same else 'not the same'} {size} samples"
 

@@ -52,7 +52,7 @@ def parameter_lines(nodes: list[str]):
     for name in nodes:
         yield f"\n## {name}\n"
         rows = [row for row in _tables()[name].table() if row.name not in shared]
-        # no node runs a stage so far, so its parameters cannot change live
+        # the parameters of a stage cannot change live
         yield from _table([replace(row, read_only=True) for row in rows] if name == STAGE else rows)
     yield ""
 
@@ -93,7 +93,7 @@ def urdf(config, namespace):
 @click.command(short_help="Write the SROS 2 policy of the nodes of a configuration.")
 @click.argument("config", type=ConfigurationName())
 @click.option("-o", "--output", required=True, type=click.Path(path_type=pathlib.Path), help="Policy file to write.")
-@click.option("--processes/--composed", "processes", default=None, help="As `up` would start them.")
+@click.option("--processes/--composed", "processes", default=None, help="Processes of the nodes, as with `up`.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode, as with `up`.")
 @click.option("--record", is_flag=True, help="With a recorder.")
 @click.option("--plant", type=click.Choice(["own", "external"]), default="own", show_default=True, help="As with `up`.")

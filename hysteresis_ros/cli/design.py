@@ -76,7 +76,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
     type=click.Path(path_type=pathlib.Path),
     help="NPZ of `hysteresis frf`: design for the measured response, and compute the margins from it.",
 )
-@click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
+@click.option("--namespace", default="", help="Axis to use, if the configuration describes several.")
 @click.option("-o", "--output", help="Parameter file to write.")
 def design(config, namespace, output, response, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; the plant's model is never used).
@@ -85,7 +85,7 @@ def design(config, namespace, output, response, **options):
     keeps the controller and designs learning for it.
 
     For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
-    With --learning it designs learning for the period of the scan of the stage, starting with corrections with which
+    With --learning it designs learning for the period of the scan of the stage, starting with the corrections for which
     the coupled model follows that scan. Without -o it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
@@ -160,13 +160,13 @@ def _design_stage(configuration, namespace: str, output: str | None, response, o
     from hysteresis_ros.loop.stage_parameters import StageParameters
 
     if response is not None:
-        raise ConfigurationError("--response is of a single axis, and this is a stage: leave it out")
+        raise ConfigurationError("--response is for a single axis, and this is a stage: omit it")
     parameters = StageParameters.from_configuration(configuration)
     wanted = options.get("controller") or options.get("learning")
     if not wanted:
         given = [name for name, value in options.items() if value]
         if output is not None or given:
-            raise ConfigurationError("the design is missing: give --controller NAME or --learning NAME")
+            raise ConfigurationError("nothing to design: give --controller NAME or --learning NAME")
         for line in stage_lines(parameters):
             click.echo(line)
         return
@@ -175,7 +175,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, o
     learns = asked(options)
     if learns is not None:
         if learns.period is not None:
-            raise ConfigurationError("--period is that of the scan of a stage: leave it out")
+            raise ConfigurationError("the scan of a stage determines the period: omit --period")
         with shown("designing"):
             result = design_stage_learning(parameters, learns)
         place = pathlib.Path(output).expanduser().resolve()

@@ -45,7 +45,7 @@ from hysteresis_ros.references.recipes import RECIPES
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a running node of yours replaces plant_simulator.",
+    help="external: your own running node replaces plant_simulator.",
 )
 @click.option("--namespace", help="Drive only the axis in this namespace.")
 @reference_options

@@ -70,9 +70,9 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a running node of yours replaces plant_simulator.",
+    help="external: your own running node replaces plant_simulator.",
 )
-@click.option("--namespace", help="Which axis, when there are several.")
+@click.option("--namespace", help="Axis to use, if there are several.")
 @click.option("--record", type=click.Path(path_type=pathlib.Path), help="Keep the run: .npz, .csv or .mcap.")
 @click.option(
     "-o", "--output", "outputs", multiple=True, type=click.Path(path_type=pathlib.Path),
@@ -135,7 +135,9 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
 
     for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
         if options[name] is not None:
-            raise ConfigurationError(f"--{name}: {path} is a recording, whose excitation is over; omit the option")
+            raise ConfigurationError(
+                f"--{name}: {path} is a recording, whose excitation cannot be changed; omit the option"
+            )
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
         run = load_run(path, namespace, further=True)

@@ -60,8 +60,8 @@ class FitState:
     "--into",
     metavar="CONFIG",
     type=ConfigurationName(),
-    help="For a response of `hysteresis frf`: the axis that gets dynamics fitted to it; the "
-    "hysteresis of the axis is kept.",
+    help="For a response of `hysteresis frf`: the axis whose dynamics are fitted to it; the hysteresis of the axis is "
+    "kept.",
 )
 @click.option(
     "--order", type=int, help="Order of these dynamics; by default the lowest order with almost the best fit."
@@ -135,7 +135,7 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
 
     if into is None:
         raise ConfigurationError(
-            f"{data}: a frequency response contains the dynamics only; give --into CONFIG, the axis that keeps its "
+            f"{data}: a frequency response determines only the dynamics; give --into CONFIG, the axis with the "
             "hysteresis"
         )
     with Progress(err=True).during("fitting dynamics to the response"):

@@ -146,7 +146,7 @@ def data_options(command):
             click.option(
                 "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."
             ),
-            click.option("--namespace", help="Which axis, when a bag holds several."),
+            click.option("--namespace", help="Axis to use, if a bag contains several."),
             click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
             click.option("--resample", metavar="SECONDS|auto", help="Resample the data to a uniform grid first."),
             click.option("--negate", is_flag=True, help="Invert the sign of the output."),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option(
     "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead of the table."
 )
-@click.option("--namespace", help="Which axis, when a bag holds several.")
+@click.option("--namespace", help="Axis to use, if a bag contains several.")
 @click.option("--title", help="Heading of the page; by default the name of the recording.")
 @click.option("--range", "range_", metavar="FROM:TO", help="Evaluate only this part, e.g. 0.5s:2s.")
 @click.option("--skip", metavar="TIME", help="Leave out the beginning, e.g. 0.5s.")
@@ -120,7 +120,7 @@ def _single(run, output, title: str, json_path: str | None) -> None:
 
 
 def _bounds(range_: str | None, skip: str | None) -> tuple[float, float]:
-    """Return the part of a run that is asked for [s]."""
+    """Return the requested part of a run [s]."""
     from hysteresis_ros.analysis import parts
 
     if range_ is not None and ":" not in range_:
@@ -146,7 +146,7 @@ def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int
 
 @click.command(short_help="Compare a recorded run with its offline twin, bit for bit.")
 @click.argument("recording", type=click.Path(path_type=pathlib.Path))
-@click.option("--namespace", help="Which axis, when the bag holds several.")
+@click.option("--namespace", help="Axis to use, if the bag contains several.")
 def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
 
@@ -169,8 +169,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         mode = found.stage.time_mode if run.axes else found.plant_simulator.time_mode
         if not simulated and mode == "realtime":
             raise RecordingError(
-                f"{recording}: is a run in real time, whose result depends on the times of messages; only "
-                "lockstep and fused runs can be repeated"
+                f"{recording}: a run in real time, whose result depends on the times of messages; only lockstep and "
+                "fused runs can be repeated"
             )
         for note in notes:
             click.echo(f"hysteresis: note: {note}", err=True)
@@ -189,7 +189,7 @@ def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
     if not (found or missing or lacking):
         return ""
     wrong = ", ".join(f"{signal}: {count} samples" for signal, count in found.items())
-    more = f"; {lacking} entries of the log of changes missing" if lacking else ""
+    more = f"; {lacking} entries of the change log missing" if lacking else ""
     return f"{name} differs from the offline twin ({wrong or 'no signal'}; {missing} samples missing{more})"
 
 
@@ -203,7 +203,7 @@ def equal(name: object, samples: int) -> str:
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=pathlib.Path), help="File to write: .npz or .csv."
 )
-@click.option("--namespace", help="Which axis, when the bag holds several.")
+@click.option("--namespace", help="Axis to use, if the bag contains several.")
 def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
     """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table of eight columns in SI units.
 

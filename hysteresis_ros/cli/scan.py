@@ -49,7 +49,7 @@ class ScanName(click.ParamType):
     metavar="NAME=VALUE",
     help="Limit of the axes: low, high, velocity, acceleration, jerk or bandwidth; one value, or one for each axis.",
 )
-@click.option("--fastest", is_flag=True, help="Take the largest frame rate within the limits.")
+@click.option("--fastest", is_flag=True, help="Use the largest frame rate within the limits.")
 @click.option(
     "--harmonics", "count", type=click.IntRange(1), default=8, show_default=True, help="Number of printed harmonics."
 )
@@ -121,7 +121,7 @@ def _require_places(output: pathlib.Path | None, plot: pathlib.Path | None, rate
 
 
 def _figures(kind: str, made, found, best: float) -> dict[str, Any]:
-    """Return the figures, in SI; None: this kind of scan has no such figure, or it is unlimited."""
+    """Return the figures, in SI; None for a figure that this kind of scan lacks, or that is unlimited."""
     from hysteresis_ros.references.scan import AXES
 
     low, high = made.extent()
@@ -180,7 +180,7 @@ def _lines(figures: dict[str, Any]) -> list[str]:
         f"frame      {readable(figures['frame_time_s'], 's')}, {figures['frame_rate_hz']:.4g} Hz; repeats after "
         f"{readable(figures['period_s'], 's')}",
         f"lines      {figures['lines']} of {figures['pixels']} pixels{steady}",
-        f"bandwidth  {figures['bandwidth_hz']:.4g} Hz holds 99.99 % of the power of the motion",
+        f"99.99 % of the power of the motion is below {figures['bandwidth_hz']:.4g} Hz",
         "limits     " + ("none of the motion" if best is None else f"allow up to {best:.4g} Hz (frames per second)"),
         "",
         f"{'axis':<6}{'from … to [µm]':>22}{'velocity [mm/s]':>18}{'acceleration [m/s²]':>22}{'jerk [m/s³]':>16}",

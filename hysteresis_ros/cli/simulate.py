@@ -48,7 +48,7 @@ from hysteresis_ros.cli.progress import shown
 @reference_options
 @click.option(
     "--namespace",
-    help="Which axis of the configuration, when it describes several; in a stage, the axis that gets the faults or the "
+    help="Axis to use, if the configuration describes several; in a stage, the axis that gets the faults or the "
     "reference.",
 )
 def simulate(
@@ -69,10 +69,10 @@ def simulate(
 
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
     if values and scan is None:
-        raise click.UsageError(f"{values[0]} belongs to a scan: give --scan raster, say")
+        raise click.UsageError(f"{values[0]} belongs to a scan: give one, for instance --scan raster")
     if scan is not None:
         if reference.kind:
-            raise click.UsageError("--scan and --reference exclude each other: a stage follows one of them")
+            raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")
         configuration = with_scan(configuration, scan, values)
     if configuration.stage is not None:
         refused = {"--learned": learned, "--drift": drift}
@@ -152,7 +152,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
             for line in mode_lines(recording.axis(name)):
                 click.echo(f"{name}: {line}")
     if scanned is not None:
-        click.echo(f"scan from {scanned.time[0]:.6g} s on, between the samples too:")
+        click.echo(f"scan from {scanned.time[0]:.6g} s on, including the time between samples:")
         click.echo(format_scan(scan_figures(scanned)))
     for error in coupled:
         rms, peak = readable(error.rms, "m"), readable(error.peak, "m")

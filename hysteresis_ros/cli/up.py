@@ -54,11 +54,11 @@ from hysteresis_ros.cli.options import (
     type=click.Choice(["own", "external"]),
     default="own",
     show_default=True,
-    help="external: a node of yours replaces plant_simulator and publishes joint_states.",
+    help="external: your own node replaces plant_simulator and publishes joint_states.",
 )
 @click.option(
     "--namespace",
-    help="Start only the axis in this namespace; of a stage the one that has the faults or the reference.",
+    help="Start only the axis in this namespace; for a stage, the axis that gets the faults or the reference.",
 )
 @click.option("--watch", is_flag=True, help="Show each axis in the browser, as hysteresis watch does.")
 @click.option(
@@ -247,7 +247,7 @@ def _say_limited(graph) -> None:
 
 def _say_recorded(graph) -> None:
     """Print the bags. A bag whose recorder died or ran out of disk space is incomplete, which is an error."""
-    short = "; it ends before the run did; if the bag was cut off, hysteresis repair completes it" if graph.lost else ""
+    short = "; it ends before the run; if the bag was cut off, hysteresis repair completes it" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")
     if graph.lost:

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Coupled loops: what a static gain couples, how it is decoupled, and the margins of several loops at once.
+"""Coupled loops: interaction by a static gain, its decoupling, and the margins of several loops at once.
 
-Loops are square: n commands, n measurements. A loop L is what lies between a cut at the commands and back: the
-controllers behind the plant, with negative feedback, so that S = (I + L)⁻¹.
+Loops are square, with n commands and n measurements. The loop transfer L is cut at the commands: plant, then
+controllers, with negative feedback, so that S = (I + L)⁻¹.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import BOUNDARY, StateSpace
 from hysteresis_ros.models.linear_algebra import inverse
 
-#: Ratio of the smallest to the largest singular value of a gain below which a direction counts as lost.
+#: Ratio of the smallest to the largest singular value below which a gain counts as singular.
 SINGULAR = 1e-6
-#: Frequencies of the grid of margins, besides those around the poles.
+#: Number of frequencies of the grid for margins, besides those around the poles.
 GRID = 1500
-#: Sweeps of the balancing that scalings begin with.
+#: Number of sweeps of the balancing with which scalings begin.
 SWEEPS = 20
-#: Steps of the search for the peak between two points of the grid.
+#: Number of steps of the search for the peak between two points of the grid.
 STEPS = 40
-#: Relative accuracy of scalings while the worst frequency is sought, and at that frequency.
+#: Relative accuracy of scalings during the search for the worst frequency, and at that frequency.
 SOUGHT, KEPT = 1e-4, 1e-9
 
 
 def lost_direction(gain, names: Sequence[str]) -> str:
-    """Return the direction of its inputs in which a gain moves nothing.
+    """Return the direction of the inputs that a singular gain maps to zero.
 
     Parameters
     ----------
@@ -50,22 +50,22 @@ def lost_direction(gain, names: Sequence[str]) -> str:
     Returns
     -------
     str
-        Such as ``+0.71 x, -0.71 y``; empty for a gain that loses none: whose smallest singular value is above
-        :data:`SINGULAR` of the largest.
+        Such as ``+0.71 x, -0.71 y``; empty for a regular gain, whose smallest singular value is more than
+        :data:`SINGULAR` times the largest.
     """
     _, sizes, rows = np.linalg.svd(np.asarray(gain, dtype=float))
     if sizes[-1] > SINGULAR * sizes[0]:
         return ""
-    # the first of the largest entries is positive
+    # the first of the largest entries is made positive
     row = rows[-1] * np.sign(rows[-1][np.argmax(np.round(np.abs(rows[-1]), 6))])
     return ", ".join(f"{value:+.2f} {name}" for value, name in zip(row, names, strict=True))
 
 
 def static_decoupling(gain, names: Sequence[str] = ()) -> np.ndarray:
-    """Return the matrix that decouples a gain at rest, its inverse.
+    """Return the matrix that decouples a static gain: its inverse.
 
-    The commands of the degrees of freedom times this matrix are those of the actuators. What it decouples is rest and
-    whatever is slow against the modes; beyond, the modes couple the loops again.
+    The commands of the actuators are this matrix times the commands of the degrees of freedom. It decouples motions
+    that are slow compared with the modes; at higher frequencies the modes couple the loops again.
 
     Parameters
     ----------
@@ -95,21 +95,21 @@ def static_decoupling(gain, names: Sequence[str] = ()) -> np.ndarray:
         raise ParameterError([Problem("gain", gain.shape, "must have shape (n, n), a row for each degree of freedom")])
     lost = lost_direction(gain, names or [f"input {i}" for i in range(len(gain))])
     if lost:
-        raise ParameterError([Problem("gain", gain.tolist(), f"is singular: the direction {lost} moves nothing")])
+        raise ParameterError([Problem("gain", gain.tolist(), f"is singular: the direction {lost} causes no motion")])
     return inverse(gain)
 
 
 def relative_gain_array(gain) -> np.ndarray:
     """Return the relative gain array Λ = G ∘ (G⁻¹)ᵀ of Bristol [1]_.
 
-    Λ_ij is the gain from input j to output i with all other loops open over that with all other loops closed and
-    ideal. Rows and columns add up to one. A pairing on entries near one couples little; on a negative entry a loop
-    changes its sign when the others open.
+    Λ_ij is the gain from input j to output i with all other loops open, divided by the same gain with all other loops
+    closed and ideal. Rows and columns add up to one. Pairs with entries near one interact little; the gain of a pair
+    with a negative entry changes its sign when the other loops open.
 
     Parameters
     ----------
     gain : array_like, shape (..., n, n)
-        Gains at rest, or complex responses at several frequencies.
+        Static gains, or complex responses at several frequencies.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def relative_gain_array(gain) -> np.ndarray:
            [0., 1.]])
     """
     gain = np.asarray(gain)
-    # adding zero makes 0 of -0, which a product with the inverse of a triangular gain leaves
+    # adding zero converts -0, which the inverse of a triangular gain causes, to 0
     return gain * np.swapaxes(np.linalg.inv(gain), -1, -2) + 0.0
 
 
@@ -152,11 +152,11 @@ class DiskMargin:
 
     alpha: float  #: Size α of the disk; 0: unstable.
     frequency: float  #: Frequency at which it is reached [Hz]; NaN for an unstable loop.
-    skew: float = 0.0  #: Skew σ of the disk; 0: as much gain up as down.
+    skew: float = 0.0  #: Skew σ of the disk; 0: the gain may rise and fall by the same factor.
 
     @property
     def gains(self) -> tuple[float, float]:
-        """Smallest and largest factor of the gain that is allowed; the phase then has none to spare."""
+        """Smallest and largest allowed factor on the gain, without any change of phase."""
         low, high = 0.5 * self.alpha * (1.0 - self.skew), 0.5 * self.alpha * (1.0 + self.skew)
         return (1.0 - low) / (1.0 + high), ((1.0 + low) / (1.0 - high) if high < 1.0 else math.inf)
 
@@ -167,7 +167,7 @@ class DiskMargin:
 
     @property
     def phase_margin(self) -> float:
-        """Allowed change of the phase either way [degrees]; the gain then has none to spare."""
+        """Allowed change of the phase in both directions [degrees], without any change of gain."""
         low, high = self.gains
         cosine = low if math.isinf(high) else (1.0 + low * high) / (low + high)
         return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
@@ -175,14 +175,14 @@ class DiskMargin:
 
 @dataclass(frozen=True)
 class DiskMargins:
-    """Disk margins of coupled loops: what :func:`disk_margins` finds."""
+    """Disk margins of coupled loops, the result of :func:`disk_margins`."""
 
-    loops: tuple[DiskMargin, ...]  #: Of each loop by itself, with the others closed as they are.
-    together: DiskMargin  #: Of changes in all loops at once, each its own.
+    loops: tuple[DiskMargin, ...]  #: Margin of each loop alone, with the other loops closed and unchanged.
+    together: DiskMargin  #: Margin for independent changes in all loops at once.
 
 
 def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> DiskMargins:
-    """Return the disk margins of coupled loops, one by one and all at once.
+    """Return the disk margins of coupled loops, for each loop alone and for all at once.
 
     Each loop is multiplied by its own complex factor
 
@@ -191,8 +191,8 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
     which is any change of gain and phase within a disk around one. The margin is the largest α for which the loops stay
     stable [1]_: 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2) for a loop by itself, and of the
     structured singular value of S + (σ - 1)/2 I for independent factors in all loops. The latter is bounded from above
-    by the largest singular value of D (…) D⁻¹, minimised over diagonal D, which is exact for up to three loops; beyond,
-    the margin that is returned is a safe one.
+    by the largest singular value of D (…) D⁻¹, minimised over diagonal D, which is exact for up to three loops; for
+    more loops the returned margin is conservative.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
         raise ParameterError([Problem("loop", (len(loop.C), count), allowed)])
     opened = np.eye(count) + loop.D
     if np.linalg.cond(opened) > 1.0 / BOUNDARY:
-        raise ParameterError([Problem("loop.D", loop.D.tolist(), "must not be -1 of a direction: an algebraic loop")])
+        raise ParameterError([Problem("loop.D", loop.D.tolist(), "must not have the eigenvalue -1: an algebraic loop")])
     poles = np.linalg.eigvals(loop.A - loop.B @ np.linalg.solve(opened, loop.C))
     if np.max(np.abs(poles), initial=0.0) >= 1.0 - BOUNDARY:
         none = DiskMargin(0.0, math.nan, skew)
@@ -254,7 +254,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
 
 
 def _peak(function, angles, place: int) -> tuple[float, float]:
-    """Return angle and value of a maximum beside a point of the grid, by golden section."""
+    """Return angle and value of a maximum near a point of the grid, by golden section."""
     low, high = angles[max(place - 1, 0)], angles[min(place + 1, len(angles) - 1)]
     best = (float(angles[place]), float(function(angles[place])))
     part = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -302,7 +302,7 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 
 def _worst(grid) -> int:
-    """Return the place of the largest structured singular value; only where balancing allows more it is searched."""
+    """Return the index of the largest structured singular value, optimised only where the balanced bound is larger."""
     if grid.shape[1] == 1:
         return int(np.argmax(np.abs(grid[:, 0, 0])))
     sizes = np.array([_balanced(matrix)[1] for matrix in grid])

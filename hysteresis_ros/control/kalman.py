@@ -315,7 +315,7 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
         state_feedback.refuse(
             "model.dynamics.C",
             tuple(C[0].tolist()),
-            "a mode that does not decay is not observable; give a model in which it is",
+            "an undamped mode is not observable; give a model in which every such mode is observable",
         )
     if parameters.gain == "given":
         L = np.array(parameters.L, dtype=float)

@@ -15,7 +15,7 @@ repetitive control [2]_). γ_j = 1 gives the usual law. A smaller γ_j averages 
 limit of m.
 
 Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
-from the samples around the same instant of the period before. So no extra computation is due at the end of a period.
+from the samples around the same instant of the period before. So the end of a period needs no additional computation.
 
 The ring of errors holds a number that is not finite for each sample that cannot be used for learning. Where more than a
 tenth of the filter's weight meets such samples, the correction repeats. If a saturated command is the reason, the

@@ -14,8 +14,8 @@ of the Kalman filter. A faster filter rejects disturbances faster, but reduces t
 on grids that become finer around the best point. Among the points that meet the requirements, the best one has the
 largest product of bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because tracking then
 depends on the accuracy of the model. If no point meets the requirements, the closest point is returned, and its margins
-show which it misses. The equations of hyperplane and feedback gain are in :mod:`.state_feedback`, those of the laws in
-``laws/``.
+show which requirements it does not meet. The equations of hyperplane and feedback gain are in :mod:`.state_feedback`,
+those of the laws in ``laws/``.
 """
 
 from __future__ import annotations

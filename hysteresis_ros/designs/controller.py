@@ -36,7 +36,7 @@ from hysteresis_ros.loop.parameters import AxisParameters, part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 
 NODE = "motion_controller"
-#: Beginnings of the comments that a new design replaces: those of a design of the learning, and those of any design.
+#: First lines of the comments that a new design replaces: those of a learning design, and those of any design.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
 HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:", *LEARNING)
 
@@ -142,7 +142,7 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
-    """Return how far the known response limits the loop of a design.
+    """Return the limit that the known accuracy of the response sets to the loop of a design.
 
     Units: ``sample_time`` [s].
     """
@@ -154,8 +154,7 @@ def certain_design(
 ) -> Designed:
     """Return a design that is stable for all plants that the identification leaves possible.
 
-    To get there, parts that the user has not specified are made slower: first the observer, then the response to the
-    reference.
+    For this, unspecified parts of the design are made slower: first the observer, then the response to the reference.
 
     Units: ``sample_time`` [s].
     """
@@ -170,7 +169,7 @@ def certain_design(
 
     def found_with(bandwidth: float | None) -> Designed | None:
         if observes and not _bears_unknown(design, bandwidth, observers[-1], response, sample_time):
-            return None  # a faster observer would have still more gain at this frequency
+            return None  # a faster observer would have even more gain at this frequency
         for q in observers:
             with contextlib.suppress(ParameterError):  # the law cannot achieve this bandwidth
                 found = design(bandwidth, q)
@@ -187,11 +186,11 @@ def certain_design(
         return slower
     known = response.assumption(sample_time)
     if certain.frequency <= response.known_to or not known:
-        known = f"the response is known there only to {100.0 * certain.uncertainty:.0f} %"
+        known = f"the response is known only to {100.0 * certain.uncertainty:.0f} % at this frequency"
     raise ConfigurationError(
         f"the model is not accurate enough for this feedback at {certain.frequency:.4g} Hz: "
-        f"{known}; ask for a lower bandwidth or none, take another controller (pid), or identify "
-        "from a recording with content at this frequency (hysteresis excite "
+        f"{known}; request a lower bandwidth or none, choose another controller (pid), or identify from a recording "
+        "with content at this frequency (hysteresis excite "
         "--recipe multisine)"
     )
 
@@ -438,7 +437,7 @@ def design_lines(result: AxisDesign) -> list[str]:
     rows = list(own.law.rows(own, result.sample_time))
     if result.tuned is not None:
         tuned = result.tuned
-        state = "converged" if tuned.converged else "not converged, the best found"
+        state = "converged" if tuned.converged else "not converged; best gains found"
         rows.append((f"{tuned.criterion.upper()} before, after", f"{tuned.before:.4g}, {tuned.after:.4g} ({state})"))
     asked = result.request.bandwidth
     rows += [
@@ -510,7 +509,7 @@ def doubts(result: AxisDesign) -> list[str]:
             "or the delay, and hysteresis compare does not rank it; choose another bandwidth or q"
         )
     if result.limited is not None:
-        rests = result.limited.assumption(result.sample_time) or "the recording leaves the response open"
+        rests = result.limited.assumption(result.sample_time) or "the recording does not determine the response"
         found.append(
             f"bandwidth reduced to {_hertz(result.margins.bandwidth)}, so that the loop is stable "
             f"with every plant that is consistent with the recording: {rests}; a recording with "

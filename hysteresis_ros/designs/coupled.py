@@ -7,13 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop of a stage: its margins, and designs of the controllers and of the learned corrections of all axes.
+"""The loops of a stage: margins, and design of the controllers and of the learned corrections of all axes.
 
-**Dynamic decoupling of a scan.** With the references R of all axes at a harmonic of the path, the coupled closed loop T
-from references to displacements, and its controllers as they are, the corrected references are Q (T⁻¹ - I) R + R: then
-the displacements of the model are R at the samples, on every axis. The whole period is known, so T may have zeros
-outside the unit circle and its inverse needs no truncation; Q is the robustness filter of the axis, beyond whose
-bandwidth nothing is corrected. This is where learning begins; it goes on from what the model does not know.
+**Dynamic decoupling of a scan.** R are the references of all axes at a harmonic of the path, and T is the coupled
+closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q (T⁻¹ - I)
+R. With Q = I, the displacements of the model are then R at the samples, on every axis. The whole period is known, so T
+may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness filter of the axis;
+above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with the errors that the
+model does not predict.
 """
 
 from __future__ import annotations
@@ -39,16 +40,16 @@ from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.waveforms.scan import repetition
 
-#: Harmonics below this part of the largest one are not corrected.
+#: Harmonics below this fraction of the largest one are not corrected.
 SMALLEST = 1e-7
-#: Angle that stands for rest: integrators have no response at 0.
+#: Angle that represents zero frequency, at which integrators have no finite response.
 RESTING = 1e-7
-#: Frequencies at which coupling is printed, as parts of the sample rate, and those of the grid of singular values.
+#: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 
 def diagonal(systems) -> StateSpace:
-    """Return systems of one input and one output as one, without coupling."""
+    """Combine systems with one input and one output into one uncoupled system."""
     sizes = [system.order for system in systems]
     places = np.cumsum([0, *sizes])
     A, B = np.zeros((places[-1], places[-1])), np.zeros((places[-1], len(systems)))
@@ -60,7 +61,7 @@ def diagonal(systems) -> StateSpace:
 
 
 def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Return what ``second`` makes of the outputs of ``first``."""
+    """Return the series connection: ``first``, then ``second``."""
     A = np.block([[first.A, np.zeros((first.order, second.order))], [product(second.B, first.C), second.A]])
     B = np.vstack([first.B, product(second.B, first.D)])
     return StateSpace(A, B, np.hstack([product(second.D, first.C), second.C]), product(second.D, first.D))
@@ -69,8 +70,8 @@ def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
 def stage_plant(parameters: StageParameters) -> StateSpace:
     """Return the plant from the commands of the degrees of freedom to their measurements, the hysteresis compensated.
 
-    It has the delays of the actuators, and each measurement is taken before the commands of its sample act. With the
-    hysteresis inside the structure it is linear for motions too small for any play.
+    It includes the delays of the actuators, and each measurement precedes the commands of its sample. With hysteresis
+    inside the structure it is the linear plant for motions that are smaller than the radius of every play.
     """
     stage = parameters.stage
     linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
@@ -90,7 +91,9 @@ def _controllers(parameters: StageParameters) -> list[StateSpace]:
     for axis in parameters.axes:
         controller = whole_loop(part(axis.motion_controller, ControllerParameters), 1.0 / parameters.sample_rate)[0]
         if controller.B.shape[1] != 2:
-            raise ConfigurationError(f"{axis.namespace}/motion_controller: a damping by force has no loop in a stage")
+            raise ConfigurationError(
+                f"{axis.namespace}/motion_controller: a damping law with force feedback is not supported in a stage"
+            )
         found.append(controller)
     return found
 
@@ -127,7 +130,7 @@ def stage_lines(parameters: StageParameters) -> list[str]:
         for name, row in zip(names, relative_gain_array(gain), strict=True)
     ]
     rows += [
-        ("singular values at rest", ", ".join(f"{value:.4g}" for value in sizes[0])),
+        ("singular values at 0 Hz", ", ".join(f"{value:.4g}" for value in sizes[0])),
         ("singular values, worst", f"{sizes[worst, 0]:.4g} … {sizes[worst, -1]:.4g} at {GRID[worst] * rate:.4g} Hz"),
     ]
     coupled = np.abs(stage_response(parameters, 2.0 * np.pi * np.array(PRINTED)))
@@ -149,7 +152,7 @@ def design_controllers(
     known: ResponseUncertainty | None = None,
     chosen: str | None = None,
 ) -> dict[str, AxisDesign]:
-    """Design the controllers of all axes, or of one, each for the model of its own axis."""
+    """Design the controllers of all axes, or of one axis, each for the model of its own axis."""
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
     return {name: design_axis(parameters.axes[parameters.place(name)], request, known) for name in names}
 
@@ -171,7 +174,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 
 
 def _with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
-    """Return the text of a file with what was designed for each axis; the header is there once."""
+    """Return the text of a file with the designed section of each axis and one common header."""
     text, source = configuration.text, configuration.source
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
@@ -185,13 +188,13 @@ def _with_sections(configuration: Configuration, designs, header: str, written: 
 class StageLearning:
     """Designed corrections of the axes of a stage that follows a scan."""
 
-    designs: dict[str, LearningDesign]  #: By the names of axes.
-    corrections: dict[str, Learned]  #: Those with which the model of the stage follows the scan.
-    left: dict[str, str]  #: Axes without learning, and why.
+    designs: dict[str, LearningDesign]  #: Designs by the names of the axes.
+    corrections: dict[str, Learned]  #: Corrections with which the model of the stage follows the scan.
+    left: dict[str, str]  #: Axes without learning, with the reason.
 
 
 def scanned_paths(parameters: StageParameters) -> np.ndarray:
-    """Return what the axes add to their setpoints at the samples of a period of the scan, shape (n, N) [m]."""
+    """Return the motion that the scan adds to the setpoints of the axes in a period, shape (n, N) [m]."""
     scan = parameters.scan
     if scan is None:
         raise ConfigurationError(
@@ -237,7 +240,7 @@ def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
 def design_stage_learning(
     parameters: StageParameters, request: LearningRequest, known: ResponseUncertainty | None = None
 ) -> StageLearning:
-    """Design the learning of every axis that scans, for the period of its own path, and where it begins."""
+    """Design the learning of every axis that scans, for the period of its own path, with the initial corrections."""
     paths, rate = scanned_paths(parameters), parameters.sample_rate
     corrections = decoupled(parameters, paths)
     found = StageLearning({}, {}, {})
@@ -245,11 +248,11 @@ def design_stage_learning(
         place = parameters.names.index(name)
         axis, period = parameters.axes[place], shortest_period(paths[place])
         if period > LONGEST:
-            found.left[name] = f"its path repeats after {period} samples, learning takes up to {LONGEST}"
+            found.left[name] = f"its path repeats after {period} samples, but learning stores at most {LONGEST}"
             continue
         design = design_learning(axis, replace(request, period=period / rate), known)
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
-        # what another axis adds once in its longer period is no part of this period
+        # effects that another axis causes once in its longer period do not belong to this period
         own = corrections[place].reshape(-1, period).mean(axis=0)
         own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
         largest = float(np.max(np.abs(own)))

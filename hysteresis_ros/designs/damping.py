@@ -11,10 +11,10 @@
 
 For every filter a PID is designed on the damped model: its zeros cancel the slowest poles, as in the design of ``pid``,
 and its largest gain g follows in closed form on a grid of frequencies. With X the loop per unit of g, |1 + g X| ≥ 1/M_s
-at one frequency is a quadratic inequality in g. The worst of several plants counts: the model, and plants with lower
-and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the plant, must also have M_s ≤ 2
-and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is refined around the best one;
-the result has four digits.
+at one frequency is a quadratic inequality in g. The result for the worst of several plants counts: the model, and
+plants with lower and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the plant, must
+also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is refined
+around the best one; the result has four digits.
 
 References
 ----------
@@ -105,15 +105,15 @@ def design_damping(
     if KINDS[kind].source == FORCE:
         require_force(kind, force)
     search = _Search(kind, mode, dynamics, sample_time, plants, force)
-    # first seek filters that tolerate one more sample of delay; without any, those that work as modelled
+    # first search filters that tolerate one more sample of delay; without success, filters for the modelled delay
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
         if found is not None:
             return found
     found_at = f"{mode.frequency:.4g} Hz"
     remedy = (
-        f"no {kind} damps the resonance at {found_at} on all plants so well that a PID around it "
-        "keeps M_s ≤ 2; choose another kind, a higher sample rate or less delay"
+        f"no {kind} damps the resonance at {found_at} on all plants well enough for a PID with M_s ≤ 2;"
+        " choose another kind, a higher sample rate or less delay"
     )
     return state_feedback.refuse("model.dynamics.A", dynamics.A, remedy)
 
@@ -200,7 +200,7 @@ class _Search:
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that tolerates this additional delay [samples]; None without one."""
+        """Return the best damping that tolerates this additional delay [samples]; None if there is none."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)
@@ -263,7 +263,7 @@ def _around(box, point):
 
 #: Factor on the bandwidth below which a damping counts as of little use.
 LITTLE = 1.2
-#: A law that passes on the reference: with it the loop is the inner loop alone.
+#: A law that passes the reference on, so that the loop is the inner loop alone.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
 
 
@@ -290,8 +290,8 @@ class DampedDesign:
     damping: DampingParameters
     before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
     reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop, on each plant, the model first.
-    #: inner, outer, whole: On each plant: margins of the inner loop alone, of the law on the damped plant, of both cut
-    #: at the plant.
+    #: inner, outer, whole: Margins on each plant: of the inner loop alone, of the law on the damped plant, and of both
+    #: loops, cut at the plant.
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
@@ -319,7 +319,7 @@ class DampedDesign:
             return ()
         return (
             f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without "
-            "damping; take another kind or none, or state the delay (model.dynamics.delay) if it is "
+            "damping; choose another kind or none, or state the delay (model.dynamics.delay) if it is "
             "missing, because the sign of the gain depends on it",
         )
 

@@ -52,7 +52,7 @@ from hysteresis_ros.units import quantity, readable
 
 #: Default peak of the excitation, as a fraction of the range.
 AMPLITUDE = 0.05
-#: Rest at the operating point before and after the excitation, in which creep decays [s].
+#: Rest time at the operating point before and after the excitation, in which creep decays [s].
 WAIT = 1.0
 
 
@@ -63,8 +63,8 @@ class ResponseRequest:
     experiment: Experiment
     loop: str = "open"  #: ``open`` or ``closed``.
     at: str | None = None  #: Point of excitation: ``voltage``, ``command`` or ``reference``.
-    #: amplitude, offset: Peak of the excitation and operating point, with a unit, or without one as a fraction of the
-    #: range. By default :data:`AMPLITUDE`, and the middle.
+    #: amplitude, offset: Peak of the excitation and operating point, with a unit, or as a fraction of the range without
+    #: a unit. By default :data:`AMPLITUDE`, and the middle.
     amplitude: str | None = None
     offset: str | None = None
 
@@ -198,7 +198,7 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if loop == "open":
         configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
-        # the shape of the reference assumes the law without feedforward
+        # the amplitudes of the reference are computed for the law without feedforward
         configuration = configuration.override("motion_controller", **UNFED)
     return configuration
 
@@ -212,7 +212,7 @@ class AxisResponse:
     """The measured response of an axis."""
 
     plan: Plan
-    #: From voltage or command to the measured displacement; for a closed loop with an unknown controller, from
+    #: Response from voltage or command to the measured displacement; for a closed loop with an unknown controller, from
     #: reference − measured.
     plant: Analysis
     loop: MeasuredLoop | None = None  #: Measured loop, in closed loop.
@@ -344,7 +344,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    # the other way round: the model with the measured gain
+    # conversely, the model gets the measured gain
     shown = measured_plant(found.plant, model)
     model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:

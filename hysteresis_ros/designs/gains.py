@@ -16,8 +16,8 @@ its uncertainty; the plant with the worst violation of the requirements is added
 
 The tuning never uses the simulated plant of the file, which a design must not know. Its plant consists of the
 compensator's hysteresis, creep and limits and of the dynamics and preload of the controller's model, without noise. The
-inverse of this hysteresis is perfect, so hardly more than linear dynamics and limits remains, and a criterion alone
-would drive the gains to the edge of stability. Therefore gains that violate the margins of every design, or a delay
+inverse of this hysteresis is perfect, so little more than linear dynamics and limits remains, and the criterion alone
+would drive the gains to the stability limit. Therefore gains that violate the margins of every design, or a delay
 margin of 1.3 samples, have infinite cost.
 """
 
@@ -222,7 +222,7 @@ class Tuned:
     after: float
     #: shape (iterations + 1, n + 1); The n gains that the law declares and the criterion after each iteration.
     history: np.ndarray
-    converged: bool  #: False: the iterations ran out; the gains are the best found.
+    converged: bool  #: False: the limit of iterations was reached, and the gains are the best found.
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:

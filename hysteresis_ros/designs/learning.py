@@ -33,20 +33,20 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.actuator import PreloadParameters
 
-#: Default possible plants: 5 % uncertainty, with 3 % more for all times because of the identification; residual
-#: hysteresis after the inverse; a fraction of a sample of delay.
+#: Default set of possible plants: 5 % uncertainty, 3 % more for all times because of the identification, residual
+#: hysteresis after the inverse, and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and cut-off part of the command above which learning pauses, as fractions of the stroke.
+#: Largest correction, and the limited part of the command above which learning pauses, as fractions of the stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
 #: Learning gain, number of periods after which it falls as 1/n, and lower limit of it.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
 #: Number of samples of an impulse response, and the largest fraction of it that may remain at the end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
-#: Most frequencies.
+#: Largest number of frequencies.
 MOST = 2**13
 #: Fraction of the response at which a closed loop counts as settled.
 SETTLED = 0.02
-#: Samples before an impulse, for flags and counters of the start.
+#: Number of samples before an impulse, after which flags and counters have their steady values.
 BEFORE = 4
 #: Number of directions (phases) in which a relative uncertainty of the response is tried.
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
@@ -80,7 +80,7 @@ def asked(options: dict) -> LearningRequest | None:
     kind = given.get("learning")
     if kind is None:
         if "controller" not in given:
-            raise ConfigurationError("the design is missing: give --controller NAME or --learning NAME")
+            raise ConfigurationError("nothing to design: give --controller NAME or --learning NAME")
         for name in OWN:
             if name in given:
                 raise ConfigurationError(f"--{name} belongs to --learning; give both")
@@ -117,7 +117,7 @@ class LearningDesign:
     sample_time: float  #: [s]
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return the factor per period on the part of the error that falls most slowly, at the initial gain."""
+        """Return the factor per period of the slowest part of the error, at the initial gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -130,7 +130,7 @@ class MeasuredPlant:
     frequency: np.ndarray  #: shape (F,) [Hz], rising.
     ratio: (
         np.ndarray
-    )  #: shape (F,); Ratio of the measured response to the model's; beyond the lines that of the nearest line.
+    )  #: shape (F,); Ratio of the measured response to the model's; outside the lines, the ratio of the nearest line.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
@@ -246,7 +246,7 @@ def settling(loop: Response) -> int:
 
 
 def knocked(loop: Response) -> int:
-    """Return the settling time of the closed loop with the model after one wrong sample of the voltage [samples].
+    """Return the time in which the closed loop with the model recovers from one wrong sample of the voltage [samples].
 
     The response is compared with its largest value.
     """
@@ -282,7 +282,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
         ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz (|Q - G T|, at most 0.9)"),
         ("on the model", f"{filters.nominal:.3f}"),
         ("plants", f"{len(result.response.possible)}: {_ranges(ranges)}"),
-        ("error falls", f"to {worst:.3f} in a period at least, with gain {given.gain:g}; {nominal:.3f} on the model"),
+        ("error falls", f"to {worst:.3f} or less per period, with gain {given.gain:g}; {nominal:.3f} on the model"),
         ("periods to a tenth", f"{periods_to(worst)} at most, {periods_to(nominal)} on the model"),
         ("largest correction", f"{1e6 * given.maximum:.4g} µm"),
     ]

@@ -9,9 +9,10 @@
 
 """Filters of the learned correction for a closed loop: three designs, and the contraction of the error.
 
-T is the closed loop from reference to measured displacement on the model, T_p the same on another possible plant. From
-one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at which |Q − G
-T_p|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all plants.
+T is the closed loop from reference to measured displacement for the model, T_p the closed loop for another possible
+plant. From one period to the next the error is multiplied by Q − G T. Every design chooses the highest bandwidth at
+which |Q − G T_p|, computed with the truncated filters, stays below 1 − :data:`MARGIN` at all frequencies and on all
+plants.
 
 - *inversion*: G = Q L, where L minimises the largest |1 − L T_p| over all plants at each frequency (Lawson's iteration
   [1]_); with the model alone it is 1/T.
@@ -42,7 +43,7 @@ from hysteresis_ros.models.linear_algebra import rounded
 
 #: Distance of the contraction from one.
 MARGIN = 0.1
-#: ε: unknown part of the closed loop, relative to its DC gain (assumed).
+#: ε: uncertainty of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15
 #: Number of taps on each side of the middle of Q, if the period is long enough; G has as many taps as Q.
 HALF = 64
@@ -50,15 +51,15 @@ HALF = 64
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
 #: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02
-#: Target distance of the contraction from one in the notches of Q, because truncated filters lose some of it.
+#: Target distance of the contraction from one in the notches of Q, larger because truncation of the filters reduces it.
 DIP = 0.15
 #: Iterations of Lawson.
 ITERATIONS = 60
-#: Norm-optimal: μ, and how steeply λ rises.
+#: Norm-optimal: μ, and the exponent with which λ rises.
 CHANGE, STEEPNESS = 0.2, 16
 #: Repetitive: gains, and the longest phase lead [samples].
 GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
-#: Number of frequencies for their choice.
+#: Number of frequencies for the choice of gain and phase lead.
 COARSE = 400
 
 
@@ -67,7 +68,7 @@ class Response(NamedTuple):
 
     model: np.ndarray  #: shape (m,); T on the model.
     possible: np.ndarray  #: shape (p, m); T_p on all possible plants, including the model.
-    #: shape (m,); From the input of the plant to the displacement, in closed loop, on the model.
+    #: shape (m,); Response from the input of the plant to the displacement, in closed loop, for the model.
     pushed: np.ndarray | None = None
 
 
@@ -79,10 +80,10 @@ class Filters:
     error: np.ndarray  #: Taps of G, from the largest lead on.
     lead: int  #: Lead of the first tap [samples].
     robustness: np.ndarray  #: Taps of Q: the middle one, then those on either side (symmetric).
-    bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a part of the sample rate.
+    bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
     contraction: float  #: Largest |Q − G T_p| over all frequencies and plants.
     nominal: float  #: The same for the model alone.
-    worst: float  #: Frequency of the worst contraction, as a part of the sample rate.
+    worst: float  #: Frequency of the worst contraction, as a fraction of the sample rate.
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
         """Return Q and G at angles, shape (m,) each."""
@@ -124,7 +125,7 @@ def design_filters(
         f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all possible "
         f"plants: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, allowed "
         f"is {1.0 - MARGIN:g}; ask for a lower --bandwidth, narrow the ranges (--resonance-range, --gain-range), or "
-        "take a controller that damps the resonance"
+        "use a controller that damps the resonance"
     )
 
 
@@ -173,7 +174,7 @@ def _inversion(response: Response, period: int):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
         largest = np.max(weights, axis=0)
-        # if the inverse is exact for all plants, the weights do not matter
+        # if the inverse is exact for all plants, the weights have no effect
         weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
     # where plants differ much, Q gets a notch just deep enough for contraction

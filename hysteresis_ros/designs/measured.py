@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Use of a measured frequency response of an axis: in a design, and as dynamics of a parameter file."""
+"""Uses of a measured frequency response of an axis: in a design, and as dynamics of a parameter file."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class Device:
         self._written = voltage
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code reads and writes the device; None: only Python can.
+        """Return the functions by which machine code reads and writes the device; None if it has only Python methods.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class Device:
             with self._calling:
                 if over.is_set():
                     return
-                with contextlib.suppress(DriverError):  # its message is known from the first attempt
+                with contextlib.suppress(DriverError):  # the first attempt has already reported it
                     if wanted():
                         self.make_safe()
                         done()
@@ -238,7 +238,7 @@ class Device:
                 self.make_safe()
             except DriverError as error:
                 wrong = str(error)
-        # nothing can handle the error any more
+        # the error can no longer be handled
         with contextlib.suppress(DriverError), self._named("cannot be closed"):
             self._driver.close()
         self._open = False

@@ -249,7 +249,8 @@ class HardwareDriver:
 
 #: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, the fraction of them that must fit at the highest rate, and a driver's share of a sample.
+#: Number of trial samples, the fraction of them that must fit at the highest rate, and the fraction of a sample that a
+#: driver may use.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 

@@ -77,7 +77,9 @@ def scale_of_motion(pixels, displacements) -> Scale:
     residual = math.sqrt(float(np.sum((y - offset - slope * x) ** 2)) / max(count - 2, 1))
     if not abs(slope) * math.sqrt(squares / count) > CLEAR * residual / math.sqrt(count) or slope == 0.0:
         text = f"places that move by {np.ptp(x):.3g} px do not follow the known displacements"
-        raise FrameError(f"{text}, a line leaves {1e6 * residual:.3g} µm: is it their motion, in the same order?")
+        raise FrameError(
+            f"{text}, a line leaves {1e6 * residual:.3g} µm: check that they belong to these frames, in the same order"
+        )
     uncertainty = residual / math.sqrt(squares)
     return Scale(abs(slope), uncertainty, 1 if slope > 0.0 else -1, offset, residual)
 

@@ -21,7 +21,7 @@ For a pattern, after the shift by whole pixels, the phase of the cross-spectrum 
 displacement (H.
 S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for subpixel registration of
 images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). It is fitted where there is light, at the lower
-frequencies, which noise and aliasing spare.
+frequencies, which noise and aliasing do not affect.
 """
 
 from __future__ import annotations
@@ -496,7 +496,7 @@ class Tracker:
         self.calibration.step(math.nan)
 
     def retune(self, parameters: CameraParameters) -> None:
-        """Apply other limits for refused frames."""
+        """Apply new limits for the rejection of frames."""
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:

@@ -9,8 +9,9 @@
 
 """Identification: from measured voltage and displacement to the parameters of models, and their validation.
 
-Read ``workflow`` (identify, validate) first, then what it calls: ``reading`` → ``data`` → ``preprocessing``;
-``registry`` → ``procedures`` (one per model) → the model's own module; ``hammerstein`` and ``dynamics`` for the linear
-stage behind a hysteresis; ``plant_model`` → ``prediction`` → ``parameter_file``. Linear models: ``linear_systems``,
-``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``. Several axes: ``coupled``.
+Read ``workflow`` (identify, validate) first, then the modules that it calls: ``reading`` → ``data`` →
+``preprocessing``; ``registry`` → ``procedures`` (one per model) → the model's own module; ``hammerstein`` and
+``dynamics`` for the linear stage behind a hysteresis; ``plant_model`` → ``prediction`` → ``parameter_file``. Linear
+models: ``linear_systems``, ``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``. Several axes:
+``coupled``.
 """

@@ -9,9 +9,9 @@
 
 """ARX models by linear least squares (W1), with zeros kept inside the unit circle on request (W6).
 
-``A(z) y = B(z) u + e`` with ``A = 1 + a_1 z⁻¹ + …`` and ``B = b_0 z⁻ᵈ + b_1 z⁻ᵈ⁻¹ + …``, d ≥ 1: the regression of
-y(t) on y(t-1) …, u(t-d) …. Its estimate is biased when the output is noisy (the noise of the regressors pulls poles
-towards zero); compare its simulation, not its one-step prediction, with other data.
+``A(z) y = B(z) u + e`` with ``A = 1 + a_1 z⁻¹ + …`` and ``B = b_0 z⁻ᵈ + b_1 z⁻ᵈ⁻¹ + …``, d ≥ 1: the regression of y(t)
+on y(t-1) …, u(t-d) …. The estimate is biased when the output is noisy (the noise of the regressors pulls poles towards
+zero); compare its simulation, not its one-step prediction, with other data.
 
 References
 ----------
@@ -31,7 +31,7 @@ from hysteresis_ros.identification.data import checked_signals, refuse_short
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
 from hysteresis_ros.identification.validation import parameter_covariance
 
-#: Largest condition number of regressors that determine the parameters.
+#: Largest condition number of the regressors for which the parameters count as determined.
 RANK = 1e10
 
 
@@ -43,11 +43,11 @@ class ArxFit:
     numerator: np.ndarray  #: shape (n_b,); b_0 …: coefficients of z⁻ᵈ, z⁻ᵈ⁻¹ … [output unit/input unit].
     delay: int  #: d [samples].
     offset: float  #: Constant in the regression, in the output's unit; 0 when it was not fitted.
-    #: shape (n_a + n_b, n_a + n_b); Covariance of a_1 …, b_0 … for white residuals; that of the unconstrained estimate
-    #: if the constraint is active.
+    #: shape (n_a + n_b, n_a + n_b); Covariance of a_1 …, b_0 … for white residuals; for an active constraint, the
+    #: covariance of the unconstrained estimate.
     covariance: np.ndarray
     residual_variance: float  #: Variance of the one-step prediction error, in the output's unit squared.
-    samples: int  #: Rows of the regression.
+    samples: int  #: Number of rows of the regression.
     fpe: float  #: Akaike's final prediction error, in the output's unit squared.
     sample_time: float  #: [s]
     constrained: bool  #: Whether the constraint on the zeros changed the solution.
@@ -67,7 +67,7 @@ class ArxFit:
 
     @property
     def standard_deviations(self) -> np.ndarray:
-        """Of a_1 …, b_0 …, shape (n_a + n_b,)."""
+        """Standard deviations of a_1 …, b_0 …, shape (n_a + n_b,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

@@ -14,8 +14,8 @@ The static element follows paper B, section 3.2 (B3).
 The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the nodes,
 on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the output
 error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output error has
-local minima when the initial resonance is far off, so the initial values are improved first: trial points around them
-are evaluated on a short part of the data, and the best few are refined.
+local minima when the initial resonance is far off, so trial points around the initial values are first evaluated on a
+short part of the data, and the best few are refined.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class BoucWenIdentification:
     maximum: float
     search: SimplexSearch  #: Trajectories of the parameters, one run for each start.
     converged: bool  #: The simplex converged.
-    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
+    warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -171,7 +171,9 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
     warnings = [problem.remedy for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:
-        warnings.append(f"not converged after {search.runs[search.best].iterations} iterations: the best point so far")
+        warnings.append(
+            f"not converged after {search.runs[search.best].iterations} iterations: this is the best point so far"
+        )
     for name, deviation in zip(STATIC_FREE, deviations.tolist(), strict=True):
         value = getattr(parameters, name)
         if not deviation < 0.5 * abs(value):
@@ -203,20 +205,21 @@ KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # of all bu
 #: Grid points per sample, for the search and for the result; linear between them, one Runge-Kutta step each.
 SEARCH_GRID = 4
 FINE_GRID = 16
-#: Trial points around the initial values, their spread (factors of 2^±SPREAD), and the most that are refined.
+#: Number of trial points around the initial values, their spread (factors of 2^±SPREAD), and the largest number that is
+#: refined.
 TRIALS = 64
 SPREAD = 1.0
 FOLLOWED = 12
-#: Samples for the evaluation and refinement of trial points; the best one is then refined on all samples.
+#: Number of samples for the evaluation and refinement of trial points; the best one is then refined on all samples.
 SHORT_PART = 6000
-#: Output errors are limited to this many strokes: a diverging oscillation has no gradient.
+#: Output errors are limited to this number of strokes, because a diverging oscillation has no gradient.
 LARGEST_ERROR = 10.0
-#: Periods for a periodic start to settle.
+#: Number of periods in which a periodic start settles.
 SETTLING = 1
-#: Starts agree when their residuals are within this part of the best; after two that agree the search ends.
+#: Starts agree when the residuals are at most this factor above the best one; the search ends after two that agree.
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
-#: … provided that the residual is below this part of the stroke.
+#: … provided that the residual is below this fraction of the stroke.
 WELL_DONE = 0.05
 
 
@@ -273,7 +276,7 @@ def _run(p, finer, grid, intersample, periodic):
         run(bouc_wen_mechanical, p, state, finer, output)
         return output[::grid]
     start = state[1]
-    run(bouc_wen_mechanical, p, state, finer, output)  # a held input: the output is that at the end of each step
+    run(bouc_wen_mechanical, p, state, finer, output)  # with a held input, the output at the end of each step counts
     return np.append(start, output[grid - 1 :: grid][:-1])
 
 

@@ -10,13 +10,14 @@
 
 """Identification of coupled axes: several inputs and outputs, one model for all levels of the excitation.
 
-The steps, each on what the one before it found:
+The steps, each based on the result of the previous one:
 
-1. frequency response matrix of each level, with noise and nonlinear distortion apart (``frequency_response``);
-2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), the order by the
-   error of the simulation on realisations held out;
+1. frequency response matrix of each level, with separate estimates of noise and nonlinear distortion
+   (``frequency_response``);
+2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), order chosen by
+   the error of the simulation on held-out realisations;
 3. hysteresis inside the structure (``structure_fit``): gains and plays first, the linear part with them, then C_z, then
-   B_w, by Gauss-Newton on the error of the simulation. The search ends where the error on the realisations held out
+   B_w, by Gauss-Newton on the error of the simulation. The search ends where the error on the held-out realisations
    rises.
 
 C_z starts as Γ C Λ^τ, the motion of the actuators τ samples ahead, with Γ the inverse of the static gain: without this
@@ -42,17 +43,17 @@ from hysteresis_ros.identification.structure_fit import LINEAR_GROUPS, Experimen
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
 from hysteresis_ros.models.structure import Structure, StructureParameters
 
-#: Realisations whose inputs have the same RMS value within this factor are of one level.
+#: Realisations whose inputs have the same RMS value within this factor belong to one level.
 SAME_LEVEL = 1.2
-#: Orders that are tried where none is asked for.
+#: Default orders, which are all tried.
 ORDERS = (4, 8, 12, 20, 28, 36, 44)
-#: An order is enough when its error on the realisations held out is at most this much larger than the smallest.
+#: An order suffices when its error on the held-out realisations is at most the smallest error times this factor.
 ENOUGH = 1.02
-#: A mode may die out over the run-in to this part at most: what a simulation from rest misses.
+#: Fraction to which every mode must decay over the run-in: the error of a simulation that begins at rest.
 REMAINDER = np.exp(-5.0)
 #: Advance τ of the motion that acts on the plays at the start [samples].
 ADVANCE = 1.1
-#: Radii at the start, as parts of the RMS motion at the highest level.
+#: Radii at the start, as fractions of the RMS motion at the highest level.
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
 #: Weight of the plays at the start.
 FIRST_WEIGHT = 1e-3
@@ -148,10 +149,10 @@ class IdentifiedStructure:
     parameters : StructureParameters
         The model, in SI units.
     responses : tuple of ResponseMatrix
-        Frequency response matrix of each level, the lowest first, of the realisations that were not held out.
+        Frequency response matrix of each level, the lowest first, from the realisations that were not held out.
     figures : dict
         By names with units: order, plays, the smallest and largest condition number, and for each level the errors on
-        what was fitted and on what was held out, noise and distortion.
+        the fitted and on the held-out realisations, noise and distortion.
     warnings : tuple of str
         What is uncertain, in sentences.
     """
@@ -246,25 +247,26 @@ class StructureEstimator:
     Parameters
     ----------
     order : int or tuple of int
-        Even order of the linear part; of several, the one that predicts best what was held out.
+        Even order of the linear part; of several, the one with the best prediction of the held-out realisations is
+        chosen.
     plays : int
         Plays of each hysteresis; 0: linear dynamics alone.
     hystereses : int
         Number of hystereses of each actuator. The search starts with the motion of the structure as the input of the
         first one, and with the voltage as the input of the others.
     held_out : int
-        Realisations of each level that only judge: they choose the order and end the search.
+        Number of realisations of each level that are not fitted: they choose the order and end the search.
     run_in : int, optional
         Samples before each period in which a simulation from rest comes to its steady state; by default a quarter of
         the period. Modes that take longer are not found.
     weighting : str
-        What an error counts: ``distortion``, relative to the nonlinear distortion of its level, so that all levels
+        Weighting of the errors: ``distortion``, relative to the nonlinear distortion of its level, so that all levels
         count alike; or ``absolute``, in metres, so that the highest level counts most.
     steps : int
         Steps of the last stage, over all parameters and all data.
     seconds : float, optional
-        No step begins later than this after the start; the best point so far is the result. Where it ends the search,
-        another machine finds another model.
+        No step begins later than this after the start; the best point so far is the result. If it ends the search, the
+        model depends on the speed of the machine.
     band : tuple of float, optional
         Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
         default.
@@ -299,7 +301,7 @@ class StructureEstimator:
         Raises
         ------
         IdentificationError, DataError
-            The options or the data cannot be used; the message says what is allowed.
+            The options or the data cannot be used; the message states what is allowed.
         """
         orders = self._checked()
         begun, run_in = time.perf_counter(), data.period // 4 if self.run_in is None else self.run_in

@@ -47,14 +47,14 @@ GAINS = (1e-9, 2e-4)
 LONGEST_SAMPLE_TIME = 0.5
 SHORTEST_DURATION = 0.1
 LONGEST_CYCLE = 500.0
-#: Fewest samples per cycle that show the turning points of its loops.
+#: Least number of samples per cycle that show the turning points of its loops.
 FEWEST_A_CYCLE = 20.0
 
 
 def implausible_units(
     sample_time: float, duration: float, u, y, units: tuple[str, str], reversals: int
 ) -> Iterator[str]:
-    """Yield a question for each number that suggests a wrong unit.
+    """Yield a warning for each number that suggests a wrong unit.
 
     Units: ``sample_time`` [s], ``duration`` [s].
     """
@@ -98,13 +98,14 @@ def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
 
 #: Largest deviation of a sample from the uniform grid, in sample times.
 GRID_TOLERANCE = 0.1
-#: A range below this share of the mean level counts as constant.
+#: A range below this fraction of the mean level counts as constant.
 CONSTANT = 1e-12
-#: This many equal samples in a row at the extreme may be clipping.
+#: This number of equal samples in a row at the extreme may be clipping.
 CLIPPED_RUN = 3
-#: Shortest clipped run over its neighbours' length; at the top of a coarsely quantised sine the ratio is 5.5.
+#: Smallest ratio of the length of a clipped run to that of its neighbours; at the top of a coarsely quantised sine it
+#: is 5.5.
 CLIPPED_POPULATION = 8.0
-#: Drift over the whole data, as a part of the stroke, above which there is a warning.
+#: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
 
 
@@ -133,18 +134,18 @@ class DataReport:
 
     samples: int
     sample_time: float  #: [s]
-    jitter: float  #: Largest distance of a sample from its place on the uniform grid [s].
-    missing: int  #: Samples at which the input or output is not finite.
+    jitter: float  #: Largest deviation of a sample from the uniform grid [s].
+    missing: int  #: Number of samples at which the input or output is not finite.
     stroke: float  #: Peak-to-peak output in its SI unit.
     input_minimum: float  #: input_minimum, input_maximum: In the input's SI unit.
     input_maximum: float
-    clipped_input: float  #: clipped_input, clipped_output: Share of samples at a clipped extreme.
+    clipped_input: float  #: clipped_input, clipped_output: Fraction of samples at a clipped extreme.
     clipped_output: float
     #: Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
     delay: float
     drift: float  #: Change of the output over the whole data that the input does not explain, in its SI unit.
     reversals: int  #: Number of reversals of the input.
-    findings: tuple[Finding, ...]  #: In the order of the checks.
+    findings: tuple[Finding, ...]  #: Findings in the order of the checks.
 
     @property
     def errors(self) -> tuple[Finding, ...]:
@@ -162,7 +163,7 @@ class DataReport:
         return tuple(item.message for item in self.findings if item.severity == "note")
 
     def warned(self, texts) -> DataReport:
-        """Return the report with earlier warnings in front."""
+        """Return the report, preceded by earlier warnings."""
         return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
 
     def raise_errors(self) -> None:
@@ -213,7 +214,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
         ):
             if share > 0.0:
                 text = (
-                    f"the {role} seems clipped: {100 * share:.2g} % of the samples rest exactly at its extreme "
+                    f"the {role} seems clipped: {100 * share:.2g} % of the samples are exactly at its extreme "
                     f"({readable(values.min(), unit)} … {readable(values.max(), unit)})"
                 )
                 found.append(Finding("clipping", "warning", text))
@@ -275,8 +276,8 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
     if jitter <= GRID_TOLERANCE * slope or jitter <= 0.51 * _rounding(time):
         if jitter <= 0.01 * slope:
             return slope, jitter, []
-        beside = f"up to {readable(jitter, 's')} beside a uniform grid of {readable(slope, 's')}"
-        text = f"samples lie {beside}; taken as uniform"
+        beside = f"up to {readable(jitter, 's')} off a uniform grid of {readable(slope, 's')}"
+        text = f"samples lie {beside}; assumed to be uniform"
         return slope, jitter, [Finding("jitter", "note", text)]
     median = float(np.median(distances))
     steps = np.rint(distances / median)
@@ -287,7 +288,7 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
             f"{distances[longest]:.4g} s at {time[longest]:.6g} s"
         )
     else:
-        text = f"not uniformly sampled: distances from {distances.min():.6g} s to {distances.max():.6g} s"
+        text = f"not uniformly sampled: intervals from {distances.min():.6g} s to {distances.max():.6g} s"
     return (
         slope,
         jitter,
@@ -296,7 +297,7 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
 
 
 def _rounding(time):
-    """Return the decimal place [s] to which all times are rounded, 0 when to none."""
+    """Return the decimal place [s] to which all times are rounded; 0 if they are not rounded."""
     for digits in range(1, 7):
         scaled = time * 10.0**digits
         if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
@@ -306,11 +307,11 @@ def _rounding(time):
 
 
 def clipped_share(values, driver=None) -> float:
-    """Return the share of samples at a clipped extreme, 0 without clipping.
+    """Return the fraction of samples at a clipped extreme, 0 without clipping.
 
-    Clipped are runs of at least three equal samples at the extreme that are many times longer than the runs just before
-    and after. With a ``driver`` (the input of an output), only runs during which it moves count, because an output may
-    rest while its input rests. Without one, a signal that rests at many levels (steps) is not clipped.
+    A run of at least three equal samples at the extreme is clipped if it is many times longer than the runs just before
+    and after. With a ``driver`` (the input of this output), only runs during which it moves count, because an output
+    may rest while its input rests. Without a driver, a signal that rests at many levels (steps) is not clipped.
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -365,7 +366,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
         sums.append(total[first + overlap] - total[first])
     spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
     window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
-    # half a period away an inverted sine fits as well: an inverted output must be a clearly better match
+    # an inverted sine also fits half a period away, so an inverted output must match clearly better
     sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
     best = int(np.argmax(sign * window))
     shift = 0.0
@@ -382,13 +383,13 @@ def _check_delay(u, y, sample_time):
     text = f"the output lags the input by {lag} at the best correlation (dead time, dynamics and hysteresis)"
     if delay < -1.5 * sample_time:
         lead = readable(-delay, "s")
-        text = f"the output leads the input by {lead}; do both columns use one clock, and are they not exchanged?"
+        text = f"the output leads the input by {lead}; do both columns use one clock, and are they in the right order?"
         return delay, [Finding("delay", "warning", text)]
     return delay, [Finding("delay", "note", text)]
 
 
 def _check_drift(time, u, y, unit):
-    """Return the drift: the line in time of a fit of y by the input, its direction and a line."""
+    """Return the drift: the part linear in time of a fit of y by the input, the input's direction and time."""
     scaled = (u - u.mean()) / np.ptp(u)
     smooth = np.gradient(scaled)
     direction = smooth / (np.max(np.abs(smooth)) or 1.0)
@@ -415,8 +416,8 @@ class IdentificationData:
     output: np.ndarray  #: shape (N,); SI.
     input_unit: str = "V"  #: SI unit of the input.
     output_unit: str = "m"  #: SI unit of the output.
-    input_name: str = "input"  #: Column the input comes from.
-    output_name: str = "output"  #: Column the output comes from.
+    input_name: str = "input"  #: Name of the input's column.
+    output_name: str = "output"  #: Name of the output's column.
     source: str = ""  #: Name of the file.
     first: int = 0  #: Index of the first sample in the source.
     notes: tuple[str, ...] = ()  #: Changes to the data (samples omitted, resampled …).
@@ -432,7 +433,7 @@ class IdentificationData:
             object.__setattr__(self, name, values)
         for name in ("input_unit", "output_unit"):
             if not getattr(self, name):
-                raise DataError("unit", f"{name} is empty: unit-less data cannot be identified; give V, m …")
+                raise DataError("unit", f"{name} is empty: data without units cannot be identified; give V, m …")
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -440,7 +441,7 @@ class IdentificationData:
 
     @property
     def sample_time(self) -> float:
-        """Distance of two samples [s]; NaN with fewer than two."""
+        """Interval between two samples [s]; NaN with fewer than two."""
         if len(self) < 2:
             return float("nan")
         return float((self.time[-1] - self.time[0]) / (len(self) - 1))
@@ -479,14 +480,14 @@ class IdentificationData:
         if not finite.any() or (finite[0] and finite[-1]):
             return self
         first, last = int(np.argmax(finite)), len(self) - int(np.argmax(finite[::-1]))
-        note = f"{first} samples at the start and {len(self) - last} at the end left out: input or output missing"
+        note = f"{first} samples at the start and {len(self) - last} at the end omitted: input or output missing"
         return replace(self.part(first, last), notes=(*self.notes, note))
 
 
 def from_recording(
     recording: Recording, input: str | None = None, output: str | None = None, source: str | None = None
 ) -> IdentificationData:
-    """Take input and output out of a recording."""
+    """Select input and output of a recording."""
     chosen_input = input or _default(recording.units, ("voltage",), "V", "input", recording)
     chosen_output = output or _default(recording.units, ("measured", "displacement"), "m", "output", recording)
     return IdentificationData(
@@ -521,7 +522,7 @@ def load_data(
     sample_time: float | None = None,
     namespace: str | None = None,
 ) -> IdentificationData:
-    """Read a bag, a text table or an NPZ and take one input and one output out of it.
+    """Read a bag, a text table or an NPZ, and select one input and one output.
 
     Units: ``sample_time`` [s].
     """
@@ -537,7 +538,7 @@ def load_data(
 def from_table(
     table: Table, selection: Selection, input: str | None = None, output: str | None = None, progress=None
 ) -> IdentificationData:
-    """Take one input and one output out of a table."""
+    """Select one input and one output of a table."""
     declared, time = table.units, selection.time
     _refuse_inchworm(table.path, declared, input, output)
     taken = {split_choice(time)[0] if time and time not in declared else time or find_time(declared)}
@@ -571,7 +572,9 @@ def _default(units, preferred, unit, role, recording=None):
         return fitting[0]
     found = f"{', '.join(fitting)} are all in {unit}" if fitting else f"no column is in {unit}"
     columns = ", ".join(f"{name} [{declared or '?'}]" for name, declared in units.items())
-    raise DataError("columns", f"which column is the {role}? {found}; columns: {columns}. Choose it as name:unit")
+    raise DataError(
+        "columns", f"the column of the {role} is unclear: {found}; columns: {columns}. Choose one as name:unit"
+    )
 
 
 def _si(name, unit):
@@ -584,7 +587,7 @@ def refuse_short(samples: int, needed: int, what: str) -> None:
         raise DataError("short", f"{samples} samples are too few for {what}; at least {needed} are needed")
 
 
-#: Fewest samples of a recording.
+#: Least number of samples of a recording.
 FEWEST_SAMPLES = 20
 
 

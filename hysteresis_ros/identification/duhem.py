@@ -9,15 +9,15 @@
 
 """Duhem models from data: the model, its inverse, and the model before linear dynamics (Wang, Alici & Tan 2014; W1-W5).
 
-The loops are prepared (W2): the lag is removed, frequencies are made comparable, the branches of the major loop
-extracted. They give f and g for a given α. W3 gives them from the branches *and their slopes*, but the slopes of
-measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known path of the
-input, the equation is used in its integrated form instead: the fit finds f and g, as networks or splines, with which
-the equation follows the measured branches. For exact branches both are the same; with noise the integral needs no
-differentiation. Input and output of the major loop are normalised to -1 … +1.
+The loops are prepared (W2): the lag is removed, frequencies are made comparable, and the branches of the major loop are
+extracted. For a given α these branches determine f and g. W3 computes f and g from the branches *and their slopes*, but
+the slopes of measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known
+path of the input, the equation is used in its integrated form instead: the fit finds f and g, as networks or splines,
+with which the equation follows the measured branches. For exact branches both methods are equivalent; the integral
+needs no differentiation of noise. Input and output of the major loop are normalised to -1 … +1.
 
-The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces the major loop and nothing else: after
-a reversal inside it the output first moves the wrong way. α determines the minor loops, so it is identified from them
+The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces only the major loop: after a reversal
+inside it, the output first moves in the wrong direction. α determines the minor loops, so it is identified from them
 (W7) if the recordings contain any. The inverse (W4) is the same with input and output exchanged.
 
 A linear part of second order behind the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
@@ -43,14 +43,14 @@ from hysteresis_ros.identification.thresholds import NETWORK_SIZE
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 from hysteresis_ros.models.linear import LinearParameters
 
-#: Part of a branch on both sides of a reversal that determines the lag.
+#: Fraction of a branch, on both sides of a reversal, from which the lag is determined.
 WINDOW = 0.25
 LAG_CANDIDATES = 41
-#: A branch is one of the major loop when it comes this near to both ends, in parts of the range.
+#: A branch belongs to the major loop when it comes this close to both ends, as a fraction of the range.
 NEAR_END = 0.02
-#: Largest gap of a steady loop, as a part of the range.
+#: Largest gap of a steady loop, as a fraction of the range.
 OPEN_END = 0.02
-#: Points of a branch.
+#: Number of points of a branch.
 LOOP_GRID = 301
 COARSEST_GRID = 41
 
@@ -68,9 +68,10 @@ class PreparedLoops:
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
     """Return the delay of the reversals of the displacement after those of the voltage [s] (Δt of W2).
 
-    Rate-independent hysteresis turns where its input turns, a lag turns later. Around each reversal, one parabola of
-    the voltage before it and one after it, which meet in the corner, describe the displacement; the lag is the delay of
-    the voltage with the smallest residual. The phase of the first harmonic would also include the hysteresis.
+    Rate-independent hysteresis reverses when its input reverses; a lag reverses later. Around each reversal, two
+    parabolas of the voltage that meet in the corner, one before and one after it, describe the displacement; the lag is
+    the delay of the voltage with the smallest residual. The phase of the first harmonic would also include the
+    hysteresis.
 
     Units: ``voltage`` [V], ``displacement`` [m].
     """
@@ -156,13 +157,13 @@ class MajorLoop:
     input_high: float
     output_low: float
     output_high: float
-    gap: float  #: Larger gap between the branches at an end, as a part of the output range.
+    gap: float  #: Larger gap between the branches at an end, as a fraction of the output range.
     #: Standard error of the grid values (normalised), from the scatter of the samples around the branches.
     noise: float
 
     @property
     def opening(self) -> float:
-        """Loop width, as a part of the output range."""
+        """Loop width, as a fraction of the output range."""
         return 0.5 * float(np.max(np.abs(self.falling - self.rising)))
 
     def input(self, u) -> np.ndarray:
@@ -194,8 +195,8 @@ def major_loop(inputs, outputs) -> MajorLoop:
         kept[rising] = kept[rising] or spare[rising]
         if not kept[rising]:
             raise IdentificationError(
-                f"no {name} branch runs from {low:g} to {high:g}, the ends of the input range; a Duhem model needs one "
-                "whole major loop: record at least one and a half cycles of full amplitude"
+                f"no {name} branch extends from {low:g} to {high:g}, the ends of the input range; a Duhem model needs "
+                "a complete major loop: record at least one and a half cycles of full amplitude"
             )
     ends = np.array([(v.min(), v.max()) for side in kept.values() for v, _ in side])
     v_low, v_high = float(np.median(ends[:, 0])), float(np.median(ends[:, 1]))
@@ -254,12 +255,14 @@ def _on_grid(grid, v, y):
 
 #: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Largest α (normalised), below the overflow of exponentials; branches switch within 1 % of the range long before.
+#: Largest α (normalised), below the overflow of exponentials; far below it, branches already switch within 1 % of the
+#: range.
 LARGEST_ALPHA = 300.0
-#: Weight of roughness (splines) and of size (networks) against the residual; it only breaks ties.
+#: Weight of roughness (splines) and of size (networks) relative to the residual; it only decides between equally good
+#: fits.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
-#: Tried numbers of units and of knots, until the residual is small or stops falling.
+#: Numbers of units and of knots, tried in order until the residual is small or no longer decreases.
 UNITS = (4, 8, 12, 18, 24)
 KNOTS = (8, 12, 18, 26, 38, 56)
 #: Residual (rms, of half the range) that is small enough.
@@ -281,13 +284,13 @@ class Shapes:
     kind: str  #: ``network`` or ``spline``.
     f: np.ndarray  #: f, g: Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
     g: np.ndarray
-    rms: float  #: rms, maximum: Residual of the loop with these functions, in parts of half the range.
+    rms: float  #: rms, maximum: Residual of the loop with these functions, as a fraction of half the range.
     maximum: float
     converged: bool  #: The training converged or reached :data:`TRAINED` (splines need none).
 
 
 class LoopOperator:
-    """The Duhem equation run once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
+    """The Duhem equation, integrated once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
 
     def __init__(self, grid, alpha, start):
         longest = float(np.max(np.diff(grid)))
@@ -447,10 +450,10 @@ PUBLISHED_ALPHA = 80.0
 #: Initial values of α, and the knots of the splines in the search.
 ALPHAS = np.geomspace(0.05, 100.0, 23)
 SEARCH_KNOTS = 26
-#: Most samples of the minor loops in the search.
+#: Largest number of samples of the minor loops in the search.
 SEARCH_SAMPLES = 800
 ALPHA_TOLERANCE = 1e-3
-#: Smallest difference of a minor loop from the major one that determines α, as a part of the range.
+#: Smallest difference of a minor loop from the major one that determines α, as a fraction of the range.
 SMALLEST_MINOR = 0.1
 
 
@@ -462,11 +465,12 @@ class DuhemIdentification:
     alpha: float  #: α for the normalised input, as in the paper.
     alpha_source: str  #: ``given``, ``minor loops`` or ``paper``.
     loop: MajorLoop  #: The branches used for the fit.
-    rms: float  #: rms, maximum: Residual of the major loop, in parts of its full range.
+    rms: float  #: rms, maximum: Residual of the major loop, as a fraction of its full range.
     maximum: float
-    minor_rms: float  #: Residual of the recording that gives α, in parts of the full range; NaN without minor loops.
+    #: Residual of the recording that gives α, as a fraction of the full range; NaN without minor loops.
+    minor_rms: float
     converged: bool  #: The training of f and g and the search for α converged; α does not lie at a bound.
-    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
+    warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
 
 def identify_duhem(
@@ -525,7 +529,9 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
             "creep, or a first cycle from rest; record further cycles"
         )
     if loop.opening < 1e-3:
-        warnings.append(f"the loop is only {100.0 * loop.opening:.2g} % of its range wide: hardly any hysteresis")
+        warnings.append(
+            f"the loop width is only {100.0 * loop.opening:.2g} % of its range: there is hardly any hysteresis"
+        )
     if minor is not None:
         input_, output = minor
         minor = checked_signals(input_, output, names)
@@ -541,8 +547,8 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     elif alpha is None:
         alpha, source = PUBLISHED_ALPHA, "paper"
         warnings.append(
-            f"no minor loops: alpha = {alpha:g} is the paper's; it reproduces the major loop only, after a reversal "
-            "inside it the output first moves the wrong way; record loops of decaying amplitude"
+            f"no minor loops: alpha = {alpha:g} is the paper's; it reproduces only the major loop, and after a "
+            "reversal inside it the output first moves in the wrong direction; record loops of decaying amplitude"
         )
     operator, target = _operator(loop, alpha)
     shapes = fit_shapes(operator, target, shape, size, np.random.default_rng(seed), loop.noise)
@@ -596,7 +602,7 @@ def _has_minor_loops(u) -> bool:
 
 
 def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
-    """Return the residual of a recording, in parts of the full range, from its first reversal on."""
+    """Return the residual of a recording, as a fraction of the full range, from its first reversal on."""
     u, y = minor
     block = DuhemHysteresis(replace(parameters, input_start=float(u[0]), output_start=float(y[0])), 1.0)
     first = split_branches(u)[0]
@@ -609,7 +615,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
 
 
 def _thinned(u, y):
-    """Return fewer samples of a recording, including its reversals, as rate independence allows."""
+    """Return a subset of the samples of a recording, with its reversals, which rate independence allows."""
     step = max(1, u.size // SEARCH_SAMPLES)
     turns = [branch.stop for branch in split_branches(u)]
     kept = np.union1d(np.arange(0, u.size, step), np.array(turns, dtype=int))
@@ -652,8 +658,8 @@ class DuhemHammerstein:
     linear_only: ArxFit  #: G1, the linear model without hysteresis, for comparison.
     prepared: PreparedLoops  #: Lags and gains of the recordings.
     rms: tuple[float, ...]  #: Simulation error of the whole model for each recording [m].
-    linear_only_rms: tuple[float, ...]  #: The same for G1.
-    converged: bool  #: Convergence of the hysteresis.
+    linear_only_rms: tuple[float, ...]  #: Simulation error of G1 for each recording [m].
+    converged: bool  #: Whether the fit of the hysteresis converged.
     warnings: tuple[str, ...]  #: Warnings of both parts.
 
     @property
@@ -682,7 +688,7 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # the first reversals of both are the same large ones; their amplitudes give the gain of the linear part
+        # both begin with the same large reversals, whose amplitudes give the gain of the linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)

@@ -59,11 +59,12 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Length of the recording over that of a segment; segments overlap by half.
 LENGTHS = 8
-#: Neighbouring segments are held out together; this is the number of such folds.
+#: Number of folds; neighbouring segments belong to the same fold.
 FOLDS = 4
-#: Neighbouring frequencies are combined up to this part of the frequency.
+#: Neighbouring frequencies are combined within this fraction of the frequency.
 RESOLUTION = 2e-3
-#: The noise is assumed smooth over this part of an octave to both sides, and over at least this many frequencies.
+#: The noise is assumed smooth over this fraction of an octave to both sides, and over at least this number of
+#: frequencies.
 NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
 
@@ -81,7 +82,7 @@ class SegmentSpectra:
 
     @property
     def resolution(self) -> float:
-        """Distance of the lowest frequencies [Hz]."""
+        """Distance between the lowest frequencies [Hz]."""
         return float(self.frequencies[1] - self.frequencies[0])
 
     def errors(self, response) -> np.ndarray:
@@ -138,16 +139,16 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
     return SegmentSpectra(lines, input_, output, cross, float(w.size), len(starts), sample_time)
 
 
-#: Most modes of a structure.
+#: Largest number of modes of a structure.
 MOST_MODES = 2
-#: Ranges: damping; frequency [of the sample rate]; lag and delay in samples and as parts of a segment.
+#: Ranges: damping; frequency [of the sample rate]; lag and delay in samples and as fractions of a segment.
 DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
 MOST_EVALUATIONS = 60
-#: Fewest cycles of a mode in a segment.
+#: Least number of cycles of a mode in a segment.
 LEAST_CYCLES = 20.0
-#: Smallest model error, as a part of the movement at neighbouring frequencies; the window leaks as much.
+#: Smallest model error, as a fraction of the movement at neighbouring frequencies, because the window leaks that much.
 SMALLEST_ERROR = 3e-3
 
 
@@ -174,7 +175,7 @@ class ModalTrial:
     structure: ModalStructure
     part: LinearPart  #: Linear part of unit gain, without creep, for a held input.
     gain: float
-    response: np.ndarray  #: shape (n,); At the frequencies of the spectra, gain included.
+    response: np.ndarray  #: shape (n,); Response at the frequencies of the spectra, including the gain.
     values: np.ndarray  #: Parameters of the search.
 
 
@@ -230,7 +231,7 @@ class ModalSearch:
         self.weigh(np.abs(self.estimate))
 
     def weigh(self, response) -> None:
-        """Weight the frequencies by the residual noise of a response from now on."""
+        """From now on, weight the frequencies by the residual noise of a response."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
         self.variance = np.maximum(noise, SMALLEST_ERROR**2 * around)
@@ -366,14 +367,14 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
     return tuple(modes)
 
 
-#: Initial frequencies and dampings of a mode, and how many of the best are refined.
+#: Number of initial frequencies of a mode, its initial damping ratios, and number of the best starts that are refined.
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
-#: Most structures with an equal number of modes that are compared on held-out segments.
+#: Largest number of structures with an equal number of modes that are compared on held-out segments.
 JUDGED = 3
-#: A larger structure must predict better in at least this many folds. Each mode that it adds must also pay off at
-#: frequencies within this factor of its own.
+#: A larger structure must predict better in at least this number of folds. Each added mode must also improve the
+#: prediction at frequencies within this factor of its own.
 MAJORITY, NEARBY_FREQUENCY = 3, 1.4
-#: Most evaluations with held-out segments, where the search starts near its end.
+#: Largest number of evaluations with held-out segments, where the search starts near its end.
 FEW_EVALUATIONS = 6
 
 
@@ -386,7 +387,7 @@ def choose_dynamics(
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
     search.weigh(largest[0].response)
     low, high = search.mode_range
-    # with few samples per cycle there is no room for a mode between the drive and half of the sample rate
+    # with few samples per cycle no mode fits between the drive frequency and half of the sample rate
     for _ in range(most_modes if 1.2 * low < high else 0):
         largest.append(_with_mode(search, largest[-1]))
     search.weigh(largest[-1].response)
@@ -427,7 +428,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
         ):
             best, least = trial, errors
     if best.structure.delay and not best.structure.lag:
-        # stages have lags: a lag is chosen if it is nearly as good
+        # stages usually have a lag, so a lag is chosen if it is nearly as good
         for trial, errors in order:
             same = trial.structure == replace(best.structure, lag=True, delay=False)
             if same and errors.sum() - least.sum() < price:
@@ -436,7 +437,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
 
 
 def _added_modes(modes, present) -> list[Mode]:
-    """Return the modes that are new; for each earlier mode the nearest in frequency is not."""
+    """Return the new modes: all except, for each earlier mode, the one nearest in frequency."""
     left = list(modes)
     for mode in present if len(modes) > len(present) else ():
         left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
@@ -485,7 +486,7 @@ def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):
 
 
 def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:
-    """Return the trial and the errors of each fold and frequency under its structure fitted to the other folds."""
+    """Return the trial, and the errors of its structure in each fold and frequency when fitted to the other folds."""
     spectra, found = search.spectra, []
     for fold in range(len(spectra.input)):
         others = search.without(fold)
@@ -520,8 +521,8 @@ class LinearStage:
     fitted: int  #: Fitted numbers.
     numbers: dict[str, float]  #: Figures for the user, by names with units.
     part: LinearPart  #: Lag, delay and modes in continuous time; empty for :data:`STAGES`.
-    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: With unit DC gain.
-    rmse: float = math.nan  #: RMS error of the simulated output [m], if that was fitted.
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: Dynamics with unit DC gain.
+    rmse: float = math.nan  #: RMS error of the simulated output [m], if the output was fitted.
     warnings: tuple[str, ...] = ()
     converged: bool = True
 
@@ -568,7 +569,7 @@ def fit_stage(
 
 
 def _modal_stage(spectra: SegmentSpectra, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and modes; without modes if one is not accepted."""
+    """Choose lag, delay and modes; if a mode is not accepted, choose without modes."""
     pair = tuple(part for part in PAIR if part in parts)
     found = choose_dynamics(spectra, pair, zeros=zeros)
     if accepted is not None and not all(accepted(mode.frequency) for mode in found.part.modes):
@@ -618,13 +619,13 @@ def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings,
     )
 
 
-#: A recording that cannot be reduced to this many samples is a fast one.
+#: A recording that cannot be reduced to this number of samples counts as fast.
 FAST_SAMPLES = 12000
-#: Samples for the search of creep, and for the final weights, in fast recordings.
+#: Numbers of samples, for fast recordings: in the search of creep, and for the final weights.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
-#: Up to this harmonic of the drive, the shape of the loops has power; a resonance there needs this part of the
-#: voltage's power within this part of its frequency.
+#: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if the voltage has
+#: this fraction of its power within this fraction of the resonance frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
 #: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
@@ -655,7 +656,7 @@ class TurnSearch:
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # if no step is resolved, nothing faster is
+            # if the samples do not resolve a step, they resolve nothing faster
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
         start = self.choose(self.voltage)
@@ -664,9 +665,11 @@ class TurnSearch:
             with contextlib.suppress(ParameterError):
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
         if not found:
-            raise IdentificationError("no hysteresis fits with the identified dynamics; try --linear lag,delay,creep")
+            raise IdentificationError(
+                "no hysteresis model fits behind the identified dynamics; try --linear lag,delay,creep"
+            )
         best, *others = found
-        for fit in others:  # the simplest comes first
+        for fit in others:  # the simplest structure is tried first
             best = fit if FAST_DYNAMICS.improves(fit.rmse, best.rmse) else best
         return best
 
@@ -685,7 +688,7 @@ class TurnSearch:
         return fit_stage(moved, y, step, MODES, self.first, parts=self.parts, late=late, accepted=self.excited).part
 
     def excited(self, frequency: float) -> bool:
-        """Return whether a resonance there can be distinguished from the shape of the loops.
+        """Return whether a resonance at a frequency can be distinguished from the shape of the loops.
 
         At the first harmonics of the drive the hysteresis itself produces movement, so the voltage must have power
         there.
@@ -718,7 +721,7 @@ class TurnSearch:
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
-            except ParameterError:  # no weights fit with these dynamics
+            except ParameterError:  # no weights of the hysteresis fit with these dynamics
                 break
             found = [fit]
         return found
@@ -732,8 +735,8 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     """
     if not chain.invertible:
         raise IdentificationError(
-            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis and takes no others behind it; choose "
-            "another model"
+            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis and accepts no others behind it; "
+            "choose another model"
         )
     slow = chain.continuous
     moved = before_dynamics(chain, fast.input, fast.sample_time)

@@ -33,13 +33,14 @@ from hysteresis_ros.files import read_json
 
 #: One odd harmonic of each group of this size is omitted.
 GROUP = 4
-#: Default samples per period, and fewest samples of a block of a stepped sine.
+#: Default number of samples per period, and least number of samples of a block of a stepped sine.
 PERIOD, STEP = 2000, 200
-#: Highest frequency by default, as a part of the sample rate.
+#: Highest frequency by default, as a fraction of the sample rate.
 HIGHEST = 0.48
-#: Fewest lines of a multisine, samples per cycle of a stepped sine, default number of noise segments.
+#: Least number of lines of a multisine, least number of samples per cycle of a stepped sine, default number of noise
+#: segments.
 LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
-#: Most samples of a plausible recording.
+#: Largest number of samples of a plausible recording.
 MOST_SAMPLES = 10**12
 #: Points at which each loop can be excited; the first is the default.
 PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
@@ -94,7 +95,7 @@ class Plan:
     settle: int
     periods: int
     realisations: int
-    #: Samples of a period; for a stepped sine those of each block, for noise those of a segment and of all.
+    #: Number of samples of a period; of each block of a stepped sine; of a segment and of the whole, for noise.
     samples: tuple[int, ...]
     #: Excited harmonics of a multisine; cycles per block of each frequency of a stepped sine; first and last line of
     #: the segments of noise.
@@ -105,14 +106,14 @@ class Plan:
 
     @property
     def length(self) -> int:
-        """Samples of the whole excitation."""
+        """Number of samples of the whole excitation."""
         if self.kind == "noise":
             return self.samples[1]
         return self.realisations * (self.settle + self.periods) * sum(self.samples)
 
     @property
     def text(self) -> str:
-        """The plan as JSON."""
+        """The plan as JSON text."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -120,11 +121,11 @@ class Plan:
         """Return the plan of a text from :attr:`text`."""
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
-            raise ValueError("no plan of an excitation")
+            raise ValueError("not the plan of an excitation")
         values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in found.items()}
         plan = cls(**values)
         if not plan._sound():
-            raise ValueError("a plan of an excitation that no recording can have")
+            raise ValueError("the plan of an excitation has impossible numbers")
         return plan
 
     def _sound(self) -> bool:
@@ -156,7 +157,7 @@ def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tu
 
 
 def uniform(seed: int, count: int) -> np.ndarray:
-    """Return random numbers of 0 … 1 that are the same in every version of NumPy."""
+    """Return random numbers in 0 … 1, which are the same in every version of NumPy."""
     return (np.random.PCG64(seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 
@@ -198,14 +199,14 @@ def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray
         raise _too_slow(low, N / rate, "a period")
     first = int(np.ceil(low * N / rate - 1e-9))
     odd = np.arange(first + (first + 1) % 2, int(high * N / rate + 1e-9) + 1, 2)
-    # one of each whole group is omitted; the ends stay
+    # one line of each complete group is omitted, but never the first and last line
     groups = odd[1 : 1 + GROUP * ((odd.size - 2) // GROUP)].reshape(-1, GROUP)
     chosen = (uniform(asked.seed, len(groups)) * GROUP).astype(int)
     harmonics = np.setdiff1d(odd, groups[np.arange(len(groups)), chosen])
     if harmonics.size < LEAST_LINES:
         raise ConfigurationError(
-            f"{low:g} … {high:g} Hz holds {harmonics.size} lines of a multisine of {N / rate:.4g} s, {LEAST_LINES} are "
-            "needed; widen the band, or give a longer --period or --duration"
+            f"{low:g} … {high:g} Hz contains {harmonics.size} lines of a multisine of {N / rate:.4g} s, but "
+            f"{LEAST_LINES} are needed; widen the band, or give a longer --period or --duration"
         )
     factor = np.abs(shape(harmonics * rate / N))
     phases = 2.0 * np.pi * uniform(asked.seed + 1, asked.realisations * harmonics.size)
@@ -254,7 +255,7 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
     draws = uniform(asked.seed, 2 * N)
     values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
     frequencies = np.fft.rfftfreq(N, 1.0 / rate)
-    # one more line of the segments on both sides, because of the window
+    # one more line on both sides, because of the window
     inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
     inside[0] = False
     values = np.fft.irfft(np.fft.rfft(values) * inside, N)

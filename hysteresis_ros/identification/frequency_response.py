@@ -14,9 +14,9 @@ method takes any input, periodic multisines are averaged over periods and realis
 
 Several inputs and outputs (:func:`response_matrix`): each line needs as many independent experiments as there are
 inputs: orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal matrix), or R ≥ m
-random phases for each input. What differs between the periods of a realisation is noise, what differs between
-realisations is noise and nonlinear distortion. Both are kept as covariances of the outputs, because what disturbs one
-sensor disturbs its neighbours too.
+random phases for each input. Differences between the periods of a realisation are noise; differences between
+realisations are noise and nonlinear distortion. Both are stored as covariances of the outputs, because a disturbance of
+one sensor also affects its neighbours.
 
 In a closed loop the noise of the output is also in the input, which biases S_yu S_uu⁻¹ towards the inverse of the
 controller. S_ye S_ue⁻¹ with the external excitation e, which is uncorrelated with the noise, has no such bias (indirect
@@ -51,7 +51,7 @@ from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array
 from hysteresis_ros.identification.excitations import KINDS, Plan
 from hysteresis_ros.units import UNITS
 
-#: Lines of an input with less than this share of its strongest line count as not excited.
+#: Lines of an input below this fraction of its strongest line count as not excited.
 EXCITED = 1e-3
 #: Coherence below which a response is hardly better than noise.
 POOR_COHERENCE = 0.5
@@ -65,10 +65,10 @@ class FrequencyResponse:
     response: np.ndarray  #: shape (F, n_y, n_u); Complex, output unit per input unit.
     sample_time: float  #: Sample time of the data [s].
     #: shape (F, n_y, n_u); Noise and nonlinear distortion together, [(output unit/input unit)²]; None where it cannot
-    #: be told.
+    #: be estimated.
     total_variance: np.ndarray | None = None
     noise_variance: np.ndarray | None = None  #: shape (F, n_y, n_u); Noise alone, from the differences of the periods.
-    #: shape (F, n_y); Share of each output's power that the inputs explain linearly.
+    #: shape (F, n_y); Fraction of each output's power that the inputs explain linearly.
     coherence: np.ndarray | None = None
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
@@ -157,7 +157,7 @@ def welch_response(
             f"coherence below {POOR_COHERENCE} at {100 * poor:.0f} % of the lines: noise or weak excitation"
         )
     if averages < inputs + 4:
-        warnings.append(f"only {averages:.1f} independent averages: the variance is rough; record longer")
+        warnings.append(f"only {averages:.1f} independent averages: the variance is inaccurate; record longer")
     units = input_unit, output_unit
     degrees = max(averages - inputs, 0.5)
     return FrequencyResponse(
@@ -182,7 +182,7 @@ def _spectra(both, sample_time, segment, step, window):
 
 
 def _coherence(S, outputs, exciting):
-    """Return the share of each output's power that the excitation explains linearly, shape (F, n_y)."""
+    """Return the fraction of each output's power that the excitation explains linearly, shape (F, n_y)."""
     across = S[:, outputs, exciting]
     explained = np.einsum(
         "fij,fji->fi", across @ np.linalg.inv(S[:, exciting, exciting]), across.conj().transpose(0, 2, 1)
@@ -247,7 +247,7 @@ def averaged(frequency, U, Y, E):
     spread = np.einsum("fji,fjk,fki->fi", inverse.conj(), Em @ Eh, inverse).real
     noise = total = None
     if periods > 1:
-        # scatter of the output that the input's scatter explains is not noise of the output
+        # scatter of the output caused by scatter of the input is not noise of the output
         dU, dY = (part - part.mean(axis=1, keepdims=True) for part in (U, Y))
         rest = dY - np.einsum("fij,rpjf->rpif", response, dU)
         per_line = np.sum(np.abs(rest) ** 2, axis=(0, 1)).T / (realisations * (periods - 1) * periods)
@@ -303,7 +303,7 @@ def experiments(name: str, values, period: int | None = None) -> np.ndarray:
 def _refuse_constant(u):
     for i in range(u.shape[1]):
         if np.ptp(u[:, i]) <= CONSTANT * np.max(np.abs(u[:, i])):
-            raise DataError("constant", f"input {i} is constant; a frequency response needs an input that moves")
+            raise DataError("constant", f"input {i} is constant; a frequency response needs a varying input")
 
 
 #: Condition number of the inputs' spectra at a line above which they count as correlated: noise in the direction that
@@ -313,13 +313,13 @@ MOST_CONDITION = 1e3
 
 @dataclass(frozen=True, eq=False)
 class ResponseMatrix:
-    """The response from all inputs to all outputs at the excited lines, with what scatters around it."""
+    """The response from all inputs to all outputs at the excited lines, with covariances of noise and distortion."""
 
     response: FrequencyResponse  #: Response, shape (F, q, m), with the variances of its entries.
     #: shape (F, q, q), complex; covariance of the noise in the output spectrum of a realisation, averaged over its
     #: periods [m²]; None with one period.
     noise: np.ndarray | None
-    #: shape (F, q, q), complex; the same of noise and nonlinear distortion together; None with m realisations.
+    #: shape (F, q, q), complex; covariance of noise and nonlinear distortion together; None with m realisations.
     total: np.ndarray | None
     condition: np.ndarray  #: shape (F,); Condition number of the inputs' spectra over the realisations.
 
@@ -336,8 +336,8 @@ def experiments_of(name: str, values, period: int) -> np.ndarray:
     if period < 16 or array.shape[1] % period or not array.size:
         raise DataError(
             "shape",
-            f"{name} has {array.shape[1]} samples, no whole number of periods of {period} (at least 16) samples; leave "
-            "the start out, not the end of a period",
+            f"{name} has {array.shape[1]} samples, not a whole number of periods of {period} (at least 16) samples; "
+            "remove the surplus samples at the beginning",
         )
     realisations, samples, channels = array.shape
     return array.reshape(realisations, samples // period, period, channels).transpose(0, 1, 3, 2)
@@ -377,8 +377,8 @@ def _require_independent(inputs, sample_time: float) -> None:
     U = np.fft.rfft(inputs.mean(axis=1), axis=2)[..., 1 : (N + 1) // 2].transpose(2, 1, 0) / N
     strength = np.abs(U).max(axis=(1, 2))
     if not strength.max() > 0.0:
-        raise DataError("constant", "the inputs are constant; a frequency response needs inputs that move")
-    # the same lines as those of the response: others hold rounding only
+        raise DataError("constant", "the inputs are constant; a frequency response needs varying inputs")
+    # only the lines of the response, because the others contain only rounding errors
     excited = strength > 1e-3 * strength.max()
     condition = np.linalg.cond(U[excited])
     worst = int(np.argmax(condition))
@@ -391,9 +391,9 @@ def _require_independent(inputs, sample_time: float) -> None:
         )
 
 
-#: Lines of detection over which a level is averaged.
+#: Number of detection lines over which a level is averaged.
 NEAREST = 8
-#: Highest harmonic of a sine that counts: each further one brings more noise than distortion.
+#: Highest evaluated harmonic of a sine; higher ones contain more noise than distortion.
 HARMONICS = 9
 
 
@@ -402,7 +402,7 @@ class Distortion:
     """RMS levels at the excited lines for one realisation averaged over its periods, each shape (F,)."""
 
     noise: np.ndarray
-    odd: np.ndarray  #: odd, even: Levels less the noise, at least 0.
+    odd: np.ndarray  #: odd, even: Levels after subtraction of the noise, at least 0.
     even: np.ndarray
 
 
@@ -430,7 +430,7 @@ def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float,
     """Return the levels (noise, odd, even) of a sine, from its harmonics."""
     size = abs(U[:, cycles].mean()) ** 2
     places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
-    # in a closed loop the input has harmonics too; only the response at the sine itself is known
+    # in a closed loop the input also has harmonics, but only the response at the sine itself is known
     power, noise = _scatter((Y - response * U)[None, :, places])
     clear = power - noise
     odd, even = max(clear[2::2].sum(), 0.0), max(clear[1::2].sum(), 0.0)
@@ -457,9 +457,9 @@ def _near(harmonics, seen, clear) -> np.ndarray:
 
 #: Smallest signal-to-noise ratio of the response at half of the lines [dB].
 LEAST_RATIO = 6.0
-#: Two pieces of a signal are the same period when they differ by less than this part of its RMS.
+#: Two sections of a signal count as the same period when they differ by less than this fraction of its RMS.
 SAME = 0.03
-#: Weaker lines of a recorded excitation, over its strongest line, come from late samples or rounding.
+#: Lines of a recorded excitation below this fraction of its strongest line come from late samples or rounding.
 LINE = 0.03
 
 
@@ -500,7 +500,7 @@ def analyse(plan: Plan, sample_time: float, u, y, excitation=None, input_unit: s
     if plan.first + plan.length > len(y):
         raise IdentificationError(
             f"the excitation of {plan.length} samples begins at sample {plan.first} and the recording has {len(y)}: "
-            "it was cut off; record it again"
+            "the recording was cut off; record it again"
         )
     signals = [np.asarray(signal, dtype=float)[plan.first : plan.first + plan.length] for signal in signals]
     return ANALYSES[plan.kind](plan, sample_time, signals, input_unit)
@@ -514,7 +514,7 @@ def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     found = multisine_response(tables[0], tables[1], sample_time, input_unit=unit, excitation=excitation)
     harmonics = np.rint(found.frequency * N * sample_time).astype(int)
     if plan.lines:
-        # quantisation in the loop may excite further lines
+        # quantisation in a loop may excite additional lines
         planned = np.isin(harmonics, plan.lines)
         found = _at(found, planned)
         harmonics = harmonics[planned]
@@ -595,7 +595,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
     N = None if kind == "noise" else _repeats(e)
     if kind == "multisine" and (period or N is None):
         if period is None:
-            raise IdentificationError("--excitation multisine: the excitation does not repeat; give --period")
+            raise IdentificationError("--excitation multisine: the excitation is not periodic; give --period")
         N = round(period / sample_time)
     if N is None:
         length = round(period / sample_time) if period else max(2 * (e.size // 34), 32)
@@ -606,7 +606,7 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
             f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must hold two periods of "
             "16 samples at least"
         )
-    # with enough periods the first one settles
+    # with enough periods the first one is discarded for settling
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
     lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
@@ -662,7 +662,7 @@ def load_response(path) -> Analysis:
         raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
     except (OSError, ValueError, KeyError):
         raise RecordingError(
-            f"{path}: holds no frequency response; give the NPZ file that hysteresis frf wrote"
+            f"{path}: contains no frequency response; give the NPZ file that hysteresis frf wrote"
         ) from None
 
 

@@ -44,14 +44,15 @@ from hysteresis_ros.models.hysteresis.generalised_play import (
 from hysteresis_ros.recordings.loops import turning_points
 
 PLAYS = 12
-#: Searched parameters besides the weights, for each freedom; upper limit of the rate over the time between reversals.
+#: Searched parameters besides the weights, for each freedom; upper limit of the rate, relative to the time between
+#: reversals.
 FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
 LONGEST_RATE = 0.1
-#: Start and range of the common bend of both envelopes and of their difference.
+#: Initial value and range of the common bend of both envelopes, and of their difference.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
-#: Speeds differ by this factor, of swings over this part of the range.
+#: Speeds count as different from this factor on, for swings over at least this fraction of the range.
 DIFFERENT, LEAST_SWING = 2.0, 0.1
-#: Smallest slope without hysteresis, as a part of the whole slope.
+#: Smallest slope without hysteresis, as a fraction of the whole slope.
 LEAST_SLOPE = 1e-6
 
 
@@ -102,7 +103,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 def competitors(before, progress) -> list[GeneralisedPlays]:
     """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
 
-    Fits whose inverse may magnify errors are omitted.
+    Fits whose inverse may amplify errors are omitted.
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
     fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
@@ -159,7 +160,7 @@ class GeneralisedPlays(PlayFit):
         return np.column_stack([data.voltage, outputs - rest])
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet."""
+        """Return the same structure for other data, before a fit."""
         other = GeneralisedPlays(data, self.play_count, self.names)
         other.numbers = dict(self.numbers)
         return other

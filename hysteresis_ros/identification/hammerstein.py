@@ -51,17 +51,17 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate per decade.
+#: Largest lag and delay, as fractions of the mean time between two reversals; largest creep rate per decade.
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 MOST_EVALUATIONS = 40
-#: Singular values of the sensitivities below this part of the largest are rounding.
+#: Singular values of the sensitivities below this fraction of the largest are rounding errors.
 SMALLEST_VALUE = 3e-8
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HammersteinFit(PlantModel):
-    """A plant identified with its linear part, and what the fit says about it."""
+    """A plant identified with its linear part, with the figures of the fit."""
 
     linear_part: LinearPart
     rmse: float  #: RMS residual of the fit [m], including outliers.
@@ -70,7 +70,7 @@ class HammersteinFit(PlantModel):
     #: the correlation of the residual is taken into account.
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    converged: bool = True  #: False: the optimiser ran out of evaluations, and this is the best point found.
+    converged: bool = True  #: False: the optimiser reached its limit of evaluations, and this is the best point found.
     skipped: int = 0  #: First samples of the recording that the fit omits.
     drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
@@ -89,7 +89,7 @@ def search_linear_part(search: PartSearch, linear):
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
-    # a remanent actuator was at rest before; an actuator at rest at 0 V starts at zero, and so does its creep
+    # a remanent actuator was at rest before; for an actuator at rest at 0 V, creep also starts at zero
     settled = known.settled or bool(data.history)
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)
@@ -98,8 +98,8 @@ def search_linear_part(search: PartSearch, linear):
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
-        # start at rest at 0 V, as nodes do, unless rest under the first voltage fits clearly better; input linear
-        # between the samples unless a held voltage fits clearly better
+        # start at rest at 0 V, as nodes do, unless rest under the first voltage fits clearly better; assume an input
+        # that is linear between the samples, unless a held voltage fits clearly better
         bases, threshold = [base], LINEAR_PART
         if part == "lag" and not base.hold:
             bases.append(held)
@@ -121,7 +121,7 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
-    # stages have lags: a delay must be visible, and both together must be better than either
+    # stages usually have a lag: a delay must be visible, and both together must be better than either
     as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
     if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
         return [*others, "delay"], delayed
@@ -183,7 +183,7 @@ class PartSearch:
             residual, inside, bounds=(low, low + 1.0), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS
         )
         values = dict(zip(keys, found.x * scale, strict=True))
-        # a number at its bound has no column
+        # a parameter at its bound has no column
         covariance = parameter_covariance(found.jac, found.fun, truncated=SMALLEST_VALUE, correlated=True)
         deviations = dict(zip(keys, np.sqrt(np.diag(covariance)) * scale, strict=True))
         return PartTrial(values, found.fun * self.data.stroke, deviations, found.status > 0)
@@ -242,8 +242,8 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     error = error_of(part)
     constant = float(error[used].mean())
     error = error[first:] - constant
-    # the constant error of the half sample and of the table belongs to the offset
-    chosen: Any = hysteresis.chosen  # its class depends on the model
+    # constant errors, from the half sample and from the table, belong to the offset
+    chosen: Any = hysteresis.chosen  # the class of the parameters depends on the model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
     own: dict[str, Any] = {hysteresis.type: chosen}
     hysteresis = replace(hysteresis, **own)

@@ -8,7 +8,7 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Levenberg and Marquardt's method over normal equations, for fits whose Jacobian is too large to keep [1]_.
+"""Levenberg and Marquardt's method over normal equations, for fits whose Jacobian is too large to store [1]_.
 
 References
 ----------
@@ -24,22 +24,23 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-#: Damping at the start and where it gives up, as parts of the diagonal of the normal matrix.
+#: Initial damping, and the damping at which the search ends, relative to the diagonal of the normal matrix.
 DAMPING, MOST_DAMPING = 1e-3, 1e8
-#: A normal matrix costs far more than a trial: each step tries dampings from this part of the last one on, this factor
-#: apart, and takes the best.
+#: A normal matrix costs far more than a trial. Each step therefore tries several dampings, from this fraction of the
+#: last one upwards by this factor, and uses the best.
 EASED, RAISED = 0.02, 4.0
 LEAST_DAMPING = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a search ended."""
+    """The end point of a search."""
 
     parameters: np.ndarray
-    cost: float  #: Sum of squares there.
-    costs: tuple[float, ...]  #: After each step that helped, that of the start first.
-    converged: bool  #: Whether no step helps any more; if not, the steps were used up or the search was stopped.
+    cost: float  #: Sum of squares at this point.
+    costs: tuple[float, ...]  #: Sums of squares: at the start, and after each successful step.
+    #: Whether no further step reduces the cost; false: the number of steps was reached, or the search was stopped.
+    converged: bool
 
 
 def minimise(
@@ -52,18 +53,18 @@ def minimise(
     allowed: Callable[[np.ndarray], np.ndarray] | None = None,
     accepted: Callable[[np.ndarray, float], bool] | None = None,
 ) -> Minimum:
-    """Minimise a sum of squares whose Gauss-Newton matrix JᵀJ and gradient Jᵀr are at hand.
+    """Minimise a sum of squares, given its Gauss-Newton matrix JᵀJ and gradient Jᵀr.
 
     ``cost`` is infinite where a point cannot be simulated; ``normal`` gives (JᵀJ, Jᵀr) with the residual r = model -
-    data; ``allowed`` moves a point to the nearest that is; ``accepted`` sees each step that helped and returns whether
-    to go on.
+    data; ``allowed`` moves a point to the nearest allowed one; ``accepted`` receives each successful step and returns
+    whether to continue.
     """
     parameters = np.array(parameters, dtype=float)
     value, damping = cost(parameters), DAMPING
     costs = [value]
     for _ in range(steps):
         matrix, gradient = normal(parameters)
-        # parameters of all units: the matrix is scaled to a diagonal of ones
+        # the matrix is scaled to a unit diagonal, because the parameters have different units
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         size[size < 1e-10 * size.max()] = size.max()
         scaled, slope = matrix / size / size[:, None], gradient / size

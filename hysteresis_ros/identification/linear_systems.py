@@ -33,7 +33,7 @@ from hysteresis_ros.models.linear import BOUNDARY, LinearDynamics, LinearParamet
 
 
 class FitError(IdentificationError):
-    """A fit is not possible with this data and these settings; the message says what to change."""
+    """A fit is impossible with this data and these settings; the message states what to change."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class LinearModel(StateSpace):
         n, m = self.order, self.D.shape[1]
         if self.D.shape[0] != m:
             return np.empty(0, dtype=complex)
-        # scaled, so that "finite" means the same in metres and in micrometres
+        # scaled, so that the test for finite zeros does not depend on the unit
         b, c = np.linalg.norm(self.B) or 1.0, np.linalg.norm(self.C) or 1.0
         pencil = np.block([[self.A, self.B / b], [self.C / c, self.D / (b * c)]])
         shift = scipy.linalg.block_diag(np.eye(n), np.zeros((m, m)))
@@ -119,7 +119,7 @@ class LinearModel(StateSpace):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Natural frequencies and damping ratios of the poles, slowest first, a pair once."""
+        """Natural frequencies and damping ratios of the poles, slowest first, one entry for each pair."""
         poles = self.poles
         poles = poles[(poles.imag >= 0.0) & (np.abs(poles) > 1e-12)]
         s = np.log(poles.astype(complex)) / self.sample_time
@@ -183,13 +183,13 @@ def _list(values):
     return ", ".join(f"{v.real:.4g}" if abs(v.imag) < 1e-12 else f"{v.real:.4g}{v.imag:+.4g}j" for v in values)
 
 
-#: How an input may run between its samples; ``foh`` is another word for ``linear``.
+#: Courses of an input between its samples; ``foh`` is another name of ``linear``.
 METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
-#: Samples beyond each end over which a band-limited input that is not periodic is mirrored.
+#: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
 MARGIN = 64
-#: Samples to each side that determine a band-limited input between two samples, and β of Kaiser's window over them:
-#: closest for inputs up to a quarter of the sample rate, and sharp, for inputs up to nearly half of it.
+#: Number of samples to each side from which a band-limited input is interpolated, and β of Kaiser's window over them:
+#: one pair for highest accuracy up to a quarter of the sample rate, and one for inputs up to nearly half of it.
 CLOSE, SHARP = (10, 12.0), (32, 8.0)
 
 
@@ -223,7 +223,7 @@ def upsample(
 
 
 def find_period(u, tolerance: float = 1e-6) -> int | None:
-    """Return the number of samples after which the input repeats itself, None when it does not.
+    """Return the number of samples after which the input repeats itself; None if it is not periodic.
 
     The input must contain at least two whole periods.
     """
@@ -252,7 +252,7 @@ class CanonicalSimulation:
     """The responses of ``sⁱ/denominator`` to an input; the response of every numerator is a sum of them.
 
     The states of the controllable form are these responses. Time is scaled with the geometric mean of the poles, so
-    that the matrix is well scaled for a mirror of 2 kHz as well as for a creep of an hour.
+    that the matrix is well conditioned for a mirror of 2 kHz as well as for a creep of an hour.
 
     Units: ``sample_time`` [s].
     """
@@ -264,7 +264,7 @@ class CanonicalSimulation:
         n = self.order = len(denominator) - 1
         self.sample_time, self.intersample = float(sample_time), "foh" if intersample == "linear" else intersample
         self.rate = abs(denominator[-1]) ** (1.0 / n) if n and denominator[-1] else 1.0
-        # in s/rate the response is rate^(i - n) times that of the states, i.e. the powers are put back in `bases`
+        # in s/rate the response is rate^(i - n) times that of the states; `bases` restores these powers
         self.scaled = denominator[1:] / self.rate ** np.arange(1, n + 1)
         self.A = np.eye(n, k=1)
         if n:
@@ -362,7 +362,7 @@ def simulate_transfer_function(
     return simulation.bases(np.asarray(u, dtype=float), len(numerator) - 1, initial, delay) @ numerator[::-1]
 
 
-#: Smallest lag, as a part of the sample time; smaller ones are neglected.
+#: Smallest lag, as a fraction of the sample time; smaller ones are neglected.
 SHORTEST_LAG = 0.02
 #: A creep rate below this is neglected.
 SMALLEST_RATE = 1e-5
@@ -390,11 +390,11 @@ class LinearPart:
     delay: float = 0.0  #: Dead time [s].
     creep_rate: float = 0.0  #: γ of the logarithmic law, per decade.
     longest_time: float = 100.0  #: Time up to which the creep law holds [s].
-    #: Creep had settled under the first sample; otherwise everything was at rest at zero before it.
+    #: True: creep had settled under the first sample; false: everything was at rest at zero before it.
     settled: bool = False
-    modes: tuple[Mode, ...] = ()  #: Modes; the remaining part of the displacement passes through the lag.
-    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they are then those of the
-    #: stage itself. 0: linear between the samples; the delay then includes the half sample of holding.
+    modes: tuple[Mode, ...] = ()  #: Modes; the remaining displacement passes through the lag.
+    #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then describe the stage
+    #: itself. 0: the input was assumed linear between the samples, and the delay includes the half sample of holding.
     hold: float = 0.0
 
     @property
@@ -406,7 +406,7 @@ class LinearPart:
         return CreepParameters(type="logarithmic", logarithmic=law)
 
     def impulse(self, samples: int, sample_time: float) -> np.ndarray:
-        """Return the response, shape (samples,), to one sample of 1 between zeros.
+        """Return the response, shape (samples,), to a single sample of 1.
 
         Units: ``sample_time`` [s].
         """
@@ -450,7 +450,7 @@ class LinearPart:
         return self.delay + direct * self.lag + float(np.sum(np.array(late) / omega))
 
     def synchronous(self, sample_time: float) -> bool:
-        """Return whether each displacement belongs to the voltage of the same sample.
+        """Return whether each displacement already responds to the voltage of the same sample.
 
         Units: ``sample_time`` [s].
         """
@@ -507,7 +507,7 @@ class LinearPart:
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay behind a held input, read before it changes; its delay is T/(1 - e^(-T/τ)), not τ."""
+        """Return lag and delay without the effect of holding, with which a lag delays by T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -543,7 +543,7 @@ class Known(NamedTuple):
     """A known linear part for the fit of a hysteresis."""
 
     part: LinearPart
-    parts: tuple[str, ...] = ()  #: Parts of lag, delay and creep that are searched nevertheless.
+    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched nevertheless.
 
 
 def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:
@@ -561,10 +561,10 @@ def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParamete
     return LinearParameters(A, B, C, D=(float(D),) if D else (), sample_time=sample_time, delay=float(delay))
 
 
-#: The window of the smoothed derivative of :func:`undo_lag` covers this many lags, and at least so many samples.
+#: Length of the window of the smoothed derivative in :func:`undo_lag` [lags], and its least number of samples.
 LAG_WINDOW = 3.0
 FEWEST_IN_WINDOW = 5
-#: Smallest response of dynamics with modes that is inverted.
+#: Smallest magnitude of the response of dynamics with modes that is inverted.
 SMALLEST_RESPONSE = 0.1
 
 

@@ -36,7 +36,7 @@ from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.models.linear import BOUNDARY
 
-#: Misfit over the response below which it is attributed to rounding, not to a lack of order.
+#: Relative misfit below which it is attributed to rounding, not to an order that is too low.
 ROUNDING = 1e-7
 
 
@@ -71,12 +71,14 @@ class MatrixFractionFit:
     """A linear model from a frequency response."""
 
     model: LinearModel  #: Model of the chosen order.
-    order: int  #: Its order: as requested, or as suggested.
+    order: int  #: Chosen order: requested or suggested.
     suggested_order: int  #: The lowest order whose misfit is within the tolerance of the best one.
-    hankel_values: np.ndarray  #: shape (n,); Hankel singular values of the full fit over the largest, falling.
+    hankel_values: (
+        np.ndarray
+    )  #: shape (n,); Hankel singular values of the full fit, relative to the largest, in falling order.
     orders: np.ndarray  #: shape (m,); Tried orders.
-    #: shape (m,); Misfit of each: rms of |Ĝ - G| over the lines in units of the standard deviation, or over rms |G|
-    #: when the variance is not known.
+    #: shape (m,); Misfit of each order: rms of |Ĝ - G| over the lines, in units of the standard deviation, or relative
+    #: to rms |G| when the variance is unknown.
     misfit: np.ndarray
     fraction: MatrixFraction  #: The full fit.
     #: Unstable poles of the full fit that were removed, usually caused by noise; the misfit includes their
@@ -104,7 +106,7 @@ def fit_matrix_fraction(
     weight = base
     first = 0 if feedthrough else 1
     for _ in range(iterations + 1):
-        # for each line and input, transposed: -Σ z⁻ⁱ Gᵀ Q_iᵀ + Σ z⁻ⁱ R_iᵀ = Gᵀ
+        # for each line and input, in transposed form: -Σ z⁻ⁱ Gᵀ Q_iᵀ + Σ z⁻ⁱ R_iᵀ = Gᵀ
         output_part = -np.einsum("fi,fyu->fuiy", powers[:, 1:], G).reshape(F, nu, degree * ny)
         input_part = np.einsum("fi,uv->fuiv", powers[:, first:], np.eye(nu)).reshape(F, nu, -1)
         table = np.concatenate([output_part, input_part], axis=2) * weight[:, None, None]
@@ -137,10 +139,14 @@ def identify_matrix_fraction(
         data, deviation, _degrees(data.response.shape, degree, most, feedthrough), most, feedthrough, iterations
     )
     if not candidates:
-        raise FitError("the fit has no stable part; is the response that of a stable system, and not only noise?")
+        raise FitError(
+            "the fit has no stable part; check that the system is stable, and that the response is not only noise"
+        )
     highest = max(len(item.models) for item in candidates)
     if order is not None and not 1 <= order <= highest:
-        raise FitError(f"order = {order}: must be within 1 … {highest}, what degree {degree} and the lines allow")
+        raise FitError(
+            f"order = {order}: must be within 1 … {highest}, the limit for degree {degree} and this number of lines"
+        )
     orders = np.arange(1, highest + 1)
     best = [min((c for c in candidates if len(c.models) >= n), key=_misfit_with(int(n))) for n in orders]
     misfit = np.array([candidate.misfits[int(n) - 1] for n, candidate in zip(orders, best, strict=True)])
@@ -152,7 +158,7 @@ def identify_matrix_fraction(
     model = winner.models[chosen - 1]
     warnings = [*data.warnings, *model.warnings, *_missed(winner, misfit[chosen - 1], data, deviation, size)]
     if suggested == maximum_order and order is None:
-        warnings.append(f"the suggested order {suggested} is the highest one tried; the misfit still falls")
+        warnings.append(f"the suggested order {suggested} is the highest one tried, and the misfit is still falling")
     if order is not None and order < suggested:
         warnings.append(f"order {order} was requested; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
     return MatrixFractionFit(
@@ -205,7 +211,7 @@ def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iteratio
 def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
     """Yield warnings about the misfit of the chosen model; ``size`` is that of the response."""
     if winner.dropped:
-        # unstable poles from noise contribute nothing to the response; those of an unstable system do
+        # unstable poles caused by noise do not contribute to the response; poles of an unstable system do
         whole = winner.fraction.realisation(data.input_unit, data.output_unit)
         if misfit > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
             poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
@@ -217,7 +223,7 @@ def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
-    """Return the degrees to try: a low one is biased by noise, a high one has additional poles from noise."""
+    """Return the degrees to try: noise biases a low one, and adds poles to a high one."""
     if degree is not None:
         return [degree]
     F, ny, nu = shape
@@ -230,7 +236,7 @@ def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
     """Return the part of ``model`` with the poles inside the unit circle, and the removed poles.
 
     The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
-    stable one keeps its share of the response.
+    stable part keeps its contribution to the response.
     """
     for margin in (BOUNDARY, 1e-6, 1e-4, 1e-3, 1e-2):
         stable, dropped = _separated(model, 1.0 - margin)
@@ -297,7 +303,7 @@ def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, fee
 
 
 def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
-    """Return the rms misfit of a model at the lines; None is the model zero."""
+    """Return the rms misfit of a model at the lines; None stands for the zero model."""
     predicted = 0.0 if model is None else model.frequency_response(data.frequency)
     scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
     return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The result of an identification as ROS 2 parameter file, which the nodes run unchanged and which names its origin.
+"""The result of an identification as ROS 2 parameter file, which nodes can run unchanged and which states its origin.
 
-The sections of plant, compensator and controller are those every axis has. The section ``/identification`` belongs to
-no node, so ROS ignores it; it holds the source, the figures, the assumptions and the warnings.
+Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` belongs to no
+node, so ROS ignores it; it contains source, figures, assumptions and warnings.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from hysteresis_ros.models.linear import LinearParameters
 SECTION = "/identification"
 #: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
-#: Written fields of each mode.
+#: Fields that are written for each mode.
 MODE_NUMBERS = ("frequency", "damping", "position", "velocity")
 _HEADER = """\
 # Identified by `hysteresis identify`; a ROS 2 parameter file for the nodes of an axis. SI units.
-# /identification is not a node: it says where the numbers come from.
+# /identification is not a node: it states where the numbers come from.
 """
 
 
@@ -106,7 +106,7 @@ def sections(result: Identification) -> dict[str, dict]:
 
 
 def rate_of(sample_time: float) -> float:
-    """Return the sample rate [Hz], rounded to 9 digits: stamps of whole nanoseconds carry no more.
+    """Return the sample rate [Hz], rounded to 9 digits: stamps in whole nanoseconds are not more accurate.
 
     Units: ``sample_time`` [s].
     """
@@ -180,9 +180,11 @@ def assumptions(result: Identification) -> tuple[str, ...]:
         "no noise, no quantisation: the recording does not show which block causes them",
     ]
     if result.chain.offset:
-        found.append("preload.A1 holds the zero of the sensor: displacements count from there")
+        found.append("preload.A1 is the zero offset of the sensor: displacements count from there")
     if result.chain.linear_part is not None and result.chain.linear_part.lag > 0.0:
-        found.append("the lag is behind the hysteresis; whether amplifier, actuator or sensor causes it is unknown")
+        found.append(
+            "the lag is assumed to be behind the hysteresis; its cause (amplifier, actuator or sensor) is unknown"
+        )
     if result.chain.synchronous:
         found.append("quasi-static recording: an axis reads each displacement one sample later")
     return (*found, *result.assumptions)

@@ -36,10 +36,10 @@ class Request:
 
     model: str
     parts: tuple[str, ...]  #: Parts that may follow the hysteresis, of ``lag``, ``delay``, ``creep``, ``modes``.
-    stage: str | None  #: Dynamics of higher order instead.
+    stage: str | None  #: Dynamics of higher order, in place of these parts.
     options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
-    skip: int | None  #: First samples that the error omits; None: those until the past is erased.
+    skip: int | None  #: Number of first samples that the error omits; None: all until the past is erased.
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
@@ -70,14 +70,15 @@ class PlantModel:
     creep: CreepParameters
     dynamics: LinearParameters  #: For ``sample_time``.
     sample_time: float  #: [s]
-    offset: float = 0.0  #: Constant part of the displacement [m]; a plant has it as preload offset.
+    offset: float = 0.0  #: Constant part of the displacement [m]; a plant represents it as preload offset.
     #: Creep, lag and delay in continuous time, if the dynamics have no other part.
     linear_part: LinearPart | None = None
     #: Numerator and denominator of the dynamics, if they were identified in continuous time.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    #: A displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis reads it before.
+    #: Whether a displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis measures before
+    #: the voltage acts.
     synchronous: bool = False
-    #: Identified voltages [V] before the recording, from rest at 0 V, through which :meth:`simulate` goes.
+    #: Identified voltages [V] before the recording, from rest at 0 V; :meth:`simulate` begins with them.
     history: tuple[float, ...] = ()
     initial: str = "zero"  #: Initial state: ``zero``, ``periodic`` or ``estimate``.
     intersample: str = "zoh"  #: Input between samples: ``zoh``, ``linear`` or ``bandlimited``.
@@ -96,7 +97,7 @@ class PlantModel:
         """Creep, lag and delay; a lag of equal group delay at low frequencies replaces other dynamics."""
         if self.linear_part is not None:
             return self.linear_part
-        # half of the sample time belongs to the converter and is not in the voltage of a recording
+        # half of the sample time is the delay of the converter, which a recorded voltage does not contain
         delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
         return LinearPart(lag=max(delay, 0.0))
 
@@ -133,8 +134,8 @@ class Identification:
     deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, by parameter.
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    converged: bool = True  #: False: the best point found.
-    skipped: int | None = None  #: First samples that the fit omits; None: those until the past is erased.
+    converged: bool = True  #: False: the fit did not converge; this is the best point found.
+    skipped: int | None = None  #: Number of first samples that the fit omits; None: all until the past is erased.
     start: str = ""  #: Sentence about the assumed past of the recording.
     drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
     #: shape (K, n); Names and values of the parameters after each iteration of the best run.
@@ -143,7 +144,7 @@ class Identification:
 
 @runtime_checkable
 class IdentifiedModel(Protocol):
-    """Result of an estimator for any model: it predicts, is scored, and gives the parameters of an axis."""
+    """Result of an estimator for any model: it computes predictions, their scores, and the parameters of an axis."""
 
     def predict(self, voltage, sample_time: float | None = None) -> np.ndarray:
         """Return the displacement [m], shape (N,), under a voltage [V] of shape (N,).
@@ -163,7 +164,7 @@ class IdentifiedModel(Protocol):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """An estimator: structure and options are chosen, the data is not."""
+    """An estimator: a chosen structure with options, without data."""
 
     def fit(self, data) -> IdentifiedModel:
         """Return the model that fits a recording."""
@@ -178,7 +179,7 @@ class Procedure(Protocol):
         ...
 
 
-#: Points of each voltage ramp before the recording.
+#: Number of points of each voltage ramp before the recording.
 FINE = 65
 
 
@@ -249,7 +250,7 @@ def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[Hyst
     return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)
 
 
-#: The voltage counts as 0 V within this part of its range.
+#: The voltage counts as 0 V within this fraction of its range.
 AT_ZERO = 0.002
 
 

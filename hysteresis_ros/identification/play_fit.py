@@ -31,12 +31,12 @@ from hysteresis_ros.identification.preprocessing import Condensed
 from hysteresis_ros.identification.thresholds import SMOOTHER_WEIGHTS
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 
-#: Strength of the smoothness while the linear part and the shape are searched.
+#: Weight of the smoothness penalty during the search of the linear part and the shape.
 SEARCH_STRENGTH = 1e-2
 
-#: Added to the normal equations of columns of unit length.
+#: Small diagonal that is added to the normal equations of columns of unit length.
 GRAM_FLOOR = 1e-13
-#: Tried strengths of the smoothing, from hardly any to nearly linear weights.
+#: Tried weights of the smoothness penalty, from nearly none to nearly linear weights of the plays.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
@@ -45,7 +45,7 @@ class PlayFit(ABC):
 
     #: Searched parameters of the shape: name, initial value, and ends of the range.
     extra: tuple[tuple[str, float, float, float], ...] = ()
-    #: Differences of neighbouring weights that are penalised, one row each.
+    #: Penalised differences of neighbouring weights, one row for each.
     roughness: np.ndarray
 
     def __init__(self, data: Condensed):
@@ -119,14 +119,14 @@ class PlayFit(ABC):
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V], from 0, in steps of half the range over their number.
 
-    A play whose radius is half the range never moves and is omitted, unless it moves on the path from rest.
+    A play whose radius is half the range never moves and is omitted, unless the path from rest moves it.
     """
     step = 0.5 * voltage_range / count
     return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
 
 
 def smooth_weights(regressors, free, target, roughness, strength: float | None = None, ridge=None):
-    """Return weights ≥ 0 of ``regressors``, as smooth as the residual allows, and free coefficients of ``free``."""
+    """Return weights ≥ 0 of ``regressors``, as smooth as the residual allows, and signed coefficients of ``free``."""
     solver = WeightSolver(regressors, free, target, roughness, ridge)
     if strength is not None:
         return *solver.solve(strength), strength
@@ -163,7 +163,7 @@ class WeightSolver:
         free = self.r[:, self.count :]
         penalty = np.zeros((len(self.roughness), self.table.shape[1] + free.shape[1]))
         penalty[:, : self.count] = strength * self.size * self.roughness
-        # a coefficient of any sign is the difference of two non-negative ones
+        # an unconstrained coefficient is represented as the difference of two non-negative ones
         pull = np.zeros((free.shape[1], penalty.shape[1]))
         pull[:, self.count :] = np.column_stack([np.diag(self.ridge), -np.diag(self.ridge)])
         table = np.vstack([np.column_stack([self.r, -free]), penalty, pull])

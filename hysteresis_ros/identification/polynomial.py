@@ -10,17 +10,18 @@
 """Identification of the polynomial branch model and of the preload curve (Kim, Kim & Park 2009; K2, K3).
 
 K2: triangles of growing peak are cut into loops, each loop gets its branch parabolas, and their coefficients become
-quadratics of the peak voltage V_max. Two corrections make the branches continuous:
+quadratics of the peak voltage V_max. Two conditions make the branches continuous:
 
 * both branches of a loop start in one lower corner, D_r = D_f, and meet in one upper corner (*per loop*);
 * the upper corners lie on the virgin curve, for every V_max (*for the quadratics*, as identities of polynomials).
 
-With them nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2 and C_f2 as
-linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients for a given
-voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to all
-samples at once by linear least squares, which works with any excitation. The paper rates a model by its largest error.
-If the residual comes from the shape of the loops and not from noise, the weights are therefore moved towards the
-largest residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
+With these conditions nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2
+and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients
+for a given voltage — minor loops included, because branches change with the voltage only — the nine numbers are then
+fitted to all samples at once by linear least squares, which works with any excitation. The paper rates a model by its
+largest error. If the residual comes from the shape of the loops and not from noise, the weights are therefore moved
+towards the largest residuals (Lawson's reweighting), which halves the largest error when the shape of the loops is not
+that of the model.
 
 K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
 """
@@ -56,7 +57,7 @@ from hysteresis_ros.models.hysteresis.polynomial import (
 )
 from hysteresis_ros.recordings.loops import REVERSAL
 
-#: Smallest difference of the peaks of different loops, as a part of the largest.
+#: Smallest difference of the peaks of different loops, as a fraction of the largest.
 DIFFERENT_PEAKS = 0.02
 
 
@@ -66,7 +67,7 @@ class LoopCoefficients:
 
     v_max: float  #: Peak [V].
     D: float  #: Lower corner D_r = D_f [m].
-    C_r1: float  #: C_r1, C_r2: Rising branch [m/V, m/V²]; NaN if the recording does not rise again after this peak.
+    C_r1: float  #: C_r1, C_r2: Rising branch [m/V, m/V²]; NaN if the voltage does not rise again after this peak.
     C_r2: float
     C_f1: float  #: C_f1, C_f2: Falling branch.
     C_f2: float
@@ -143,16 +144,16 @@ SINGLE_PEAK_FREE = 6
 #: Parameters that are assumed small if the recording does not determine them, and the weight of this assumption.
 SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
-#: Sample points of a branch parabola for the fit of quadratics of V_max, in parts of V_max.
+#: Sample points of a branch parabola for the fit of quadratics of V_max, as a fraction of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-#: Lowest voltage, as a part of the highest one, below 0 V; further down the model has no branches.
+#: Lowest voltage, as a fraction of the highest one, below 0 V; below it the model has no branches.
 LOWEST_PART = -0.35
-#: Smallest slope of a constrained fit, as a part of the mean slope.
+#: Smallest slope of a constrained fit, as a fraction of the mean slope.
 SMALLEST_SLOPE = 0.02
-#: Steps of Lawson's reweighting, and the smallest residual of a sample as a part of the largest.
+#: Steps of Lawson's reweighting, and the smallest residual of a sample as a fraction of the largest.
 REWEIGHTINGS = 30
 LEAST_WEIGHT = 0.15
-#: Ratio of residual and noise above which the residual has structure.
+#: Ratio of residual to noise above which the residual counts as systematic.
 STRUCTURE = 2.0
 
 _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
@@ -171,7 +172,7 @@ class PolynomialIdentification:
     maximum: float
     criterion: str  #: ``rms`` or ``maximum``: minimised error.
     converged: bool  #: False if no monotone model was found.
-    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
+    warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
     @property
     def standard_errors(self) -> dict[str, tuple[float, ...]]:
@@ -242,14 +243,14 @@ def _through_loops(loops, virgin, basis) -> np.ndarray:
                 rows.append(sum(v**i * (powers @ blocks[first + i]) for i in range(3)))
                 wanted.append(loop.D + v * (c1 + v * c2))
     v, x = virgin
-    weight = np.sqrt(len(wanted) / max(v.size, 1))  # as much as all loops together
+    weight = np.sqrt(len(wanted) / max(v.size, 1))  # with the same total weight as all loops
     table = np.concatenate([np.array(rows), weight * (np.vander(v, 3, increasing=True) @ basis[:3])])
     return np.linalg.lstsq(table, np.concatenate([wanted, weight * x]), rcond=None)[0]
 
 
 def _weights(matrix, wanted, criterion):
     """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` has selected."""
-    # weights change 30 times: work on an orthogonal basis, whose weighted normal equations are well conditioned
+    # the weights change 30 times, so an orthogonal basis is used, whose weighted normal equations are well conditioned
     u, singular, _ = np.linalg.svd(matrix, full_matrices=False)
     u = u[:, singular > 1e-10 * singular[0]]
     weight = np.ones(len(wanted))
@@ -368,7 +369,7 @@ def _check_request(voltage, method: str, criterion: str) -> None:
 
 
 def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
-    """Return the number of parameters that the path (in parts of its peak) determines, and warnings."""
+    """Return the number of parameters that the path (as a fraction of its peak) determines, and warnings."""
     count, warnings = len(FREE), []
     peaks = distinct_peaks(v, reversal)
     if len(peaks) < 3:
@@ -397,7 +398,7 @@ def _undetermined(matrix) -> list[str]:
 
 def _not_monotone(slope: float, converged: bool) -> str:
     """Return the warning about a fit with a non-monotone branch; ``slope`` [m/V] is the smallest slope."""
-    taken = "the nearest monotone one was taken" if converged else "no monotone one was found: do not use this model"
+    taken = "the nearest monotone one is used" if converged else "a monotone one was not found: do not use this model"
     return f"the best fit has a branch that is not monotone (smallest slope {slope:.3g} m/V); {taken}"
 
 
@@ -415,7 +416,7 @@ def _parameters(coefficients, low: float, high: float) -> PolynomialParameters:
     return PolynomialParameters(**rows, voltage_low=low, voltage_high=high)
 
 
-#: Fewest points of the curve.
+#: Least number of points of the curve.
 FEWEST_POINTS = 4
 
 
@@ -428,7 +429,7 @@ class PreloadIdentification:
     rms: float  #: Residual [m].
     stiffness: float  #: -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
     largest_force: float  #: Largest preload of the data [N].
-    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
+    warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 
 
 def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIdentification:

@@ -12,13 +12,13 @@
 Three structures compete; one with more freedom is chosen only if it predicts held-out blocks of the recording better
 (:func:`.hammerstein.survivor`).
 
-*Smooth density* (few parameters): a reversible part (a share ρ of the motion), a density that falls exponentially with
-the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map ``s(u) = u + a (u² - 1)/2 + b
-(u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both branches equally, which plays
+*Smooth density* (few parameters): a reversible part (a fraction ρ of the motion), a density that falls exponentially
+with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map ``s(u) = u + a (u² - 1)/2
++ b (u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both branches equally, which plays
 cannot do. ρ, κ, a and b are searched with the linear part; scale and constant follow by least squares. Loops of one
-amplitude hardly distinguish κ from the map: κ is kept at :data:`PRIOR_DECAY`, the value of stacks of other makers,
-unless another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. Plays realise the density and dead zones
-the map, so nodes run the model as any other of this kind.
+amplitude hardly distinguish κ from the map: κ is kept at :data:`PRIOR_DECAY`, a value typical of other stacks, unless
+another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is realised by plays and the map by
+dead zones, so nodes run the model like any other of this kind.
 
 *Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
 *Modified*: dead zones behind the plays, which bend both branches equally, make the output bilinear in the two sets of
@@ -27,9 +27,9 @@ weights; a few Gauss-Newton steps, each a constrained linear problem, solve it.
 *Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
 radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising and f'(v) + W((V - v)/2) on its
 falling branch. A change of W that is symmetric about V/4, with a compensating change of f', is therefore not
-observable, although it changes the gain of smaller loops. Densities ``exp(-κ r/h)`` of every κ are fitted behind the
-identified linear part, each with its own map. All that fit about as well as the best are possible, and their difference
-on smaller loops is the remaining uncertainty.
+observable, although it changes the gain of smaller loops. Densities ``exp(-κ r/h)`` for several κ are therefore fitted
+behind the identified linear part, each with its own map. All that fit about as well as the best one are possible, and
+their differences on smaller loops are the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinski
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
-#: Smallest slope behind all dead zones, as a part of the slope at zero.
+#: Smallest slope behind all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
 #: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unneeded ones near zero.
 ZONE_RIDGE = 1e-3
@@ -176,7 +176,7 @@ def _monotone(zone_weights, thresholds):
     return result
 
 
-#: Prior of κ, for data that does not determine it, and the range of its search.
+#: Default value of κ, for data that does not determine it, and the range of its search.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
 #: Initial values and ranges of the other parameters; within them the map rises everywhere.
@@ -264,7 +264,7 @@ class SmoothDensity:
         return SmoothDensity(data, self.play_count)
 
     def refitted(self, data: Condensed):
-        """Return the model fitted to other samples of the recording, from the present parameters."""
+        """Return the model fitted to other samples of the recording, starting from the present parameters."""
         other = copy(self)
         other.data = data
         extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
@@ -287,7 +287,7 @@ class SmoothDensity:
         above, rising = self._pieces(width, high)
         below, falling = self._pieces(-width, low)
         first = float(rising[0]) if len(rising) else float(falling[0])
-        # a corner at rest belongs to the upper side; the lower side starts just below it
+        # a corner at the rest position belongs to the upper side; the lower side starts just below it
         corners = np.append(above[1:], np.where(below == 0.0, -TINY * (high - low), below))
         steps = np.append(np.diff(rising), np.diff(falling, prepend=first)) / first
         bends = np.abs(steps) > TINY
@@ -342,7 +342,7 @@ def fit_prandtl_ishlinskii(
     def choose(data):
         return _chosen(data, play_count, zone_count, density, linear, progress, competitors)
 
-    def again(before, data):  # without outliers, or behind other dynamics
+    def again(before, data):  # for a repeated fit without outliers, or with other dynamics
         fit = before.like(data).fit(linear, progress)
         fit.numbers = {**before.numbers, **fit.numbers}
         return fit
@@ -379,12 +379,12 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     return chosen
 
 
-#: Tried values of κ, and plays per density.
+#: Tried values of κ, and number of plays per density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
-#: Half swings of the decaying loops for the comparison, and points of each.
+#: Number of half swings of the decaying loops for the comparison, and of points of each.
 SWINGS, POINTS = 16, 40
-#: The small loop, as a part of the range.
+#: The small loop, as a fraction of the range.
 SMALL = 0.1
 EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 
@@ -394,11 +394,12 @@ class Ambiguity:
     """Other models that fit about as well as the chosen one."""
 
     decays: tuple[float, float]  #: Lowest and highest κ that fit about as well as the best.
-    #: Gain of loops over a tenth of the range, lowest and highest of all possible models, over that of the chosen one.
+    #: Lowest and highest gain, of all possible models, for loops over a tenth of the range, relative to the chosen
+    #: model.
     gain: tuple[float, float]
     error: float  #: Largest RMS difference from the model on loops of decaying amplitude [m].
     stroke: float  #: Stroke of the recording [m].
-    held: bool  #: The model keeps κ at its prior.
+    held: bool  #: Whether κ keeps its default value.
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -424,7 +425,7 @@ class Ambiguity:
         )
 
     def _held(self) -> str:
-        return f"the density is kept at the prior κ = {PRIOR_DECAY:g}; " if self.held else ""
+        return f"the density keeps the default κ = {PRIOR_DECAY:g}; " if self.held else ""
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:

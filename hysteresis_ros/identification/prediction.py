@@ -14,8 +14,8 @@ converter does) the result equals the measurement of the plant node sample by sa
 assume a linear or band-limited input between the samples, as for a sampler with its own clock.
 
 Inverse validation computes the voltage from the measured displacement and compares it with the applied one. A smoothed
-derivative inverts the lag (it may look ahead, unlike on a running axis); the compensator of the nodes inverts creep and
-hysteresis. Errors of a model appear here divided by its local slope.
+derivative inverts the lag (offline, it may use later samples); the compensator of the nodes inverts creep and
+hysteresis. These voltage errors are errors of the model divided by its local slope.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.registry import resolved
 
-#: Part of the range of the identification by which the voltage may exceed it on each side.
+#: Fraction of the range of the identification by which the voltage may exceed it on each side.
 VOLTAGE_MARGIN = 0.1
 
 
@@ -57,8 +57,8 @@ class InverseValidation:
     voltage: np.ndarray  #: shape (N,); Recovered voltage [V].
     error: np.ndarray  #: shape (N - skip,); Recovered less applied voltage [V].
     rmse: float  #: [V]
-    rmse_displacement: float  #: RMS of the error times the model's nominal gain [m].
-    rmse_percent: float  #: RMS of the error in % of the range of the applied voltage.
+    rmse_displacement: float  #: RMS of the voltage error times the model's nominal gain [m].
+    rmse_percent: float  #: RMS of the voltage error in % of the range of the applied voltage.
 
 
 def recover_voltage(
@@ -91,9 +91,9 @@ def recover_voltage(
 
 #: Known initial states of a prediction.
 INITIAL = ("zero", "periodic", "estimate")
-#: Relative difference of equal sample times.
+#: Largest relative difference of sample times that count as equal.
 SAME_RATE = 1e-4
-#: Most states with distinguishable free responses.
+#: Largest number of states with distinguishable free responses.
 MOST_FREE = 12
 
 
@@ -118,7 +118,7 @@ def predict(
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
     if not chain.invertible:
         if initial == "estimate":
-            raise IdentificationError("initial = 'estimate': an oscillator starts at zero or periodic; choose one")
+            raise IdentificationError("initial = 'estimate': an oscillator needs zero or periodic; choose one")
         response = resolved(chain.hysteresis.model.response)
         return response(chain.hysteresis.chosen, voltage, sample_time, intersample, initial) + chain.offset
     chain = at_rate(chain, sample_time)
@@ -260,7 +260,7 @@ def judge(
 
 
 def _recovered(chain: PlantModel, data: IdentificationData, skip: int, free_offset: bool) -> InverseValidation | str:
-    """Return the validation of the inverse, or why there is none."""
+    """Return the validation of the inverse, or the reason why it is missing."""
     if not chain.invertible:
         return f"{chain.hysteresis.type} includes dynamics and has no inverse"
     try:

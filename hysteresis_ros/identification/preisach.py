@@ -13,7 +13,7 @@ One large loop does not determine a Preisach density over two variables, so the 
 loops: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width of an
 elementary loop and linear in its bias. The Everett map of such a density is that of plays behind the mapped voltage
 ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
-squares (:mod:`.play_fit`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
+squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's law.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 
 WIDTHS = 24
 NODES = 33
-#: Part of the range by which the map exceeds the data on each side.
+#: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
 #: Largest magnitude of κ, the dependence of the density on the bias: g(V) (see the top) is monotone up to 0.5.
 LARGEST_BIAS = 0.4
@@ -71,7 +71,7 @@ class Density(PlayFit):
         self.centre, self.half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         spacing = self.half / widths
         self.radii = radii(2.0 * self.half, widths) + 0.5 * spacing
-        # second differences of the density, per step of the width in half ranges
+        # second differences of the density, for steps of the width in units of half the range
         self.roughness = np.diff(np.eye(widths + 1), 2, axis=0)[1:] * np.sqrt(widths)
 
     def bent(self, voltage, bias: float):
@@ -98,7 +98,7 @@ class Density(PlayFit):
         for weight, radius in zip(self.weights[1:], self.radii, strict=True):
             table += weight * np.maximum(grid[:, None] - grid[None, :] - 2.0 * radius, 0.0)
         slope = max(float(self.weights[0]), 1e-6 * float(self.weights.sum()))
-        # the block counts from its lower end, the regressors from 0 V
+        # the block's output is relative to its lower end, the regressors are relative to 0 V
         rest = float(np.interp(0.0, voltages, table[:, 0])) - slope * self.low
         parameters = PreisachParameters(
             voltage_low=self.low,

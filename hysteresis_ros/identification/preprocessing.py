@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preprocessing of data for fits, the stages in their order.
+"""Preprocessing of data for fits, with its stages in order.
 
-1. :func:`prepared`, once for each recording: stamps that jitter beside a uniform grid are corrected (:func:`steadied`),
+1. :func:`prepared`, once for each recording: stamps that jitter around a uniform grid are corrected (:func:`steadied`),
    gaps bridged or avoided (:func:`uninterrupted`) or the samples interpolated (:func:`resample`), missing samples at
-   the ends omitted, the rest checked. Of long data :func:`reduced` selects the interval that shows most of the loops,
-   and averages neighbours as far as both signals contain only noise above the new band.
-2. The past: the samples before the voltage has been near both ends of its range are omitted (:func:`wiped_out`), or the
+   the ends omitted, the rest checked. For long data, :func:`reduced` selects the interval that shows most of the loops,
+   and averages neighbouring samples as long as the removed frequencies contain only noise.
+2. The past: samples are omitted until the voltage has been near both ends of its range (:func:`wiped_out`), or the
    voltage that left the actuator remanent is searched (:func:`remanent_voltage`).
 3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Laws of branches use
    :func:`split_branches` instead.
-4. :func:`repeated`, around each fit: outliers and drift are seen in its residual, removed, and the fit is repeated.
-   Fits of plays leave outliers out and have a column for the drift; other models need whole branches and get a
-   recording without both (:func:`cleaned`).
+4. :func:`repeated`, around each fit: outliers and drift are found in its residual and removed, and the fit is repeated.
+   Fits of plays omit outliers and have a column for the drift; other models need complete branches, so both are
+   subtracted from their recording (:func:`cleaned`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from hysteresis_ros.units import readable
 def prepared(
     data: IdentificationData, grid: float | str | None = None, all_samples: bool = False, whole: bool = False
 ) -> tuple[IdentificationData, DataReport]:
-    """Return checked data on a uniform grid, if long only what carries information, and the report of all of it.
+    """Return checked data on a uniform grid (of long data only the informative samples), and a report.
 
     ``grid`` is a sample time [s] or ``auto``; by default gaps are bridged or avoided. ``whole`` omits no interval.
     """
@@ -65,12 +65,13 @@ def prepared(
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 
-#: Smoothness of the signals with uniform times over that with their stamps, above which uniform times are assumed.
+#: Ratio of the smoothness of the signals with uniform times to that with their stamps, above which uniform times are
+#: assumed.
 SMOOTHER = 0.7
-#: Distances above this many medians are gaps.
+#: Intervals longer than this number of medians are gaps.
 GAP_DISTANCE = 1.5
 #: Gaps up to this many samples are bridged automatically; with longer ones, the longest part without gaps is used if it
-#: holds this part of the samples.
+#: contains this fraction of the samples.
 SHORT_GAP, LONG_ENOUGH = 3, 0.3
 
 
@@ -86,7 +87,7 @@ def steadied(data: IdentificationData) -> IdentificationData:
     distances = np.diff(data.time)
     median = float(np.median(distances))
     index = np.arange(len(data)) - 0.5 * (len(data) - 1)
-    # a line through all stamps, because the ends jitter too
+    # a line through all stamps, because the first and last one also jitter
     grid = data.time.mean() + index * (np.dot(index, data.time - data.time.mean()) / np.dot(index, index))
     beside = float(np.max(np.abs(data.time - grid)))
     if beside <= GRID_TOLERANCE * median or distances.max() > 2.5 * median or beside > 5.0 * median:
@@ -100,8 +101,8 @@ def steadied(data: IdentificationData) -> IdentificationData:
         return data
     smoother = math.sqrt(roughness[0] / roughness[1]) if roughness[1] else math.inf
     warning = (
-        f"stamps jitter by up to {readable(beside, 's')} beside a grid of {readable(grid[1] - grid[0], 's')}, the "
-        f"signals do not (with equal distances they are {smoother:.2g} times smoother): taken as uniform"
+        f"stamps jitter by up to {readable(beside, 's')} around a grid of {readable(grid[1] - grid[0], 's')}, the "
+        f"signals do not (with equal intervals they are {smoother:.2g} times smoother): assumed to be uniform"
     )
     return replace(data, time=grid, warnings=(*data.warnings, warning))
 
@@ -109,8 +110,8 @@ def steadied(data: IdentificationData) -> IdentificationData:
 def uninterrupted(data: IdentificationData) -> IdentificationData:
     """Return data on a uniform grid without gaps: short ones are bridged, otherwise the longest part without one.
 
-    The input during a longer gap is unknown, and therefore the memory of a hysteresis after it. Samples without input
-    or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
+    The input during a longer gap is unknown, and therefore also the memory of a hysteresis after it. Samples without
+    input or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
     """
     finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
     if finite.size < 50:
@@ -131,7 +132,7 @@ def uninterrupted(data: IdentificationData) -> IdentificationData:
     longest = int(np.argmax(steps))
     warning = (
         f"{np.count_nonzero(steps > 1)} gaps, the longest {distances[longest]:.4g} s at "
-        f"{data.time[finite][longest]:.6g} s: using the longest part without one, samples "
+        f"{data.time[finite][longest]:.6g} s: using the longest part without a gap, samples "
         f"{data.first + first} to {data.first + last - 1} ({100.0 * part:.0f} %); choose another part with "
         "--range, or all with --resample auto, which interpolates linearly"
     )
@@ -139,7 +140,7 @@ def uninterrupted(data: IdentificationData) -> IdentificationData:
 
 
 def _roughness(time, values) -> float:
-    """Return the RMS error of the prediction of each sample from four neighbours, in parts of the range."""
+    """Return the RMS error of the prediction of each sample from four neighbours, as a fraction of the range."""
     t = [time[k : len(time) - 4 + k] - time[2:-2] for k in range(5)]
     predicted = 0.0
     for k in (0, 1, 3, 4):
@@ -182,7 +183,7 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
 
 
 def _gaps(distances, median):
-    """Return which distances are gaps; jitter up to three standard deviations is not a gap."""
+    """Return which intervals are gaps; jitter up to three standard deviations is not a gap."""
     jitter = 1.5 * float(np.median(np.abs(distances - median)))
     return distances > max(GAP_DISTANCE * median, median + 3.0 * jitter)
 
@@ -200,8 +201,8 @@ def _bridged(time, median, rows):
     first, last = rows[stretches[widest]], rows[stretches[widest + 1] - 1] + 1
     yield (
         f"{np.count_nonzero(gaps)} gaps ({lost} samples) interpolated linearly, the longest "
-        f"{distances[longest]:.4g} s at {time[longest]:.6g} s; the signals in them are unknown (longest part "
-        f"without one: --range {first}:{last})"
+        f"{distances[longest]:.4g} s at {time[longest]:.6g} s; the signals in the gaps are unknown (longest part "
+        f"without a gap: --range {first}:{last})"
     )
 
 
@@ -212,8 +213,8 @@ def _jittering(time, median):
     beside = float(np.quantile(np.abs(distances - whole * median), 0.99))
     if beside > GRID_TOLERANCE * median:
         yield (
-            f"samples jitter by {readable(beside, 's')} (99 % of the distances) at {readable(median, 's')}: lags "
-            "shorter than that are not known"
+            f"samples jitter by {readable(beside, 's')} (99 % of the intervals) at {readable(median, 's')}: shorter "
+            "lags cannot be identified"
         )
 
 
@@ -223,33 +224,35 @@ def _decimated(values, factor):
     # mirrored about the ends, so that level and slope continue
     head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
     if len(head) < half or len(tail) < half:
-        raise DataError("resample", f"{len(values)} samples are too few to be made {factor} times coarser")
+        raise DataError("resample", f"{len(values)} samples are too few for a grid that is {factor} times coarser")
     return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
 
 
-#: Most samples of a recording that is not reduced, and of a reduced one except for sweeps …
+#: Largest number of samples of a recording that is not reduced, and of a reduced one except for sweeps …
 MOST_SAMPLES = 100_000
 #: … and fewest samples of a reduced one.
 FEWEST_REDUCED = 6000
-#: Numbers of full strokes (each direction counts) and of samples, tried in order until an interval shows as much as the
-#: whole recording: for a simple fit, for many different loops, and for sweeps, in which every part is different.
+#: Numbers of full strokes (both directions count) and of samples of an interval. They are tried in order until an
+#: interval contains as much information as the whole recording: for a simple fit, for many different loops, and for
+#: sweeps, whose parts all differ.
 STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
-#: Part of the loops of the best interval that an equally good one shows.
+#: An interval with this fraction of the loops of the best one counts as equally good.
 AS_GOOD = 0.9
-#: Number of candidate beginnings of the interval.
+#: Number of candidates for the beginning of the interval.
 TRIED = 20
-#: Levels at which turning points count as different.
+#: Number of levels by which turning points are distinguished.
 LEVELS = 20
-#: Largest lost power above the new band, as a part of the signal …
+#: Largest lost power above the new band, as a fraction of the signal …
 LOST = 3e-4
 #: … and smallest new rate over the highest kept frequency.
 OVERSAMPLING = 8.0
-#: Samples for the search of turning points, and of a segment of the spectrum; fewest and most segments.
+#: Numbers of samples for the search of turning points, and of a segment of the spectrum; least and largest number of
+#: segments.
 OVERVIEW = 500_000
 SEGMENT = 1 << 14
 SEGMENTS = 24
 MOST_SEGMENTS = 256
-#: Power above this many noise floors is signal.
+#: Power above this multiple of the noise floor counts as signal.
 ABOVE_FLOOR = 3.0
 
 
@@ -275,7 +278,7 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
         begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
         words.append(f"{begin:.4g} to {end:.4g} s show the loops ({strokes:.0f} full strokes in total)")
     if factor > 1:
-        held = f"only noise above {readable(highest, 'Hz')}" if highest > 0.0 else "fast movement is only noise"
+        held = f"only noise above {readable(highest, 'Hz')}" if highest > 0.0 else "faster movement is only noise"
         words.append(f"averaged over {factor}, {rate:.4g} Hz to {rate / factor:.4g} Hz ({held})")
     note = f"{'; '.join(words)}; --all-samples uses every one"
     time, voltage, output = columns
@@ -319,12 +322,12 @@ def _telling_stretch(voltage, averaged: int):
             )
             found.append((_shown(levels[first : last + 1], speeds[first:last]), first, last))
         best = max(found)[0]
-        # of equally good ones the earliest: it is nearest to rest, and shows the beginning of creep
+        # the earliest of equally good ones: it is nearest to rest, and shows the beginning of creep
         shown, start, end = next(item for item in found if item[0] >= AS_GOOD * best)
         if shown >= AS_GOOD * everything:
             break
     begin = int(turns[start]) * block if start else 0
-    # a hold between two turning points may be longer than the wanted interval
+    # a hold between two turning points may be longer than the requested interval
     return begin, min((int(turns[end]) + 1) * block if end > start else voltage.size, begin + longest), strokes[-1]
 
 
@@ -338,7 +341,7 @@ def _shown(levels, speeds) -> float:
 def _highest_frequency(values, sample_time: float) -> float:
     """Return the frequency [Hz] above which there is only noise; 0 if there is only noise."""
     size = min(SEGMENT, values.size // SEGMENTS)
-    # segments spread over the recording; more of them do not change the band
+    # segments are spread over the recording; more segments would not change the band
     starts = np.linspace(0, values.size - size, min(MOST_SEGMENTS, values.size // size)).astype(int)
     values = np.concatenate([values[start : start + size] for start in starts])
     frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, noverlap=0, detrend="linear")
@@ -349,11 +352,11 @@ def _highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: Length of an interval; most samples of it far off are not outliers.
+#: Length of an interval; if most of its samples deviate, they are not outliers.
 STRETCH = 11
 #: Number of held-out blocks for the test of a drift.
 BLOCKS = 5
-#: Most fits of a model that has no terms for drift and outliers.
+#: Largest number of fits of a model that has no terms for drift and outliers.
 ROUNDS = 3
 
 
@@ -366,7 +369,7 @@ class Cleaned(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What was kept out of the model, in sentences."""
+        """Sentences about drift and outliers, which the model excludes."""
         return cleaning_notes(self.drift, self.outliers)
 
     @property
@@ -387,7 +390,7 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
             f"the output drifts by {1e6 * drift:.3g} µm/s in addition to creep: fitted, but not part of the model"
         )
     if outliers:
-        found.append(f"{outliers} outliers left out of the fit")
+        found.append(f"{outliers} outliers omitted from the fit")
     return tuple(found)
 
 
@@ -408,9 +411,9 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def notable_outliers(error, first: int, known=None) -> np.ndarray | None:
-    """Return which samples are no outliers, shape (N,) of bool; None if outliers are too many, or too small to matter.
+    """Return which samples are not outliers, shape (N,) of bool; None if outliers are too many, or too small to matter.
 
-    They matter as a part of the squared error of the samples that are still in use, ``known``.
+    The criterion is their fraction of the squared error of the samples that are still in use, ``known``.
     """
     good = inliers(error, first)
     used = np.ones(len(error), dtype=bool) if known is None else known.copy()
@@ -471,16 +474,16 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     return Cleaned(replace(data, output=predicted + error), drift, int(np.count_nonzero(~good)))
 
 
-#: Data is averaged until the voltage moves by this part of its range in one sample …
+#: Data is averaged until the voltage moves by this fraction of its range in one sample …
 LARGEST_STEP = 0.02
-#: … and only as far as necessary for this many samples.
+#: … and only as far as necessary for this number of samples.
 ENOUGH_SAMPLES = 6000
-#: The past is erased when the input has come within this part of its range of both ends; the fit starts there.
+#: The past is erased when the input has come this close to both ends, as a fraction of its range; the fit starts there.
 WIPED_OUT = 0.05
 
-#: Swings above this part of the range count as equal.
+#: Swings above this fraction of the range count as equal.
 ONE_SIZE = 0.8
-#: Part of the range by which the input must rise and fall afterwards.
+#: Fraction of the range by which the input must rise and fall afterwards.
 LEAST_SWING = 0.5
 
 
@@ -493,10 +496,10 @@ class Condensed:
     sample_time: float  #: [s]
     first: int  #: First sample whose residual counts.
     factor: int  #: Number of averaged samples of the recording.
-    kept: np.ndarray  #: shape (N - first,); Which of the samples that count are not outliers.
-    remembers: bool = False  #: The past before the recording affects the samples that count.
-    drifts: bool = False  #: The displacement may contain a linear drift besides a constant.
-    #: Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
+    kept: np.ndarray  #: shape (N - first,); Which of the counted samples are not outliers.
+    remembers: bool = False  #: Whether the past before the recording affects the counted samples.
+    drifts: bool = False  #: Whether the displacement may contain a linear drift besides a constant.
+    #: Voltages [V] before the first sample, from rest at 0 V, which determine the memory of the hysteresis.
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
@@ -516,7 +519,7 @@ class Condensed:
 
     @property
     def reach(self) -> float:
-        """Radius [V] beyond which no play moves: half the range, or from rest the largest voltage."""
+        """Radius [V] beyond which no play moves: half the range, or for a start from rest the largest voltage."""
         half = 0.5 * self.voltage_range
         return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
 
@@ -551,7 +554,9 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
     moving = np.flatnonzero(direction)
     turns = moving[1:][np.diff(direction[moving]) != 0.0]
     edges = sorted({0, min(1, voltage.size), *turns.tolist(), voltage.size})
-    for first, last in zip(edges, edges[1:], strict=False):  # V moves one way within a stretch; the first is one step
+    for first, last in zip(
+        edges, edges[1:], strict=False
+    ):  # V is monotone between reversals; the first section is one step
         part = voltage[first:last, None]
         block = np.maximum(part - play_radii, np.minimum(part + play_radii, z))
         result[first:last] = block
@@ -580,7 +585,7 @@ def condense(
     first = wiped or 0 if skip is None else skip
     if not 0 <= first < v.size - 50:
         raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
-    # the steepest steps may be jumps at the start, which no sampling resolves
+    # the steepest steps may be jumps at the start, which no sample rate resolves
     step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
     coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
     factor = max(1, min(coarsest, v.size // enough))
@@ -617,7 +622,7 @@ def automatic_skip(data: IdentificationData) -> int:
     return condense(data.input, data.output, data.sample_time).skipped
 
 
-#: Tried voltages before the recording, as parts of the largest known.
+#: Tried voltages before the recording, as fractions of the largest known voltage.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 
 
@@ -640,11 +645,11 @@ def remanent_voltage(cost, largest: float, bipolar: bool) -> tuple[float, float]
 def simple_loops(data: Condensed) -> bool:
     """Return whether all loops that count have one size, so that the recording shows no minor loops."""
     voltage = data.voltage[data.first :]
-    swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the ends may be cut
+    swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the first and last loop may be incomplete
     return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
 
 
-#: Fewest samples of one branch that is fitted.
+#: Least number of samples of one branch that is fitted.
 FEWEST_BRANCH_SAMPLES = 5
 
 

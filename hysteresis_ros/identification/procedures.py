@@ -10,8 +10,8 @@
 """One procedure per model, from checked data and a request to a chain of blocks.
 
 Models of plays are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
-model that declares ``guess`` and ``free``) are fitted to data from which these are removed. A gain with dynamics and
-the Bouc-Wen oscillator are fitted to the recording itself.
+model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
+dynamics and the Bouc-Wen oscillator are fitted to the recording itself.
 
 Declared free parameters (:func:`parametric`): the kernel of the nodes simulates the model under the recorded voltage;
 trust-region steps within the ranges of the parameters, with sensitivities by finite differences, reduce the output
@@ -68,9 +68,9 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.units import readable
 
-#: Widths of the densities in trials of the past.
+#: Number of widths of the density in trials of the past.
 TRIED_WIDTHS = 10
-#: Samples of the reduced data for the ambiguity.
+#: Number of samples for the computation of the ambiguity.
 COARSE_SAMPLES = 2000
 
 
@@ -126,7 +126,7 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
 
 
-#: Numbers of the polynomial model's corner conditions that are free (K2).
+#: Number of free parameters of the polynomial model with its corner conditions (K2).
 POLYNOMIAL_FREE = 9
 
 
@@ -185,7 +185,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
     request.progress(0, "shape functions and alpha")
     found = identify_duhem(v, x, **request.options)
     warnings = list(found.warnings)
-    # its output is its only memory, so the recording itself shows the initial state
+    # the output is the model's only memory, so the recording itself shows the initial state
     first: dict[str, Any] = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
     hysteresis = HysteresisParameters(type="duhem", duhem=replace(found.parameters, **first))
     fitted = sum(len(shape) for shape in found.parameters.shapes) + 1
@@ -195,7 +195,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
         request.progress(1, "inverse")
         rest = grounded(hysteresis, data.sample_time)[1]
         backward = identify_inverse_duhem(v, x - rest, **request.options)
-        own: dict[str, Any] = {"duhem": backward.parameters}  # a group that the inverse declares
+        own: dict[str, Any] = {"duhem": backward.parameters}  # a parameter group that the inverse declares
         inverse = InverseParameters(type="duhem", **own)
         converged = converged and backward.converged
         warnings += [f"inverse: {text}" for text in backward.warnings]
@@ -210,7 +210,7 @@ def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresi
     """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
     stage = request.stage
     if stage is None:
-        raise IdentificationError("no stage is named: give one of the linear stages")
+        raise IdentificationError("no linear stage is given: choose one of them")
     hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
     request.progress(0, stage)
@@ -249,12 +249,12 @@ def static_result(
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
 
-#: Error of refused parameters at every sample, in strokes.
+#: Error that refused parameters get at every sample, in strokes.
 REFUSED = 10.0
-#: Most evaluations of the model for each free parameter.
+#: Largest number of evaluations of the model for each free parameter.
 MOST_EVALUATIONS = 200
-#: Relative step of the finite differences: with the usual square root of the rounding, kinks of a model would act as
-#: noise.
+#: Relative step of the finite differences: with the usual square root of the machine precision, kinks of a model would
+#: act as noise.
 RELATIVE_STEP = 1e-6
 
 
@@ -262,7 +262,7 @@ def parametric(data, request: Request) -> Identification:
     """Identify a model with ``guess`` and ``free`` on data without lag and creep."""
     model = MODELS[request.model]
     if model.guess is None:
-        raise IdentificationError(f"{model.name}: has no initial values for the search")
+        raise IdentificationError(f"model {model.name} has no initial values for the search")
     static = separated(data, request)
     try:
         start = replace(model.guess(static.voltage, static.displacement), **request.options).validated()
@@ -384,14 +384,14 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             constant = float(np.mean((y - stage.gain * part.apply(u, step))[skip:]))
             return identified(data, request, FittedHysteresis(gain(stage.gain), 2), part, False, constant)
     if request.stage:
-        # an initial size: with dynamics behind it, a line through the samples does not show the gain
+        # only an initial value: with dynamics behind it, a line through the samples does not give the gain
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
     slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
     _refuse_gain(slope)
     plain = identified(data, request, FittedHysteresis(gain(slope), 2), LinearPart(), True, constant)
     if not request.parts:
         return plain
-    # add a lag if it helps: output error of one pole against none
+    # add a lag if it reduces the output error
     best = float(np.std((y - slope * u - constant)[skip:]))
     try:
         stage = fit_stage(u, y, step, "first_order", skip, intersample="linear", initial="rest")
@@ -465,7 +465,9 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
     found = FittedHysteresis(hysteresis, len(OSCILLATOR_FREE) + 1, fit.deviations, fit.warnings, fit.converged)
     result = identified(data, request, found, LinearPart(), False, offset)
     unit: dict[str, Any] = (
-        {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
+        {}
+        if data.input_unit == "V"
+        else {"assumptions": (f"the unit of the input is {data.input_unit}, but the parameter file states V",)}
     )
     numbers = {"starts_agreeing": float(fit.agreeing)} if before is None else before.numbers
     warnings = result.warnings if before is None else tuple(dict.fromkeys((*before.warnings, *result.warnings)))
@@ -484,7 +486,8 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
     initial = "periodic" if request.initial == "periodic" else "zero"
     structure = Structure(2, 0, intersample, initial, offset=True)
     found = fit_transfer_function(data.input, data.output, data.sample_time, structure)
-    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); near the resonance the hysteretic force is partly saturated
+    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); because near the resonance the hysteretic force is partly
+    # saturated
     mass = 1.0 / abs(float(np.ravel(found.numerator)[-1]))
     damping, stiffness = mass * float(found.denominator[1]), mass * float(found.denominator[2])
     return BoucWenMechanicalParameters(

@@ -64,12 +64,13 @@ class Columns:
     resample : float or "auto", optional
         Sample time [s] of a uniform grid to bring the data to; ``auto``: the median distance of the samples.
     negate : bool
-        Count the output in the other direction.
+        Invert the sign of the output.
     all_samples : bool
-        Take every sample; by default long data is condensed to what carries information
+        Use every sample; by default long data is reduced to the informative samples
         (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
-        Of long data only average neighbours, and omit no interval: an evaluation uses the whole recording.
+        For long data only average neighbouring samples and omit no interval, because an evaluation uses the whole
+        recording.
     """
 
     input: str | None = None
@@ -118,18 +119,18 @@ def _read(source, columns: Columns, progress) -> Reading:
         data, guessed, ranged = _load(source, columns, progress)
     if data.output_unit != "m":
         raise IdentificationError(
-            f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give it as "
-            f"{data.output_name}:um or whatever it is in"
+            f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give its unit, for instance "
+            f"{data.output_name}:um"
         )
     if ranged != (0, None):
         data = data.part(*ranged)
     if columns.negate:
-        data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
+        data = replace(data, output=-data.output, notes=(*data.notes, "sign of the output inverted"))
     return Reading(*prepared(data, columns.resample, columns.all_samples, columns.whole), guessed)
 
 
 def _load(path: pathlib.Path, columns: Columns, progress):
-    """Return the data of a file, the guesses made, and the range that is still to be selected."""
+    """Return the data of a file, the assumptions about its columns, and the range that must still be selected."""
     sample_time, ranged = columns.sample_time, columns.range or (0, None)
     if sample_time is not None and not 0.0 < sample_time < float("inf"):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
@@ -164,11 +165,11 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
         if free[best] is None:
             raise DataError(
                 "unit", f"{table.path}: column '{best}' seems to be the {role} but has no unit; give it as "
-                f"--{role} {best}:{'V' if unit == 'V' else 'um'} or whatever it is in"
+                f"--{role} {best}:{'V' if unit == 'V' else 'um'} or with its unit"
             )  # fmt: skip
         chosen[role] = best
         del free[best]
-        notes.append(f"{role} is the column '{best}'; choose another with --{role}")
+        notes.append(f"assumed {role}: column '{best}'; choose another with --{role}")
     return chosen, tuple(notes)
 
 
@@ -181,7 +182,7 @@ def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
 
 
 def _rank(name: str, names) -> int:
-    """Return the rank of the usual name in a column's name."""
+    """Return the rank of the usual name that a column's name contains."""
     words = name.lower().replace("-", "_").replace(" ", "_").split("_")
     for place, telling in enumerate(names):
         if telling in words or (len(telling) > 3 and telling in name.lower()):

@@ -29,7 +29,7 @@ from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved
 from hysteresis_ros.units import readable
 
-#: Part of the input's power in the first band; each further band has twice as many frequencies.
+#: Fraction of the input's power in the first band; each further band has twice as many frequencies.
 FIRST_BAND = 0.01
 #: Distance of the gain from zero, in standard deviations, at which its sign is certain.
 CERTAIN = 3.0
@@ -70,8 +70,7 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
 
 #: Name that selects the best predicting model.
 AUTO = "auto"
-#: Name of what is tried by default: a first model, whose parts, options and inverses count, and
-#: its competitors.
+#: Name of the default choice: a first model, which determines parts, options and inverses, and its competitors.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
 #: Names of sets of parts.
 WORDS = {"none": (), "auto": PARTS}
@@ -103,8 +102,8 @@ def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | 
     unknown = [word for word in given if word not in (*PARTS, *STAGES)]
     if unknown:
         raise IdentificationError(
-            f"linear {', '.join(unknown)}: must be auto, none, of {', '.join(PARTS)} (with commas), "
-            f"or one of {', '.join(STAGES)}{did_you_mean(unknown[0], ('auto', 'none', *PARTS, *STAGES))}"
+            f"linear {', '.join(unknown)}: must be auto, none, a list of {', '.join(PARTS)} (separated by commas), or "
+            f"one of {', '.join(STAGES)}{did_you_mean(unknown[0], ('auto', 'none', *PARTS, *STAGES))}"
         )
     refused = [word for word in given if word not in linear]
     if refused:
@@ -112,7 +111,9 @@ def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | 
         raise IdentificationError(f"linear {', '.join(refused)} cannot be used with {model}; allowed: {allowed}")
     stages = [word for word in given if word in STAGES]
     if stages and len(given) > 1:
-        raise IdentificationError(f"linear {words}: {stages[0]} cannot be combined, it includes lag and delay already")
+        raise IdentificationError(
+            f"linear {words}: {stages[0]} cannot be combined, because it already includes lag and delay"
+        )
     return (() if stages else given), (stages[0] if stages else None)
 
 
@@ -120,7 +121,9 @@ def parse_options(model: str, pairs) -> dict:
     """Return the options of a model from words ``name=value``."""
     if model == AUTO:
         if given := list(pairs):
-            raise IdentificationError(f"option {given[0]!r}: model {AUTO} has none; name a model to set its options")
+            raise IdentificationError(
+                f"option {given[0]!r}: model {AUTO} has no options; name a model to set its options"
+            )
         return {}
     options, entry = {}, find_model(model)
     for pair in pairs:

@@ -39,29 +39,32 @@ from hysteresis_ros.models.linear import LinearParameters
 
 #: Bands per octave, and narrow bands per octave for resonances.
 BANDS, NARROW_BANDS = 6, 24
-#: The response counts as known if two standard deviations are below this part of it.
+#: The response counts as known if two standard deviations are below this fraction of it.
 KNOWN = 0.5
 #: A significant error above KNOWN is taken as a resonance that the model lacks or has at another frequency. PEAK is the
 #: ratio of the peak of that resonance to its mean over a narrow band, with the assumed damping of an unobserved
 #: resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
-#: A deviation of this many times two standard deviations also counts as known.
+#: A deviation larger than this multiple of two standard deviations also counts as known.
 CLEARLY = 2.0
 #: Overlapping windows: number of sums equivalent to one independent sum.
 OVERLAP = 2.0
-#: Bands without content between two with content are interpolated, up to this distance in octaves.
+#: Bands without content between two bands with content are interpolated, up to this distance in octaves.
 GAP = 1.5
-#: If the content reaches this part of the sample rate, the whole response counts as known: a loop acts up to there.
+#: If the content reaches this fraction of the sample rate, the whole response counts as known, because a loop acts only
+#: up to there.
 WHOLE = 0.5
-#: The residual rings where its spectrum exceeds its surroundings (a band against two octaves) by this factor.
+#: The residual rings at a frequency where its spectrum exceeds that of its surroundings (a band against two octaves) by
+#: this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
-#: Residuals do not count if the model explains more than this part of the movement.
+#: Residuals are ignored if the model explains more than this fraction of the movement.
 RINGS = 0.3
-#: Smallest part of the output's power without linear response to the input that shows another source of movement.
+#: Fraction of the output's power without linear response to the input above which another source of movement is
+#: reported.
 FOREIGN = 0.25
-NO_CONTENT = "the voltage has hardly any content there"
-#: Largest ratio of the crossover that the model allows to the certain one.
+NO_CONTENT = "the voltage contains hardly any power there"
+#: Largest ratio of the crossover that the model allows to the one that is certain.
 FASTER = 2.0
 
 
@@ -70,15 +73,15 @@ class ResponseCheck:
     """The frequency response of a model compared with a recording."""
 
     uncertainty: ResponseUncertainty
-    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2 for an exact model, for the errors that
-    #: the recording shows, and for all responses that it leaves possible.
+    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2: for an exact model, for the errors
+    #: visible in the recording, and for all responses that the recording does not exclude.
     believed: float
     seen: float
     certain: float
     unfit_at: float  #: Frequency [Hz] of the error that limits the loop.
     ringing: tuple[float, ...] = ()  #: Frequencies [Hz] of peaks in the residual.
-    #: Part of the power of the measured movement that no linear response to the modelled one explains; 0 where most of
-    #: it is slower than the segments of the spectra.
+    #: Fraction of the power of the measured movement that is not a linear response to the modelled one; 0 if most of it
+    #: is slower than the segments of the spectra.
     foreign: float = 0.0
 
     @property
@@ -93,11 +96,11 @@ class ResponseCheck:
             return ""
         there = self.unfit_at
         percent = 100.0 * float(self.uncertainty.at([there])[0])
-        why = f"the response at {there:.4g} Hz is known to {percent:.0f} % only"
+        why = f"the response at {there:.4g} Hz is known only to {percent:.0f} %"
         if there > self.uncertainty.known_to and self.ringing:
             why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has no resonance"
         slower = (
-            f"it is fit up to {self.certain:.3g} Hz" if self.certain else "no slower loop is known to be safe either"
+            f"it is fit up to {self.certain:.3g} Hz" if self.certain else "a slower loop is not known to be safe either"
         )
         crossover = f"with a crossover of {self.believed:.3g} Hz, which the model would allow"
         return f"not fit for feedback {crossover}: {why}; {slower}"
@@ -128,14 +131,13 @@ class ResponseCheck:
         if self.foreign > FOREIGN:
             found.append(
                 f"{100.0 * self.foreign:.0f} % of the movement (mean square) is not a linear response to the voltage: "
-                "something else also moves the output (inputs, vibration, noise); keep other axes still and record "
-                "again"
+                "other sources (inputs, vibration, noise) also move the output; keep other axes still and record again"
             )
         known = self.uncertainty.known_to
         if not np.isinf(known) and self.certain < self.seen:
-            why = "other movement of the output hides them" if self.foreign > FOREIGN else NO_CONTENT
+            why = "other movement of the output masks them" if self.foreign > FOREIGN else NO_CONTENT
             found.append(
-                f"dynamics above {known:.3g} Hz are unknown, {why}: a design is limited to a crossover of about "
+                f"dynamics above {known:.3g} Hz are unknown ({why}): a design is limited to a crossover of about "
                 f"{self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
@@ -153,7 +155,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
     uncertainty, shown = _uncertainty(spectra, response)
     ringing = _ringing(spectra, response)
-    # a band without excitation does not test a model, but ringing there is an error
+    # a band without excitation does not test a model, but ringing in it is an error
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
@@ -180,7 +182,7 @@ def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty
         if centres[place] > 2.0**GAP * centres[last]:
             break
         last = place
-    # a resonance narrower than a band averages out over it
+    # a resonance narrower than a band is averaged out in it
     places, narrow, wide = _in_bands(spectra, response, NARROW_BANDS)
     band = np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
     seen = (2.0 * wide < KNOWN) | clear[band]
@@ -202,7 +204,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
     edges = np.searchsorted(f, f[0] * 2.0 ** (np.arange(count + 1) / bands))
     edges = np.unique(np.append(edges[:-1], len(f)))[:-1]
     expected = np.abs(response) ** 2 * spectra.input.sum(axis=0)
-    # errors that repeat with the movement, as those of a hysteresis, count once however often they repeat
+    # errors that repeat with the movement, such as those of a hysteresis, count once for all repetitions
     repeated = np.abs(spectra.cross.sum(axis=0) - response * spectra.input.sum(axis=0)) ** 2
     repeated = spectra.smooth(repeated / np.maximum(spectra.input.sum(axis=0), np.finfo(float).tiny))
     noise = spectra.incoherent() + repeated
@@ -238,9 +240,9 @@ def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
     return (float(spectra.frequencies[place]),) if ratio[place] > STANDS_OUT else ()
 
 
-#: Number of lowest lines for the comparison of the gain with the model.
+#: Number of lowest lines at which the gain is compared with the model.
 LOWEST = 10
-#: Iterations of the weights by the denominator of the fit.
+#: Number of iterations in which the weights are divided by the denominator of the fit.
 ITERATIONS = 10
 
 
@@ -266,9 +268,9 @@ class MeasuredPlant:
 
 
 def measured_plant(found: Analysis, model) -> MeasuredPlant:
-    """Return the response from the command; a response from a voltage gets the model's gain at the lowest lines.
+    """Return the response from the command; one from a voltage is scaled to the model's gain at the lowest lines.
 
-    The model's gain is that of the whole stroke, which differs from that of small movements of a hysteresis.
+    The model's gain is valid for the whole stroke; a hysteresis has another gain for small movements.
     """
     response = found.response
     radius = response.radius(PROBABILITY)[:, 0, 0]

@@ -30,9 +30,9 @@ SPREAD = 0.5
 #: Smallest relative reduction of the cost that counts as an improvement.
 NO_BETTER = 1e-6
 MOST_RESTARTS = 10
-#: Approximate duration of a start [s] above which more processes are worthwhile.
+#: Approximate duration of a start [s] above which several processes are used.
 EVALUATIONS = 500
-#: Cost of a perfect fit over that of the guess; smaller ones are only rounding errors.
+#: Cost of a perfect fit relative to that of the guess; differences below it are rounding errors.
 PERFECT = 1e-18
 
 
@@ -43,7 +43,7 @@ class SimplexSettings:
     #: Number of starts; further ones are spread around the guess by half a scale (normally distributed). None: the
     #: default of the problem, usually one.
     starts: int | None = None
-    iterations: int = 2000  #: Most iterations of one start.
+    iterations: int = 2000  #: Largest number of iterations of one start.
     tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs at which a run ends.
     seed: int = 0  #: Seed of the further starts.
     #: Processes that share the starts, which then need a picklable cost; None: chosen automatically.
@@ -52,7 +52,7 @@ class SimplexSettings:
 
 @dataclass(frozen=True)
 class SimplexRun:
-    """Path of one start."""
+    """Course of one start."""
 
     #: shape (iterations + 1, n); Best vertex after each iteration, the start first (figure 10 of paper B).
     trajectory: np.ndarray
@@ -73,8 +73,8 @@ class SimplexSearch:
     x: np.ndarray  #: shape (n,); Best point of all starts.
     cost: float  #: Its cost.
     runs: tuple[SimplexRun, ...]  #: One for each start, in order.
-    best: int  #: Which run found ``x``.
-    converged: bool  #: That run converged. Without it ``x`` is still the best point found.
+    best: int  #: Index of the run that found ``x``.
+    converged: bool  #: Whether that run converged; if not, ``x`` is still the best point found.
 
     @property
     def agreeing(self) -> int:
@@ -171,7 +171,7 @@ def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexR
                     "maxiter": iterations - len(values) + 2,
                     "maxfev": 10 * iterations * (z.size + 1),
                     "xatol": tolerance,
-                    # SciPy needs an absolute bound; the cost of a perfect fit ends at rounding errors
+                    # SciPy needs an absolute tolerance; rounding errors limit the cost of a perfect fit
                     "fatol": max(tolerance * before, nothing) if np.isfinite(before) else tolerance,
                 },
             )

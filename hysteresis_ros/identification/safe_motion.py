@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Safe speed of an axis: the limits of voltage and setpoint that every command writes, with their reasons.
+"""Safe speed of an axis: limits of voltage and setpoint, which every command writes with their reasons.
 
-*Slew rate of the voltage*: the smallest of the known limits, which are that of the amplifier, twice the largest in a
-recording, and the range in one period of the lowest resonance, or in the slowest time constant of a model with lags
-only. Without any, the range takes :data:`FIRST_SECONDS`.
+*Slew rate of the voltage*: the smallest of the known limits. These are the slew rate of the amplifier, twice the
+largest slew rate in a recording, and the voltage range divided by one period of the lowest resonance (or by the slowest
+time constant of a model with lags only). If none is known, it is the range divided by :data:`FIRST_SECONDS`.
 
-*Approach to setpoints*: half of the slew rate is for the setpoint, the other half for feedback and hysteresis. The
-approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one period of the
-resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint leaves little
-vibration even when the frequency is off by some per cent.
+*Approach to setpoints*: half of the slew rate is reserved for the setpoint, the other half for feedback and hysteresis.
+The approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one period of
+the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint leaves
+little vibration even when the frequency is off by some per cent.
 
 *Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
 slew rate limits them.
@@ -40,13 +40,13 @@ from hysteresis_ros.models.linear_algebra import eigenvalues
 
 #: Time in which an unknown stage moves over the voltage range [s].
 FIRST_SECONDS = 1.0
-#: Allowed slew rate over that of the recording, and the setpoint's part of the slew rate.
+#: Ratio of the allowed slew rate to that of the recording, and the setpoint's fraction of the slew rate.
 ROOM, FOR_SETPOINTS = 2.0, 0.5
-#: Damping above which a mode is not a resonance, and size below which a pole is a delay.
+#: Damping ratio above which a mode does not count as a resonance, and magnitude below which a pole counts as a delay.
 NO_RESONANCE, DELAY = 0.5, 1e-3
-#: Without a known resonance: length of a moving average as a part of the time to cross the stroke.
+#: Without a known resonance: length of a moving average as a fraction of the time to cross the stroke.
 UNKNOWN_PART = 0.1
-#: Digits of written limits, which are no more accurate.
+#: Number of digits of written limits, which reflects their accuracy.
 DIGITS = 3
 NODES = ("plant_simulator", "hysteresis_compensator")
 APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
@@ -97,7 +97,10 @@ def safe_slew(
         lag = f"the lag of the model, {1e3 / pace:.{DIGITS}g} ms"
         text = f"one period of the resonance, {pace:.{DIGITS}g} Hz" if resonant else lag
         known.append(Slew(span * pace, f"the range in {text}"))
-    return min(known or [Slew(first, f"no limit is known: the range in {FIRST_SECONDS:g} s")], key=lambda one: one.rate)
+    return min(
+        known or [Slew(first, f"no limit is known, so the whole range takes {FIRST_SECONDS:g} s")],
+        key=lambda one: one.rate,
+    )
 
 
 def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.0) -> tuple[float, float, float]:
@@ -146,7 +149,11 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
         low, high = reachable_commands(_part(compensator, CompensatorParameters), sample_time)
         stroke = high - low
     resonance = pace if resonant else 0.0
-    each = f"{resonance:.{DIGITS}g} Hz: each average lasts one period" if resonance else "a tenth of the crossing each"
+    each = (
+        f"{resonance:.{DIGITS}g} Hz: each average lasts one period"
+        if resonance
+        else "each average lasts a tenth of the travel time"
+    )
     words = ("m/s: half of the slew rate over the range", f"m/s²; {each}", "m/s³, the same")
     limits = safe_approach(rate, span, stroke, resonance)
     chosen = dict(zip(APPROACH, zip(limits, words, strict=True), strict=True))
@@ -154,14 +161,14 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
 
 
 def with_comments(text: str, commented: str) -> str:
-    """Return a text with the comments that equal lines have in another text."""
+    """Return a text whose lines get the comments of equal lines in another text."""
     known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
     lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines)
 
 
 def _dynamics(nodes: dict[str, dict]) -> Iterable[LinearParameters]:
-    """Return the dynamics that plant and controller state."""
+    """Return the dynamics in the parameters of plant and controller."""
     for node, prefix in (("plant_simulator", "dynamics."), ("motion_controller", "model.dynamics.")):
         values = {name.removeprefix(prefix): value for name, value in nodes[node].items() if name.startswith(prefix)}
         if values:
@@ -181,7 +188,7 @@ def _rounded(value: float) -> float:
 def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float | bool, str]]) -> str:
     """Return the text with new, commented values in a group of a node's last section.
 
-    A group in one line gets its values in that line, and the reasons behind it.
+    For a group in one line, the values are added to that line, and the reasons follow it.
     """
     full = f"{namespace}/{node}"
     root = yaml.compose(text)

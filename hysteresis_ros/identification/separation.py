@@ -43,16 +43,17 @@ from hysteresis_ros.identification.preprocessing import (
 )
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 
-#: Plays and dead zones of the trials, and samples of their reduced data.
+#: Numbers of plays and dead zones of the trials, and of samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Part of the samples, possibly outliers, that the comparison of pasts omits.
+#: Fraction of the samples, possibly outliers, that the comparison of pasts omits.
 TRIMMED = 0.1
-#: A recording is bipolar if its voltage goes below 0 V by this part of its largest.
+#: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
-#: Rest explains a beginning whose error is below this factor times that of the rest, or below this part of the stroke.
+#: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
+#: samples, or below this fraction of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
-#: A recording is closed if input and output return to their start within this part of their range.
+#: A recording is closed if input and output return to their start within this fraction of their range.
 CLOSED_PART = 0.02
 
 
@@ -62,7 +63,7 @@ class Start:
 
     kind: str  #: ``zero``, ``periodic`` or ``estimate`` (remanent), as in ``initial``.
     skip: int  #: Number of omitted first samples.
-    history: tuple[float, ...] = ()  #: Voltages [V] before the recording, from rest at 0 V.
+    history: tuple[float, ...] = ()  #: Voltages [V] before the recording, starting from rest at 0 V.
     note: str = ""  #: Sentence about the choice and its reason.
 
     def signals(self, data: IdentificationData):
@@ -85,7 +86,7 @@ def find_start(
     *,
     whole: bool = False,
 ) -> Start:
-    """Return the beginning of the recording, as requested or as it fits best."""
+    """Return the beginning of the recording, as requested or with the best fit."""
     asked = "as requested: "
     if initial == "periodic":
         _refuse_open(data)
@@ -110,7 +111,7 @@ def find_start(
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
-    """Choose between the pasts when their memory lasts too long to omit its samples."""
+    """Choose between the pasts when the memory lasts too long to omit the affected samples."""
     rest = _trimmed(trials.error())
     found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other past fits better"))]
     if _closed(data):
@@ -124,11 +125,11 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
 
 
 def remanence(voltage: float) -> str:
-    """Return a description of a past.
+    """Return a description of a remanent past.
 
     Units: ``voltage`` [V].
     """
-    return f"remanent before the recording, as after {voltage:.4g} V: identified with the fit"
+    return f"remanent before the recording, as after {voltage:.4g} V, which was identified with the fit"
 
 
 class _PastTrials:
@@ -161,7 +162,7 @@ class _PastTrials:
         largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
         bipolar = float(np.min(voltage)) < -BIPOLAR * largest
         found = largest, 0.0
-        for _ in range(2):  # the lag for the best past, then the past again
+        for _ in range(2):  # the lag is fitted for the best past, then the past again
             lag = _lag(self.condensed(_after(found[0], first)))
             found = remanent_voltage(
                 lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
@@ -180,7 +181,7 @@ def _lag(condensed: Condensed) -> LinearPart:
 
 
 def _trimmed(error) -> float:
-    """Return the root mean square without the largest errors, in their unit."""
+    """Return the root mean square of errors, without the largest ones, in their unit."""
     size = np.sort(np.abs(error))
     return float(np.sqrt(np.mean(size[: max(1, int((1.0 - TRIMMED) * len(size)))] ** 2)))
 
@@ -200,8 +201,8 @@ def _refuse_open(data: IdentificationData) -> None:
     step = float(np.quantile(np.abs(np.diff(data.input)), 0.98))
     if gap > CLOSED_PART * span + 2.0 * step:
         raise IdentificationError(
-            f"initial = periodic: the input ends {gap:.3g} V from where it begins; "
-            "cut the data to whole periods (--range)"
+            f"initial = periodic: the first and last input differ by {gap:.3g} V; cut the data to whole periods "
+            "(--range)"
         )
 
 
@@ -249,7 +250,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)
     if request.skip is None and request.initial is None and start.kind == "zero":
-        skip = None  # lag, creep and drift are identified better without the beginning, which depends more on the model
+        skip = None  # the beginning is omitted, because it depends more on the model than lag, creep and drift do
     # always include creep: without it the search would count slow drifts as noise that hides the lag
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
@@ -274,7 +275,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the past, as parts of the voltage of the first fit, and its tolerance.
+#: Range of the search for the past, as fractions of the voltage of the first fit, and its tolerance.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 

@@ -16,8 +16,8 @@ equation has a trivial solution that looks perfect. Sensitivities run forward wi
     dx⁺ = A dx + B_w dw + (∂A x + ∂B u + ∂B_w w),   dz_i = C_z,i dx + ∂C_z,i x + ∂g_i u_i,
     dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
 
-where a play that slides takes dplay = dz ∓ ∂r, and one that is stuck keeps what it has. Linear dynamics in time are the
-case without plays. Outputs are in units of ``scale``, so that all numbers are near one.
+where dplay = dz ∓ ∂r for a sliding play, and dplay is unchanged for a sticking one. Without plays the dynamics are
+linear. Outputs are in units of ``scale``, so that all numbers are near one.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from hysteresis_ros.identification.subspace import RADIUS, modal_matrix, within
 from hysteresis_ros.models.block import compiled, nested, specialised
 from hysteresis_ros.models.structure import StructureParameters, packed, run_structure
 
-#: Groups of parameters that run through the states, in the order in which the sensitivities number them; C and D enter
-#: the output only.
+#: Groups of parameters that affect the states, in the order of the sensitivities; C and D affect only the output.
 DYNAMIC = ("sigma", "gamma", "B", "B_w", "C_z", "gains", "weights", "radii")
 LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
-#: Precision of the sensitivities: they decide on the way, not on where it ends. The error itself is a double.
+#: Precision of the sensitivities, which affect the path of the search but not its end. The error itself is computed in
+#: double precision.
 PRECISION = np.float32
-#: Parameters whose sensitivities run at a time: so many stay in the cache of a core.
+#: Number of parameters whose sensitivities are computed at a time, so that they stay in the cache of a core.
 CHUNK = 192
-#: JᵀJ is taken from every sample, or from every second to fourth where so many numbers a parameter are left; the
-#: gradient from all of them.
+#: JᵀJ is computed from every sample, or from every second to fourth if this number of values per parameter remains; the
+#: gradient always uses all samples.
 STRIDE, ROWS = 4, 60
 
 
 class Matrices(NamedTuple):
-    """Numbers of a structure in modes, of n states, m inputs, q outputs, h hystereses and r radii."""
+    """Matrices of a structure in modal form, with n states, m inputs, q outputs, h hystereses and r radii."""
 
     blocks: np.ndarray  #: shape (n/2, 3); σ, β, γ of each mode.
     B: np.ndarray
@@ -63,7 +63,7 @@ class Matrices(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Those that multiply sensitivities, in their precision."""
+    """Matrices that multiply the sensitivities, in their precision."""
 
     blocks: np.ndarray
     B_w: np.ndarray
@@ -73,7 +73,7 @@ class Rates(NamedTuple):
 
 
 class Varied(NamedTuple):
-    """What each of P parameters is: number of its group in :data:`DYNAMIC`, row and column there; shape (P,)."""
+    """Position of each of P parameters: index of its group in :data:`DYNAMIC`, row and column in it; shape (P,)."""
 
     kind: np.ndarray
     row: np.ndarray
@@ -89,10 +89,10 @@ class Found(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Present states and sensitivities."""
+    """Working memory: present states and sensitivities."""
 
-    x: np.ndarray  #: n states, n of scratch, w (h), plays (h r).
-    S: np.ndarray  #: shape (2 n, P); Sensitivities of the first.
+    x: np.ndarray  #: n states, n temporary values, w (h), plays (h r).
+    S: np.ndarray  #: shape (2 n, P); Sensitivities of the states.
     inner: np.ndarray  #: shape (2 h + h r, P); dz, dw, dplay.
 
 
@@ -170,7 +170,7 @@ def _slide(model, rates, varied, room, now):
 
 @nested
 def _advance(model, rates, varied, room, now):
-    """Move states and sensitivities on by one sample."""
+    """Advance states and sensitivities by one sample."""
     x, S, inner = room.x, room.S, room.inner
     kind, row, column = varied.kind, varied.row, varied.column
     n, m, P = model.B.shape[0], model.B.shape[1], S.shape[1]
@@ -212,7 +212,7 @@ def _advance(model, rates, varied, room, now):
 
 
 def run_sensitivities(model, rates, varied, u, found, room):
-    """Fill ``found`` for the inputs ``u``, whose first rows beyond N only run in."""
+    """Fill ``found`` for the inputs ``u``; the first rows, in excess of N, are the run-in."""
     run_in = u.shape[0] - found.y.shape[0]
     room.x[:] = 0.0
     room.S[:, :] = 0.0
@@ -228,7 +228,7 @@ def run_sensitivities(model, rates, varied, u, found, room):
 
 @dataclass(frozen=True, eq=False)
 class ModalStructure:
-    """A structure in modes, as the fit moves it: blocks [[σ, β], [γ, σ]], outputs in units of ``scale`` [m]."""
+    """A structure in modal form during the fit: blocks [[σ, β], [γ, σ]], outputs in units of ``scale`` [m]."""
 
     sigma: np.ndarray  #: shape (n/2,)
     gamma: np.ndarray  #: shape (n/2,)
@@ -302,18 +302,18 @@ def _flat(values) -> tuple[float, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Experiments:
-    """Recordings to fit: inputs with their run-in, and what was measured after it."""
+    """Recordings to fit: inputs with a run-in, and the outputs measured after it."""
 
-    u: np.ndarray  #: shape (R, L + N, m) [V]; the first L samples run in.
+    u: np.ndarray  #: shape (R, L + N, m) [V]; the first L samples are the run-in.
     y: np.ndarray  #: shape (R, N, q) [m]
-    deviation: np.ndarray  #: shape (R,); Size of an error that counts as one, for each realisation [m].
+    deviation: np.ndarray  #: shape (R,); Weighting of each realisation: error [m] that counts as one.
 
     def part(self, chosen) -> Experiments:
         """Return some of the realisations."""
         return Experiments(self.u[chosen], self.y[chosen], self.deviation[chosen])
 
     def simulated(self, structure: StructureParameters) -> np.ndarray:
-        """Return what a structure says after the run-in from rest, shape (R, N, q) [m]."""
+        """Return the outputs of a structure after the run-in from rest, shape (R, N, q) [m]."""
         p = packed(structure)
         found = np.empty_like(self.y)
         whole = np.empty((self.u.shape[1], self.y.shape[2]))
@@ -342,9 +342,9 @@ def refine_in_time(
     deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; with ``held_out`` return the point that is best there and stop when it is passed.
+    """Refine groups of parameters; with ``held_out``, return the point that is best on these data, and stop after it.
 
-    No step begins after ``deadline``, of ``time.perf_counter`` [s].
+    No step begins after ``deadline``, a time of ``time.perf_counter`` [s].
     """
     shapes = {name: getattr(start, name).shape for name in (*DYNAMIC, "C", "D") if name in groups}
     sizes = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
@@ -388,7 +388,7 @@ def refine_in_time(
 def _normal_equations(model: ModalStructure, data: Experiments, places, shapes):
     """Return JᵀJ and Jᵀr of the mean square error, summed realisation by realisation."""
     (n, m), q, (h, r) = model.B.shape, len(model.C), model.weights.shape
-    # the groups that run through the states come first, in the order of their numbers
+    # the groups that affect the states come first, in the order of their indices
     entries = [
         (number, index[0], index[1] if len(index) > 1 else 0)
         for number, name in enumerate(DYNAMIC)

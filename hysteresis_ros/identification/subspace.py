@@ -8,13 +8,13 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Common state space of several inputs and outputs from a frequency response: subspace method, then modes refined.
+"""State space with several inputs and outputs from a frequency response: subspace method, then refinement of its modes.
 
 McKelvey's method [1]_ for arbitrary lines finds A and C of a discrete state space from the range of the stacked
 response, without iteration and without a canonical form; B and D follow by linear least squares. The model is then
-written in modes, A block-diagonal with 2×2 blocks [[σ, β], [γ, σ]] of which β is fixed, and all its numbers are refined
-on the response by Levenberg and Marquardt's method. A block holds a conjugate pair (β γ < 0) or two real poles, and may
-change from one to the other.
+transformed into modal form: A is block-diagonal with 2×2 blocks [[σ, β], [γ, σ]], in which β is fixed. All its numbers
+are refined on the response by Levenberg and Marquardt's method. A block represents a conjugate pair (β γ < 0) or two
+real poles, and may change between the two during the fit.
 
 References
 ----------
@@ -35,9 +35,10 @@ from hysteresis_ros.identification.levenberg_marquardt import Minimum, minimise
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.matrix_fraction import refit_input
 
-#: Largest modulus of a pole, unless a fit asks for less: what lies outside is reflected, what lies between moved here.
+#: Default for the largest modulus of a pole. Poles outside the unit circle are reflected into it; poles between this
+#: radius and the circle are moved to this radius.
 RADIUS = 1.0 - 1e-5
-#: Real poles nearer to one another than this part of the unit circle get a block with this half distance.
+#: Two real poles that are closer together than this are represented by a block with this half distance.
 HALF_DISTANCE = 1e-4
 
 
@@ -50,10 +51,10 @@ def subspace_model(
     feedthrough: bool = True,
     radius: float = RADIUS,
 ) -> LinearModel:
-    """Return the stable state space of ``order`` that McKelvey's method finds.
+    """Return the stable state space of ``order`` by McKelvey's method.
 
-    ``blocks``: rows of the stacked response, by default three times what the order needs; ``weights``, shape (F,): of
-    the lines; ``radius``: largest modulus of a pole.
+    ``blocks``: number of block rows of the stacked response, by default three times the minimum for the order;
+    ``weights``, shape (F,): weights of the lines; ``radius``: largest modulus of a pole.
     """
     G = data.response
     F, q, m = G.shape
@@ -62,21 +63,21 @@ def subspace_model(
     needed = -(-order // q) + 1
     rows = blocks or 3 * needed
     if rows < needed:
-        raise FitError(f"blocks = {rows}: {needed} are needed at least for order {order} and {q} outputs")
+        raise FitError(f"blocks = {rows}: at least {needed} are needed for order {order} and {q} outputs")
     refuse_short(2 * F * m, 2 * rows * (q + m), f"a subspace model of order {order} (numbers in the response)")
     scale = np.sqrt(np.mean(np.abs(G) ** 2))
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
     powers = z[:, None] ** np.arange(rows)
     if weights is not None:
         powers = powers * np.asarray(weights, dtype=float)[:, None]
-    # a column for each line and input: the input's powers above those of the response
+    # a column for each line and input, with the powers of the input above those of the response
     exciting = np.einsum("fr,ij->rifj", powers, np.eye(m)).reshape(rows * m, F * m)
     excited = np.einsum("fr,fij->rifj", powers, G / scale).reshape(rows * q, F * m)
     table = np.concatenate([exciting, excited])
     table = np.concatenate([table.real, table.imag], axis=1)
     (triangle,) = scipy.linalg.qr(table.T, mode="r", overwrite_a=True, check_finite=False)[:1]
     triangle = triangle[: len(table)]
-    # what the inputs do not explain lies in the range of the observability matrix
+    # the part not explained by the inputs is in the range of the observability matrix
     left, _, _ = np.linalg.svd(triangle[rows * m :, rows * m :].T)
     seen = left[:, :order]
     A = np.linalg.lstsq(seen[:-q], seen[q:], rcond=None)[0]
@@ -103,7 +104,7 @@ def _stabilised(A, radius: float) -> np.ndarray:
 
 
 def modal(model: LinearModel) -> LinearModel:
-    """Return a model of even order in modes: A of 2×2 blocks, each reached by the inputs with size one."""
+    """Return a model of even order in modal form: A has 2×2 blocks, whose input matrices have norm one."""
     if model.order % 2:
         raise FitError(f"order = {model.order}: modes are pairs of poles; choose an even order")
     poles, vectors = np.linalg.eig(model.A)
@@ -128,7 +129,7 @@ def modal(model: LinearModel) -> LinearModel:
 
 
 class ModalParameters:
-    """The numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β stays."""
+    """The numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant."""
 
     def __init__(self, model: LinearModel):
         self.template = model
@@ -168,7 +169,7 @@ def modal_matrix(sigma, beta, gamma) -> np.ndarray:
 
 
 def within(sigma, beta, gamma, radius: float):
-    """Return σ and γ of blocks [[σ, β], [γ, σ]] whose poles are moved towards 0 where they are beyond ``radius``."""
+    """Return σ and γ of blocks [[σ, β], [γ, σ]], with poles beyond ``radius`` moved towards 0."""
     root = np.sqrt(np.asarray(beta * gamma, dtype=complex))
     largest = np.maximum(np.abs(sigma + root), np.abs(sigma - root))
     factor = np.minimum(1.0, radius / np.maximum(largest, 1e-300))
@@ -178,10 +179,10 @@ def within(sigma, beta, gamma, radius: float):
 def refine_on_response(
     model: LinearModel, data: FrequencyResponse, weights=None, steps: int = 100, radius: float = RADIUS
 ) -> tuple[LinearModel, Minimum]:
-    """Return the model in modes refined on a response, and the course of the search.
+    """Return the modal model refined on a response, and the result of the search.
 
-    ``weights``, shape (F, q, m): of the entries, by default one over the size of the whole response; ``radius``:
-    largest modulus of a pole.
+    ``weights``, shape (F, q, m): weights of the entries, by default the inverse of the RMS of the whole response;
+    ``radius``: largest modulus of a pole.
     """
     model = modal(model)
     given = ModalParameters(model)

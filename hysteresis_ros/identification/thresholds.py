@@ -22,9 +22,9 @@ from dataclasses import dataclass
 class Threshold:
     """Smallest relative improvement for a richer explanation."""
 
-    part: float  #: Part of the old error, 0 … 1.
-    error: str  #: Which error is compared, on which samples.
-    reason: str  #: Why it is not smaller, and not larger.
+    part: float  #: Fraction of the old error, 0 … 1.
+    error: str  #: The compared error, and its samples.
+    reason: str  #: Reason why the threshold is neither smaller nor larger.
 
     def bound(self, old: float) -> float:
         """Return the error that a richer explanation must undercut, in the unit of ``old``."""
@@ -41,17 +41,23 @@ HELD_OUT = "RMS error on held-out parts of the recording"
 # Linear part behind the hysteresis
 
 LINEAR_PART = Threshold(
-    0.01, RESIDUAL, "Each further number lowers the residual a little; the part must be visible in the recording."
+    0.01,
+    RESIDUAL,
+    "Each additional parameter lowers the residual a little; the effect must be visible in the recording.",
 )
 SETTLED_START = Threshold(
-    0.05, RESIDUAL, "Nodes start at rest at 0 V; another start of the creep is chosen only if the data is clear."
+    0.05,
+    RESIDUAL,
+    "Nodes start at rest at 0 V; another start of the creep is chosen only if the data shows it clearly.",
 )
 DELAY_OR_LAG = Threshold(
-    0.05, RESIDUAL, "Stages have lags: a delay must be visible, and both together must be better than either alone."
+    0.05,
+    RESIDUAL,
+    "Stages usually have a lag: a delay must be visible, and both together must be better than either alone.",
 )
 LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "An additional lag behind a plain gain also fits noise a little.")
 FAST_DYNAMICS = Threshold(
-    0.03, RESIDUAL, "Of hystereses with different dynamics the simplest is kept unless another is better."
+    0.03, RESIDUAL, "The simplest of several dynamics is kept unless another one is clearly better."
 )
 
 # Structure of the hysteresis
@@ -62,13 +68,15 @@ STRUCTURE = Threshold(
 #: Smallest improvement on held-out parts in its standard errors, because that of a single part may be chance.
 STANDARD_ERRORS = 1.0
 LOOPS_OF_ONE_SIZE = Threshold(
-    0.3, HELD_OUT, "If all loops have one size, held-out parts are no new data and favour freedom."
+    0.3,
+    HELD_OUT,
+    "If all loops have one size, held-out parts contain no new information and favour models with more freedom.",
 )
 ANOTHER_KIND = Threshold(
-    0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no prior for smaller loops."
+    0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no assumption about smaller loops."
 )
 DENSITY_DECAY = Threshold(
-    0.03, RESIDUAL, "Loops of one size hardly distinguish the decay of the density from its map: the prior is kept."
+    0.03, RESIDUAL, "Loops of one size hardly distinguish the decay of the density from its map: the default is kept."
 )
 NETWORK_SIZE = Threshold(0.2, RESIDUAL, "More shape functions take longer to train and to run.")
 FREER_MODEL = Threshold(
@@ -77,12 +85,12 @@ FREER_MODEL = Threshold(
 NO_PRIOR = Threshold(
     0.5, HELD_OUT, "If smaller loops are not determined, the model with the stated prior is kept unless clearly wrong."
 )
-#: Allowed relative growth of the residual for smooth weights: less than STRUCTURE.
+#: Allowed relative increase of the residual by smoothing of the weights; smaller than STRUCTURE.
 SMOOTHER_WEIGHTS = 0.01
-#: An ambiguity of this part of the stroke is reported as a warning.
+#: An ambiguity above this fraction of the stroke is reported as a warning.
 NOTABLE_AMBIGUITY = 0.002
 
-# What was before the recording
+# Voltage before the recording
 
 PAST_WHILE_FITTING = Threshold(
     0.1, RESIDUAL, "Rest at 0 V needs no assumption; another past is one more parameter, identified on coarse samples."
@@ -100,7 +108,7 @@ DRIFT = Threshold(0.2, HELD_OUT, "A drift is not part of the model, and the shap
 SAME_DRIFT = 0.01
 #: Distance of outliers from the median in standard deviations of the bulk; Gaussian noise has no such samples …
 OUTLYING = 5.0
-#: … and largest part of outliers; with more of them the model is wrong.
+#: … and largest fraction of outliers; with more of them the model is wrong.
 MOST_OUTLIERS = 0.1
-#: Part of the squared error at which outliers are removed and the fit is repeated.
+#: Fraction of the squared error at which outliers are removed and the fit is repeated.
 OUTLIERS_MATTER = 0.01

@@ -12,8 +12,8 @@
 ``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. The simulated output is fitted, not a one-step prediction.
 For given poles the output is linear in the numerator, the initial state and an offset, which are solved for exactly
 within every step (variable projection); only the n numbers of the denominator are searched. The denominator is a
-product of ``s² + α s + β`` and ``s + α`` with positive coefficients, which represents exactly the stable ones, so every
-step of the search stays stable. A reduction matches the step response (B2) and gives mass, damping and stiffness.
+product of ``s² + α s + β`` and ``s + α`` with positive coefficients. Exactly the stable denominators have this form, so
+every step of the search stays stable. A reduction matches the step response (B2) and gives mass, damping and stiffness.
 
 References
 ----------
@@ -62,7 +62,7 @@ class Structure:
 
     @property
     def columns(self) -> int:
-        """Number of parameters that the output is linear in: numerator, offset, initial state."""
+        """Number of parameters in which the output is linear: numerator, offset, initial state."""
         return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
 
     def check(self) -> None:
@@ -138,7 +138,7 @@ class TransferFunctionFit:
 
     @property
     def standard_deviations(self) -> np.ndarray:
-        """Of b_m … b_0, a_(n-1) … a_0."""
+        """Standard deviations of b_m … b_0, a_(n-1) … a_0."""
         return np.sqrt(np.diag(self.covariance))
 
     def simulate(self, u, sample_time: float | None = None, initial: str = "zero") -> np.ndarray:
@@ -157,7 +157,7 @@ class TransferFunctionFit:
         )
 
     def discrete(self, sample_time: float | None = None) -> LinearModel:
-        """Return the state space for an input held over each sample; the delay is not in it.
+        """Return the state space for an input held over each sample, without the delay.
 
         Units: ``sample_time`` [s].
         """
@@ -167,7 +167,7 @@ class TransferFunctionFit:
         )
 
 
-#: Most evaluations of each start, before the best one continues.
+#: Largest number of evaluations of each start, before the best one continues.
 EVALUATIONS = 40
 
 
@@ -247,7 +247,7 @@ class _Problem:
         return np.clip(values, self.low + 1e-6, self.high - 1e-6)
 
     def table(self, denominator):
-        """Return the columns the output is linear in, shape (N, …): numerator, offset, free response."""
+        """Return the columns that combine linearly to the output, shape (N, …): numerator, offset, free response."""
         model = self.structure
         simulation = CanonicalSimulation(denominator, self.sample_time, model.intersample)
         start = "zero" if model.initial == "estimate" else model.initial
@@ -294,10 +294,10 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     try:
         arx = fit_arx(u, y, sample_time, ArxOrders(poles, poles), offset=True).poles.astype(complex)
         arx[np.abs(arx) < 1e-6] = 1e-6
-        arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # no continuous pole gives a negative real one
+        arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # a negative real pole has no continuous equivalent
         found.append(problem.theta(np.log(arx) / sample_time))
     except (FitError, DataError):
-        pass  # an ARX fit needs a richer input than output error does; the other starts remain
+        pass  # an ARX fit needs more excitation than output error does; the other starts remain
     random = np.random.default_rng(search.seed)
     # observable frequencies: from one period in the data to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
@@ -374,9 +374,9 @@ def _warnings(problem: _Problem, best, numerator, denominator):
     """Yield warnings about the search and the transfer function it found."""
     at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
     if at_bound.any():
-        yield "a pole is at its bound, slower or faster than the data can show: lower the order"
+        yield "a pole is at its bound, slower or faster than the data can resolve: lower the order"
     if not best.status > 0:
-        yield "the search did not converge; this is the best point found"
+        yield "the search did not converge: the result is the best point found"
     right = [z for z in np.roots(numerator) if z.real >= 0.0]
     if right:
         listed = ", ".join(f"{z:.4g}" for z in right)

@@ -36,7 +36,7 @@ class CorrelationTest:
 
     lags: np.ndarray  #: shape (L,) [samples]; a positive lag of an input is the input that many samples earlier.
     correlation: np.ndarray  #: shape (L,); Normalised, -1 … 1.
-    bound: float  #: Half width of the confidence region of each single lag.
+    bound: float  #: Half width of the confidence interval of each single lag.
     confidence: float  #: Its probability.
     outside: int  #: Number of lags outside the region (lag 0 of an autocorrelation is not tested).
     largest: float  #: Largest absolute correlation of the lags tested.
@@ -52,7 +52,7 @@ class CorrelationTest:
 
 
 def _correlation_test(lags, correlation, tested, deviation, confidence, probability=float("nan")):
-    """Return the test of the lags ``tested`` (a slice), each of standard ``deviation`` when independent."""
+    """Return the test of the lags ``tested`` (a slice); for independent signals each has the standard ``deviation``."""
     size = np.abs(correlation[tested])
     bound = scipy.stats.norm.isf(0.5 * (1.0 - confidence)) * deviation
     joint = scipy.stats.norm.isf(0.5 * (1.0 - confidence) / max(size.size, 1)) * deviation
@@ -66,7 +66,7 @@ class Validation:
 
     samples: int  #: Number of compared samples, without the skipped ones.
     skipped: int  #: Number of omitted first samples.
-    offset: float  #: Constant that was added to the prediction, in the unit; 0 when it was not free.
+    offset: float  #: Constant that was added to the prediction, in its unit; 0 when it was fixed.
     rmse: float  #: Root mean square error, in the unit.
     maximum_error: float  #: Largest absolute error, in the unit.
     stroke: float  #: Peak-to-peak measurement, in the unit.
@@ -117,7 +117,7 @@ def validate(
 ) -> Validation:
     """Compare a prediction with a measurement."""
     if not unit:
-        raise DataError("unit", "unit is empty: an error needs a unit; give m, V …")
+        raise DataError("unit", "unit is empty: figures need a unit; give m, V …")
     y, p = finite_array("measured", measured), finite_array("predicted", predicted)
     if y.shape != p.shape or y.ndim != 1:
         raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be (N,)")
@@ -126,7 +126,7 @@ def validate(
     refuse_short(len(y) - skip, max(4, parameters + 2), f"a validation with skip = {skip}, parameters = {parameters}")
     y, p = y[skip:], p[skip:]
     if np.ptp(y) == 0.0:
-        raise DataError("constant", f"the measurement is constant ({y[0]:.6g} {unit}) over the samples compared")
+        raise DataError("constant", f"the measurement is constant ({y[0]:.6g} {unit}) in the compared samples")
     offset = float(np.mean(y - p)) if free_offset else 0.0
     residual = y - p - offset
     mse = float(np.mean(residual**2))
@@ -216,7 +216,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     if size == 0.0:
         return _correlation_test(every, np.zeros(every.size), slice(None), 0.0, confidence)
     correlation = scipy.signal.correlate(e, u, method="auto")[N - 1 - lags : N + lags] / size
-    # summed over the significant lags only: over all N lags the noise of the autocorrelations would add up
+    # summed only over the significant lags, because over all N lags the noise of the autocorrelations would add up
     reach = min(N - 1, max(4 * lags, int(10 * np.sqrt(N))))
     r_e, r_u = (scipy.signal.correlate(x, x, method="auto")[N - 1 : N + reach] / (x @ x) for x in (e, u))
     spread = max(1.0 + 2.0 * float(np.sum(r_e[1:] * r_u[1:])), 1.0 / N)
@@ -229,8 +229,8 @@ def parameter_covariance(
     """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d).
 
     ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns. Residuals
-    are white, or ``correlated``: they then count as fewer samples. What the data does not determine raises DataError;
-    with ``truncated``, directions with a singular value below this part of the largest have no variance instead.
+    are assumed white, or ``correlated``, when they count as fewer samples. Undetermined parameters raise DataError;
+    with ``truncated``, directions with a singular value below this fraction of the largest get no variance instead.
     """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape

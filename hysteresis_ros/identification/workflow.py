@@ -43,13 +43,13 @@ from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTA
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
 
-#: Held-out part of the recording, once at its end and once at its beginning.
+#: Held-out fraction of the recording, once at its end and once at its beginning.
 HELD_OUT_PART = 1.0 / 3.0
-#: Fewest samples of a comparison.
+#: Least number of samples of a comparison.
 FEWEST_COMPARED = 50
 #: Preferred model if the recording does not determine smaller loops, unless another one is much better.
 PRIOR_MODEL = "prandtl_ishlinskii"
-#: Models of more freedom than the others.
+#: Models with more freedom than the others.
 FREER_MODELS = ("generalised_play",)
 
 
@@ -112,7 +112,7 @@ def held_out_error(data: IdentificationData, model: str, separations=(None, None
 #: Treatments of the constant of a sensor.
 OFFSETS = ("kept", "free")
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
-CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not kept"
+CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
 
 
 class Conditions(TypedDict, total=False):
@@ -135,8 +135,8 @@ class Conditions(TypedDict, total=False):
 class Fast:
     """A recording of small and fast movements, from rest at 0 V on."""
 
-    data: IdentificationData  #: At the rate of the axis.
-    skip: int  #: First samples that do not count, such as the ramp to the operating point.
+    data: IdentificationData  #: Recording at the sample rate of the axis.
+    skip: int  #: Number of first samples that do not count, such as those of the ramp to the operating point.
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +322,7 @@ def identify(
     reading = read_data(source)
     data = reading.data
     skip = _averaged(given.get("skip"), data)
-    # between averaged samples the input moves, even if it was held between those of the recording
+    # the input moves between averaged samples, even if it was held between the original ones
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
     tried: dict[str, float] = {}
     if model == registry.AUTO:

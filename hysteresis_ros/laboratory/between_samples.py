@@ -85,7 +85,7 @@ class Modes(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def modes_of(parameters: LinearParameters) -> Modes | None:
-    """Return dynamics between their samples; None without a continuous equivalent.
+    """Return dynamics between their samples; None if there is no continuous equivalent.
 
     x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles.
     """

@@ -68,11 +68,11 @@ MEMORY = 11  # decay of the averaged change from step to step
 TURN = 12  # β, or a
 SWING = 13  # α, or g
 SKEW = 14  # γ
-CURVE = 15  # difference of the rising from the falling curve
+CURVE = 15  # difference between the rising and the falling curve
 THRESHOLDS = 16  # then weights and curvatures of the play operators
 WEIGHTS = THRESHOLDS + PLAYS
 CURVATURES = WEIGHTS + PLAYS
-DECAYS = CURVATURES + PLAYS  # of the creep, then its weights
+DECAYS = CURVATURES + PLAYS  # decays of the creep, then its weights
 GROWTHS = DECAYS + len(CREEP_TIMES)
 MODAL = GROWTHS + len(CREEP_TIMES)  # of each mode: A (4), B (2), share
 A_MODE = 7
@@ -80,7 +80,7 @@ PARAMETERS = MODAL + A_MODE * MODES
 
 # Layout of x.
 LAGGED, FOLLOWED, LAST, OPENING = 0, 1, 2, 3  # lag before and behind; s of the last step; h, or y of the Duhem equation
-NEXT = 4  # place of the next voltage in the ring
+NEXT = 4  # index of the next voltage in the ring
 SPEED = 5  # averaged change of s per step
 PLAY = 6
 CREPT = PLAY + PLAYS
@@ -247,7 +247,7 @@ class Foreign(Block):
             place = np.arange(1, PLAYS + 1) / PLAYS
             weights = np.array([elementary.exp(-2.0 * one) for one in place])
             weights *= 0.4 / product(weights, np.ones(PLAYS))
-            # each of the rising and falling branches lags by a threshold
+            # rising and falling branches each lag by a threshold
             p[THRESHOLDS:WEIGHTS] = place * opening / (2.0 * product(place, weights))
             p[WEIGHTS:CURVATURES] = weights
             p[LINEAR] = 0.6

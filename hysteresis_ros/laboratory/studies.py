@@ -53,7 +53,7 @@ def compare(
     progress : callable, optional
         Called with a text after each finished part.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        Name of the axis, if the configuration contains several.
     **conditions
         ``mismatch``, ``noise`` [m rms], ``bits``, ``draws``, ``others``, ``seed``, ``robust``, ``sine_frequency`` and
         ``triangle_frequency`` [Hz] …: see :class:`hysteresis_ros.laboratory.comparison.tasks.Conditions`.

@@ -75,7 +75,7 @@ def sweep(
     duration : float, optional
         Length of each run [s].
     seed : int
-        Equal seeds give equal runs.
+        Seed of the draws; equal seeds give equal runs.
     workers : int, optional
         Processes; by default as many as there are processors.
     scheduler : str, optional
@@ -83,7 +83,7 @@ def sweep(
     progress : callable, optional
         Called with the number of finished runs.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        Name of the axis, if the configuration contains several.
 
     Returns
     -------

@@ -43,16 +43,16 @@ STEPS = {BEFORE: 0, MEASURED: 1, ANSWERED: 2}
 class Change(NamedTuple):
     """A change between two samples of a run."""
 
-    sample: int  #: Number of the first sample for which it holds, counted from the start of the axis.
+    sample: int  #: Number of the first sample with the change, counted from the start of the axis.
     node: str  #: Name of the node whose part changes.
-    #: ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow``, ``hold`` and
-    #: ``begin_at``.
+    #: ``start``, ``stop``, ``retune``; for the plant also ``halt``; for a reference generator also ``follow``, ``hold``
+    #: and ``begin_at``.
     action: str
     #: With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
     #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
     parameters: dict = {}
-    #: Step of the sample that was done before the change: ``measured`` of the plant, ``answered`` of a controller
-    #: before it receives the achieved command; empty: nothing.
+    #: Step of the sample that precedes the change: ``measured`` for the plant, ``answered`` for a controller that has
+    #: not yet received the achieved command; empty: none.
     after: str = BEFORE
 
 
@@ -74,7 +74,7 @@ class Axis:
 
     @property
     def kind(self) -> signals.AxisKind:
-        """What an actuator or an inchworm motor makes of the axis."""
+        """Kind of the axis: actuator or inchworm motor."""
         return self.parameters.kind
 
     @property
@@ -121,13 +121,13 @@ class Axis:
 
     @property
     def given(self) -> np.ndarray:
-        """Places in the row of the inputs of a run, for the loop."""
+        """Indices in the row of the inputs of a run."""
         return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(
         self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None, answers=None
     ) -> dict[str, np.ndarray]:
-        """Simulate ``len(setpoints)`` samples with these setpoints [m]."""
+        """Simulate ``len(setpoints)`` samples, one for each setpoint [m]."""
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
         count = len(setpoints)
         columns = np.empty((len(self.kind.row), count))

@@ -10,9 +10,8 @@
 """Many independent axes in one call, such as the actuators of a deformable mirror.
 
 The axes have the same structure: the same kernels, and arrays of the same shapes. Their parameters may differ. All
-arrays of an axis are pieces of one row of memory, in the same places for every axis, so that one compiled loop goes
-from axis to axis by moving pointers. It runs the tick of the single axis, and every axis has the bits that it has
-alone.
+arrays of an axis are slices of one row of memory, at the same offsets for every axis, so one compiled loop advances
+from axis to axis by moving pointers. It runs the tick of the single axis, so every axis gives the same bits as alone.
 """
 
 from __future__ import annotations
@@ -35,18 +34,18 @@ from hysteresis_ros.loop.tick import WHOLE, Parts, tick
 from hysteresis_ros.models.block import Stored, contents, direct, displaced, specialised
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 
-#: Most axes of an array, and most threads that share them.
+#: Largest number of axes of an array, and most threads that share them.
 MOST_AXES, MOST_THREADS = 4096, 256
 #: Signals that a run keeps by default.
 KEPT = (
     *("reference", "command", "voltage", "displacement", "measured"),
     *("saturated", "tripped", "plant_voltage", "plant_mode"),
 )
-#: Longer arrays stand behind the others in the row of an axis; most of their memory is never touched.
+#: Longer arrays follow the others in the row of an axis; most of their memory is never accessed.
 LONG = 512
-#: The rows of two axes begin in different lines of the cache [numbers].
+#: Alignment of the rows [numbers]: two axes never share a cache line.
 LINE = 8
-#: Nodes by the parts of :class:`.Parts`, and places of their kernels in :class:`.Laws`.
+#: Names of the nodes by the fields of :class:`.Parts`, and indices of their kernels in :class:`.Laws`.
 NODES = {
     "plant": "plant_simulator",
     "source": "reference_generator",
@@ -59,8 +58,8 @@ OF_PART = {"plant": slice(0, 3), "source": slice(3, 4), "controller": slice(4, 5
 def ticks_of_all(stored, stride, first, rows, setpoints, kept, found):
     """Compute ``setpoints.shape[1]`` samples of each axis; all states and rows are updated in place.
 
-    ``stored`` has the kernels, and the arrays of axis 0; those of axis i lie ``stride`` i numbers behind. ``rows``,
-    ``setpoints`` and ``found`` begin with axis ``first``, ``kept`` has the places of the signals that go into
+    ``stored`` has the kernels, and the arrays of axis 0; those of axis i begin ``stride`` · i numbers later. ``rows``,
+    ``setpoints`` and ``found`` begin with axis ``first``; ``kept`` has the indices of the signals that are copied into
     ``found``.
     """
     laws, parts = contents(stored)
@@ -119,14 +118,14 @@ class ArrayRun:  # numpydoc ignore=PR02
         return f"ArrayRun of {len(self)} axes and {len(self.time)} samples: {', '.join(self.signals)}"
 
     def axis(self, number: int, describe: bool = True) -> Recording:
-        """Return the run of one axis; where its actuator received another voltage, that is its ``voltage``.
+        """Return the run of one axis; ``voltage`` is the voltage that its actuator received.
 
         Parameters
         ----------
         number : int
             Number of the axis, from 0.
         describe : bool
-            Write the configuration of the axis into the recording; this takes longer than all the rest.
+            Write the configuration of the axis into the recording; this takes most of the time.
 
         Returns
         -------
@@ -155,7 +154,7 @@ class AxisArray:
     Parameters
     ----------
     parameters : sequence of AxisParameters
-        Those of each axis, 1 … 4096.
+        Parameters of each axis, 1 … 4096 axes.
     threads : int
         Threads that share the axes. The results do not depend on their number.
 
@@ -195,7 +194,7 @@ class AxisArray:
         self.sample = 0
 
     def _settle(self, axis: Axis) -> None:
-        """Write the arrays of all axes, at rest, into the memory."""
+        """Write the arrays of all axes, in their state of rest, into the memory."""
         table = self.memory.reshape(len(self.parameters), self.stride)
         shapes = [array.shape for _, array in _leaves(axis.parts)]
         built, filled, values = axis, np.zeros(0, dtype=int), np.zeros(0)
@@ -204,7 +203,7 @@ class AxisArray:
                 built = axis if not number else _axis_of(parameters, number, built)
                 leaves = list(_leaves(built.parts))
                 self._require_same_structure(number, axis, built, shapes)
-                # memory that is not written is not taken from the system, so zeros are left out
+                # zeros are left out, because the system allocates memory only when it is written
                 inside = [np.flatnonzero(array) for _, array in leaves]
                 filled = np.concatenate([place + some for place, some in zip(self.places, inside, strict=True)])
                 values = np.concatenate([array.flat[some] for (_, array), some in zip(leaves, inside, strict=True)])
@@ -219,8 +218,8 @@ class AxisArray:
         if strange:
             names = ", ".join(node for part, node in NODES.items() if part in strange)
             raise ConfigurationError(
-                f"axis {number}: {names}: another structure than that of axis 0 (a type, an order, a length of an "
-                "array): the axes of an array differ in values only"
+                f"axis {number}: {names}: the structure differs from that of axis 0 (a type, an order, a length of an "
+                "array); only values may differ between the axes of an array"
             )
 
     def __len__(self) -> int:
@@ -300,7 +299,7 @@ class AxisArray:
                 given = np.broadcast_to(given, (len(self), given.size))
             if given.ndim != 2 or len(given) != len(self) or not given.size:
                 raise ParameterError([_misshapen(given, f"({len(self)}, N) or (N,)")])
-            # as in the run of one axis: the last setpoint holds
+            # as in the run of one axis, the last setpoint is held
             count = given.shape[1] if samples is None else samples
             given = np.ascontiguousarray(given[:, np.minimum(np.arange(count), given.shape[1] - 1)])
         kept = np.array([_signal_place(name) for name in signals], dtype=float)
@@ -311,7 +310,7 @@ class AxisArray:
         return ArrayRun(time, {name: found[:, i] for i, name in enumerate(signals)}, self.parameters)
 
     def _advance(self, setpoints: np.ndarray, kept: np.ndarray, found: np.ndarray) -> None:
-        """Compute the samples of all axes, each thread those of a slice of them."""
+        """Compute the samples of all axes; each thread handles a slice of the axes."""
 
         slices = [slice(*ends) for ends in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
         fixed = self._stored, self.stride
@@ -326,7 +325,7 @@ class AxisArray:
 
 
 def whole_number(name: str, value, most: int) -> int:
-    """Return a whole number within 1 … ``most``; refuse everything else by its name."""
+    """Return a whole number within 1 … ``most``; raise a ParameterError with its name for everything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
         raise ParameterError([Problem(name, value, f"must be a whole number within 1 … {most}")])
     return int(value)
@@ -377,7 +376,7 @@ def _column(parameters: AxisParameters, count: int, target: str, values) -> list
 
 
 def _axis_of(parameters: AxisParameters, number: int, before: Axis | None = None) -> Axis:
-    """Return a single axis; it shares its source, controller and compensator with ``before`` if only plants differ."""
+    """Return a single axis, which shares all parts but the plant with ``before`` if only the plants differ."""
     plant = parameters.plant_simulator
     if plant.type != "actuator":
         raise ConfigurationError(
@@ -409,7 +408,7 @@ def _address(array: np.ndarray) -> int:
 def _places(parts: Parts) -> tuple[list[int], int]:
     """Return the place of each array of an axis in its row, and the length of the row.
 
-    Arrays that are pieces of the same memory remain so.
+    Arrays that share memory continue to share it.
     """
     leaves = [array for _, array in _leaves(parts)]
     owners = [array if array.base is None else array.base for array in leaves]
@@ -426,7 +425,7 @@ def _places(parts: Parts) -> tuple[list[int], int]:
 
 
 def _at_places(arrays, memory: np.ndarray, places: Iterator[int]):
-    """Return the same named tuples of arrays of axis 0, in the memory."""
+    """Return the named tuples of axis 0 with their arrays moved into the memory."""
     if isinstance(arrays, tuple):
         return type(arrays)(*(_at_places(array, memory, places) for array in arrays))
     place = next(places)
@@ -445,7 +444,7 @@ def _misshapen(setpoints: np.ndarray, allowed: str) -> Problem:
 
 
 def _signal_place(name: str) -> int:
-    """Return the place of a signal in a row."""
+    """Return the index of a signal in a row."""
     names = [signal.name for signal in at.ACTUATOR.row]
     if name not in names:
         raise ParameterError([Problem("signal", name, f"an axis has no such signal{did_you_mean(name, names)}")])

@@ -73,9 +73,9 @@ class AdaptiveArrays(NamedTuple):
 
 
 _ADAPTED_HEADER = """\
-# The model of a hysteresis_compensator as ~/save found it, adapted to the actuator. SI units.
-# Give it in addition to the parameter file of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a
-# second --params-file of ros2 run. The weights include adaptation.factors: weight / factor is the identified weight.
+# The adapted model of a hysteresis_compensator, written by ~/save. SI units. Give it in addition to the parameter file
+# of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a second --params-file of ros2 run. The
+# weights include adaptation.factors: weight / factor is the identified weight.
 """
 
 # Own parameters.
@@ -101,8 +101,8 @@ def compensate_fixed(laws, arrays, row):
     """Compute the voltage by the fixed inverse.
 
     When the plant's output differs from the voltage sent, the model follows the output, and the next voltage continues
-    from there: the reported achieved command stays true, and the next step is small. In a skipped sample the voltage
-    stays, and the model follows it.
+    from there. So the reported achieved command stays correct, and the next step is small. In a skipped sample the
+    voltage stays, and the model follows it.
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
@@ -159,7 +159,7 @@ def note_output(own_p, row):
 
 @nested
 def compensate_adaptive(laws, arrays, row):
-    """Compute the voltage by the inverse adapted with this sample's measurement, and store the output."""
+    """Adapt the inverse with this sample's measurement, compute the voltage by it, and store the output."""
     p, x, settings, states = arrays.p, arrays.x, arrays.settings, arrays.adaptation
     voltage = x.limits[limiting.OUTPUT]
     measured = math.nan if row[at.SKIPPED] != 0.0 else row[at.MEASURED]
@@ -176,7 +176,7 @@ def compensate_adaptive(laws, arrays, row):
 
 @kernel
 def may_learn(own_p, own, limited):
-    """Tell whether the present sample may be used for adaptation, and store the reason; 0: it may not."""
+    """Return 1 if the present sample may be used for adaptation, otherwise 0, and store the reason."""
     if own[adapting.WAIT] > 0.0:
         own[adapting.WAIT] -= 1.0
         own[adapting.STATE] = adapting.WAITING
@@ -220,7 +220,7 @@ class CompensatorPart:
     def follow_plant(self, rounding: float, begins_safe: bool) -> None:
         """Follow the plant's output when it differs from the voltage sent.
 
-        Only in one loop for whole samples: separate nodes do not learn the output in time.
+        Only a loop that computes whole samples does this: separate nodes receive the output too late.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -240,7 +240,7 @@ class CompensatorPart:
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, (faulty.COMMAND,), self.parameters.sample_rate)
-        # commands are also numbered from now
+        # the numbers of the commands also start now
         self.arrays.watch_x.guard[STAMP] = -1.0
         watch_p = self.arrays.watch_p._replace(faults=p)
         self.arrays = self.arrays._replace(
@@ -286,7 +286,7 @@ class CompensatorPart:
         return {**kind, **kept, "adaptation.factors": adaptation.factors}
 
     def reset(self) -> None:
-        """Begin again with everything at rest."""
+        """Return to the state of rest."""
         if self.adaptation is not None:
             self._take(self.parameters, self.parameters.hysteresis)
         self.compensator.reset()

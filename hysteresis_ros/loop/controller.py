@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motion controller as a part of the loop: its sample, its blocks, live parameter changes, and requests."""
+"""The motion controller as a part of the loop: computation of a sample, blocks, live parameter changes, requests."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: Samples without the compensator's achieved command after which commands count as not achieved.
+#: Number of samples without an achieved command after which commands count as not achieved.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.
@@ -102,7 +102,7 @@ TARGETS = (faulty.MEASUREMENT, faulty.APPLIED, faulty.STOP)
 SAFE_COMMAND = 0  # [m]
 SAFE_STEP = 1  # [m] a sample
 PRELOAD = 2  # offset of the model [m]
-USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
+USE_ORIGIN = 3  # 1: the measurement is relative to the sequencer's origin
 PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is missing
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
@@ -117,7 +117,7 @@ UNANSWERED = 3  # samples since the last achieved command
 ANSWERED = 4  # 1 after the first achieved command
 REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; with a damping this is the output of the damping, not of the law
-OFFSET_LEFT = 7  # rest of the offset before its last change [m]
+OFFSET_LEFT = 7  # remaining part of the previous offset, which fades after a change [m]
 FORCE = 8  # measured force of the last sample [N]
 OWN_STATES = 9
 
@@ -137,11 +137,11 @@ def present_offset(own_p, own, decay):
 
 @kernel
 def resume(x, own, value):
-    """Restart the controller at the displacement ``value``; the command continues from the last one.
+    """Restart the controller at the displacement ``value`` [m]; the command continues from the last one.
 
-    The reference starts at the displacement too and fades to the received reference: a reaching law responds mildly to
-    a step of the reference, but strongly to a lasting difference between its command and the achieved command
-    (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14).
+    The reference also starts at the displacement and fades to the received reference. The reason: a reaching law
+    responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
+    achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14).
     """
     own[RETURNING] = 0.0
     own[ON_PATH] = 1.0
@@ -161,7 +161,7 @@ def foreseeable(own_p, own, state, seen):
 
 @kernel
 def corrected(p, x, own, value, followed, skipped):
-    """Return the reference [m] with the learned correction; ``followed``: whether the axis follows it now."""
+    """Return the reference [m] with the learned correction; ``followed`` states whether the axis follows it now."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
     error = own[REFERENCE] - value
@@ -174,7 +174,7 @@ def corrected(p, x, own, value, followed, skipped):
 
 @nested
 def answer(laws, arrays, value, wanted, force):
-    """Return the command [m] for the displacement ``value`` [m] without offset; NaN: for the law's prediction.
+    """Return the command [m] for the displacement ``value`` [m] without offset; if it is NaN, the law predicts it.
 
     ``force`` is the measured force [N].
     """
@@ -204,7 +204,7 @@ def control(laws, arrays, row):
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
     own[FORCE] = row[at.FORCE]
-    # a loop designed for a damped stage is not closed without the damping
+    # without its damping, a loop designed for the damped stage must stay open
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
     missing = 1.0 if unforced else row[at.SKIPPED]
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
@@ -213,7 +213,9 @@ def control(laws, arrays, row):
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
     elif own_p[USE_ORIGIN] != 0.0:
-        value = row[at.REFERENCE]  # without reference and origin the target of the extender is unknown: it stays
+        value = row[
+            at.REFERENCE
+        ]  # without reference and origin the target of the extender is unknown, so the extender holds
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
     offset = present_offset(own_p, own, arrays.p.handover[DECAY])
@@ -238,14 +240,14 @@ def control(laws, arrays, row):
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode == FOLLOWING:
-        # at the slew rate to safe: without it, an achieved command would close a loop of gain one
+        # at the slew rate to safe; without it an achieved command would close a loop with gain one
         command = towards(command, value, own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     if mode in (TRIPPED, STOPPED, STALE):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     own[UNANSWERED] += 1.0
-    # the law's own command stays: its difference to the achieved command shows saturation
+    # the law's own command is kept, because its difference to the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
     sent = min(max(command, own_p[LOWEST]), own_p[HIGHEST])
     if sent != command:
@@ -273,8 +275,8 @@ def carried_out(arrays, applied):
 class ControllerPart:
     """Feedforward, controller and bumpless transfer of an axis, with their monitoring.
 
-    The preload's offset is subtracted from the measurement before the laws see it: they see its change as a motion, and
-    their integrated states stay valid.
+    The preload's offset is subtracted from the measurement before the laws receive it. They treat a change of the
+    offset as a motion, and their integrated states stay valid.
     """
 
     def __init__(self, parameters: ControllerNodeParameters):
@@ -341,13 +343,13 @@ class ControllerPart:
         self._connect()
 
     def prepare(self) -> None:
-        """Compile everything that may be needed while running: any controller may take over within a sample."""
+        """Compile everything that may be needed while running, because any controller may take over within a sample."""
         prepare_controllers()
 
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
-        # measurements are also numbered from now
+        # the numbers of the measurements also start now
         self._watch_x.guard[STAMP] = -1.0
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
@@ -379,7 +381,7 @@ class ControllerPart:
         write_learned(path, self.learning.learned(), configuration)
 
     def reset(self) -> None:
-        """Begin again with everything at rest."""
+        """Return to the state of rest."""
         for block in self._blocks:
             block.reset()
         stopped = self._watch_x.own[STOP]
@@ -399,7 +401,7 @@ class ControllerPart:
             self._require_order(block, own)
             self._retune_controller(own)
         else:
-            # everything that can be refused is refused before anything changes
+            # all checks come before the first change
             controller, lasting = successor(own, 1.0 / parameters.sample_rate, self.controller, self.history)
             self.feedforward.retune(own)
             self.controller = controller
@@ -415,13 +417,13 @@ class ControllerPart:
         self._connect()
 
     def _require_force(self, block: ControllerParameters) -> None:
-        """Refuse a force damping when no force is measured."""
+        """Refuse a damping that feeds back the force when no force is measured."""
         if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
-            remedy = f"missing force joint '{self.parameters.force_joint}': no force is measured; take irc or ppf"
+            remedy = f"missing force joint '{self.parameters.force_joint}': no force is measured; use irc or ppf"
             raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
-        """Refuse another damping when an observer or an inverse of the dynamics has the order of the present one."""
+        """Refuse another damping when the order of an observer or of inverse dynamics depends on the present one."""
         given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"

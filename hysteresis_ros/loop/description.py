@@ -22,8 +22,8 @@ BASE = "base"
 def robot_description(parameters: SourceParameters, name: str = "hysteresis_axis") -> str:
     """Return a URDF of an axis: a base, and a link that a prismatic joint moves along z.
 
-    The position limits are those of the reference source, the velocity limit is its largest velocity; when steps are
-    passed on unchanged, that is the whole range in one sample. The effort limit is 0: it is unknown.
+    The position limits are those of the reference source, the velocity limit is its largest velocity; without limits on
+    steps, the latter is the whole range in one sample. The effort limit is 0: it is unknown.
     """
     moved = f"{parameters.joint}_tip"
     robot = ET.Element("robot", name=name)

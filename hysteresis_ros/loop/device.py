@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device that replaces the simulated plant, accessed by its driver in Python or by machine code at two addresses.
+"""A device that replaces the simulated plant, accessed by a driver in Python or by two compiled functions.
 
 The compiled functions need no lock of Python and allocate nothing. The voltages are monitored as those of the simulated
 plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it is made
@@ -61,11 +61,11 @@ from hysteresis_ros.models.calibration import (
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
 # Link to the device, int64: the addresses of its functions, of the device and of this array itself. In a copy of the
-# arrays the last address is wrong, so no copy ever reaches the device.
+# arrays the last address no longer matches, so a copy never accesses the device.
 READ, WRITE, MAKE_SAFE, DEVICE, SELF = range(5)
 LINKS = 5
 
-# Failure, int64: which function failed, its code, and the result of making the device safe.
+# Failure, int64: the function that failed, its code, and the code of the attempt to make the device safe.
 FAILED, CODE, SAFE_CODE = range(3)
 ANSWERS = 3
 #: Values of ``FAILED``: nothing, reading, writing, a position that is not a number.
@@ -77,7 +77,7 @@ class DevicePlantArrays(NamedTuple):
 
     link: np.ndarray
     answer: np.ndarray
-    #: Buffers of the device's voltages and positions, both in its own units, the forces after the positions.
+    #: Buffers of the device's voltages and positions, both in the units of the device; forces follow the positions.
     positions: np.ndarray
     voltages: np.ndarray
     #: Voltage [V] at which a device was left that could not be made safe.
@@ -104,7 +104,7 @@ if COMPILED:
     from llvmlite import ir
     from numba import extending, types
 
-    #: Numba passes the typing context; callers give the other arguments only.
+    #: Numba passes the typing context; callers pass only the other arguments.
     intrinsic: Any = extending.intrinsic
 
     def _caller(count: int) -> Any:
@@ -212,7 +212,7 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read a device; without a device, use the readings in the row, and the voltage of a device that has failed."""
+    """Read a device; without one, the row contains the readings, and the voltage of a device that has failed."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
     recorded = row[at.PLANT_VOLTAGE]
@@ -237,7 +237,7 @@ def sense_device(laws, arrays, row):
 def actuate_device(laws, arrays, row):
     """Output the voltage of the row after monitoring.
 
-    In a skipped sample nothing is written: the voltage stays, even on its way to safe or back.
+    In a skipped sample nothing is written: the device holds its voltage, even on the way to or from the safe voltage.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -276,13 +276,13 @@ class DrivenPlant(Plant):
     After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``.
     """
 
-    #: Its samples are not compiled.
+    #: Samples of this plant are not compiled.
     kernels = None, None, None
     #: Seconds between two attempts to make the device safe.
     insists_every = INSIST
 
     _failure = ""
-    #: Why a device could not be made safe, and the voltage [V] that it still outputs.
+    #: Reason why the device could not be made safe, and the voltage [V] that it still outputs.
     _left, _left_at = "", math.nan
 
     def __init__(self, parameters: PlantNodeParameters):
@@ -307,16 +307,18 @@ class DrivenPlant(Plant):
     @property
     def failure(self) -> str:
         """Error of a device that has stopped the axis, and the voltage that it may still output."""
-        left = self._left  # it ends in the background
+        left = self._left  # the device is released in the background
         return f"{self._failure}; and it {left}" if left else self._failure
 
     def _require(self, can: Capabilities) -> None:
-        """Raise a DriverError unless the device is what the axis needs."""
+        """Raise a DriverError unless the device meets the requirements of the axis."""
         parameters, device = self.parameters, f"driver {self.parameters.driver}:"
         low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
         if can.keeps_time:
-            remedy = "the package keeps the time: let the driver sample the device, or write a node (docs/hardware.md)"
-            raise DriverError(device, "the device insists on keeping the time", remedy)
+            remedy = (
+                "the package must keep the time: let the driver sample the device, or write a node (docs/hardware.md)"
+            )
+            raise DriverError(device, "the device keeps the time itself", remedy)
         units, given = (can.position_unit, can.voltage_unit), parameters.calibration
         if units != (given.sensor.unit, given.amplifier.unit):
             remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
@@ -349,7 +351,7 @@ class DrivenPlant(Plant):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Capabilities of the device."""
+        """Properties of the device, as its driver reports them."""
         return self._opened.capabilities
 
     @property
@@ -364,7 +366,7 @@ class DrivenPlant(Plant):
         text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
         text += f"{can.highest_rate:g} Hz; "
         if can.watchdog is None:
-            return f"{text}no watchdog of its own: killed, this node leaves the last voltage on it"
+            return f"{text}no watchdog of its own: if this node is killed, the last voltage stays on the device"
         return f"{text}its watchdog acts after {can.watchdog:g} s"
 
     @property
@@ -429,7 +431,7 @@ class DrivenPlant(Plant):
         """Stop the axis and make the device safe, on a new connection if necessary."""
         self._failure = str(error)
         self._watch_x.trip[TRIP] = DEVICE_FAILED
-        with contextlib.suppress(DriverError):  # the failure reports it
+        with contextlib.suppress(DriverError):  # reported with the failure
             self.make_safe()
 
     def _at_rest(self) -> None:
@@ -470,7 +472,7 @@ class DrivenPlant(Plant):
             self._fail(error)
 
     def reset(self) -> None:
-        """Begin again at the device's present voltage; it slews to the safe and then to the received voltage."""
+        """Restart at the device's present voltage; it slews to the safe voltage and then to the received one."""
         self._acknowledge()
         held = self.held()
         super().reset()
@@ -534,7 +536,7 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def held(self, input_: int = 0) -> float:
-        """Return the output voltage [V], also of a device that could not be made safe."""
+        """Return the output voltage [V], even if the device could not be made safe."""
         return self._output if self._is_left() else super().held(input_)
 
     def make_safe(self) -> None:
@@ -556,7 +558,7 @@ class DrivenPlant(Plant):
         self._left = ""
 
     def close(self) -> str:
-        """Release the device; return the problem it is left with, empty when there is none."""
+        """Release the device; return the problem that remains, empty when there is none."""
         return self._opened.close()
 
 
@@ -584,7 +586,7 @@ def plant_of(parameters: PlantNodeParameters) -> Plant:
 class CompiledPlant(DrivenPlant):
     """One actuator that is a device, read and written by machine code."""
 
-    # entries in which other plants have the law of the simulation
+    # placeholders for the kernels of a simulated plant
     kernels = limits, limits, limits
 
     given = (at.MEASURED, at.TRIPPED, at.FORCE, at.PLANT_VOLTAGE)
@@ -645,7 +647,7 @@ class CompiledPlant(DrivenPlant):
             return text
         self._opened.insist(self.insists_every, self._is_left, self._made_safe)
         left = f"the output is still at {self.arrays.voltages[0]:.6g} {self.capabilities.voltage_unit}"
-        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
+        return f"{text}; the device cannot be made safe: {explain(safe_code).problem}: {left}"
 
     def _is_left(self) -> bool:
         if super()._is_left() or self.arrays is self:  # which it is until the device is open
@@ -667,7 +669,7 @@ class CompiledPlant(DrivenPlant):
             super().make_safe()
 
     def close(self) -> str:
-        """Release the device; return the problem it is left with, empty when there is none."""
+        """Release the device; return the problem that remains, empty when there is none."""
         return super().close() if self._linked else ""
 
 

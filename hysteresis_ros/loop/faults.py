@@ -49,20 +49,22 @@ class FaultKind:
     unit: str = ""  #: Unit of the value.
     low: float = -math.inf  #: low, high: Range of the value.
     high: float = math.inf
-    motor: bool = False  #: Only an inchworm motor can have it.
+    motor: bool = False  #: Whether only an inchworm motor can have this fault.
 
 
 FAULTS = {
     "stale": FaultKind(MEASUREMENT, LOST, "no measurement arrives"),
     "nan": FaultKind(MEASUREMENT, LOST, "the measurement is not a number"),
-    "spike": FaultKind(MEASUREMENT, SPIKE, f"one measurement in {SPIKE_PERIOD} is off by the value", 1e-6, "m"),
-    "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement keeps its value from the beginning"),
+    "spike": FaultKind(MEASUREMENT, SPIKE, f"the value is added to one measurement in {SPIKE_PERIOD}", 1e-6, "m"),
+    "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement stays at its first value during the fault"),
     "late": FaultKind(
         MEASUREMENT, DELAY, "the measurement is delayed by that many samples", 1.0, "samples", 1, LONGEST_DELAY
     ),
     "drop": FaultKind(MEASUREMENT, DROP, "that fraction of the measurements is missing, at random", 0.3, "1", 0.0, 1.0),
-    "offset": FaultKind(MEASUREMENT, ADD, "the measurement is off by the value", 1e-6, "m"),
-    "disorder": FaultKind(MEASUREMENT, DISORDER, "every second measurement is the one before, with its old stamp"),
+    "offset": FaultKind(MEASUREMENT, ADD, "the value is added to the measurement", 1e-6, "m"),
+    "disorder": FaultKind(
+        MEASUREMENT, DISORDER, "every second measurement is a repeat of the previous one, with its old stamp"
+    ),
     "unanswered": FaultKind(APPLIED, LOST, "the controller does not receive the achieved command"),
     "lost_command": FaultKind(COMMAND, LOST, "no command reaches the compensator"),
     "lost_voltage": FaultKind(VOLTAGE, LOST, "no voltage reaches the plant"),
@@ -84,12 +86,12 @@ class Fault:
     name : str
         Name of the fault, such as ``stale`` or ``offset``; ``docs/topics.md`` lists them.
     start : float
-        Beginning [s], in the axis' own time; at least 0.
+        Start [s], in the time of the axis; at least 0.
     duration : float
         Duration [s], more than 0.
     value : float, optional
-        Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], others a share); by default
-        that of the kind of fault. Some kinds have no value.
+        Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], others a fraction); the
+        default depends on the kind of fault. Some kinds have no value.
 
     Raises
     ------
@@ -194,8 +196,8 @@ ENTRIES = 2
 TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first one after it, value
 ENTRY = 5
 
-# State array: samples so far, the sample number of the measurement, the frozen value, the random generator; then a
-# ring of the last measurements.
+# State array: number of samples so far, sample number of the measurement, frozen value, state of the random generator;
+# then a ring of the last measurements.
 SAMPLES, STAMP, FROZEN_AT = range(3)
 GENERATOR = 3
 RING = 9
@@ -235,7 +237,7 @@ def begin_sample(x):
 
 @called
 def corrupt(p, x, target, value):
-    """Return the replacement of ``value`` in the present sample; call it once per target and sample."""
+    """Return ``value`` with the faults of the present sample applied; call it once per target and sample."""
     count = int(p[COUNT])
     if count == 0:
         return value
@@ -279,5 +281,5 @@ def corrupt(p, x, target, value):
 
 @nested
 def given_instead(p, x, target, value):
-    """Return :func:`corrupt` of the value; without faults a node saves the call from Python."""
+    """Return the result of :func:`corrupt`, or the value itself without faults, which saves a call from Python."""
     return value if p[COUNT] == 0.0 else corrupt(p, x, target, value)

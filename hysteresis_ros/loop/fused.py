@@ -65,9 +65,9 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Set priority and core of the calling thread and lock the process in RAM; return what was refused."""
+    """Set priority and core of the calling thread, and lock the process in RAM; return what was refused."""
     library = ctypes.CDLL(None, use_errno=True)
-    # without priority the kernel wakes a thread up to 50 µs late to save energy
+    # for threads without priority the kernel may delay the wake-up by 50 µs to save energy
     if hasattr(library, "prctl"):
         library.prctl(_TIMER_SLACK, ctypes.c_ulong(1), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
     refused = []
@@ -166,7 +166,7 @@ def shallow_sleep():
 
 @contextlib.contextmanager
 def boosted(parameters: RealtimeParameters):
-    """Run just below the priority of the loop's thread, if permitted, so that the loop goes first on a shared core."""
+    """Run just below the priority of the loop's thread, if permitted, so that the loop comes first on a shared core."""
     priority = max(parameters.priority - 1, 1)
     before = None
     if parameters.priority:
@@ -187,7 +187,7 @@ def undisturbed():
     collects, interval = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(TURN)
-    time.sleep(0.0)  # a thread that waits for its turn restarts its wait with the new interval
+    time.sleep(0.0)  # a thread that waits for the interpreter lock restarts its wait with the new interval
     try:
         yield
     finally:
@@ -200,21 +200,21 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or "this system does not support it"
 
 
-#: Sample rate that the loop holds without Numba [Hz]: a sample takes up to 0.4 ms (of a motor), and another thread of
-#: Python may run for 5 ms, one period.
+#: Sample rate that the loop sustains without Numba [Hz]: a sample takes up to 0.4 ms (of a motor), and another thread
+#: of Python may hold the interpreter for 5 ms, one period.
 INTERPRETED_RATE = 200.0
 #: Time for which samples are kept for readers [s], and least and largest number of samples.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Duration of a sample after which the device counts as blocked [s].
 BLOCKED = 0.5
-#: Time within which a suspended process continues [s].
+#: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
 #: Time from the start to the first sample [ns].
 LEAD = 5_000_000
 #: Polling interval for an accepted request [s].
 LOOK = 2e-4
-#: Longest busy wait until the loop has paused [s]. After it the wait sleeps between looks, which may cost 5 ms if
-#: another thread runs.
+#: Longest busy wait for the loop to pause [s]. After it the waiting thread sleeps between checks, which may take 5 ms
+#: if another thread runs.
 HASTE = 2e-3
 
 
@@ -240,7 +240,7 @@ def pace_arrays(axis: Axis | Stage, factor: float = math.inf, samples: int = 0) 
         np.zeros((at.POSTS, len(axes), at.POST)),
         np.zeros((at.EVENTS, 3), dtype=np.int64),
         np.zeros(at.BINS, dtype=np.int64),
-        np.full((kept, len(axes), size), math.nan),  # written, so that the memory is allocated
+        np.full((kept, len(axes), size), math.nan),  # the arrays are written once, so that their memory is allocated
         np.full(kept, -1, dtype=np.int64),
         np.full((kept, sum(one.plant.joint_numbers for one in axes)), math.nan),
         np.zeros(2, dtype=np.int64),
@@ -306,7 +306,7 @@ class FusedLoop:
     def start(self) -> None:
         """Begin with the next sample."""
         if self.running:
-            raise RuntimeError("the loop runs already")
+            raise RuntimeError("the loop is already running")
         self._ending = False
         self._state[at.LEAVE] = 0
         self._offset = time.time_ns() - time.monotonic_ns()
@@ -326,13 +326,13 @@ class FusedLoop:
         return self._thread is not None and self._thread.is_alive()
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait until the last sample is done or the time-out [s] is over; tell whether the thread has ended."""
+        """Wait for the last sample, or until the time-out [s] has passed; return whether the thread has ended."""
         if self._thread is not None:
             self._thread.join(timeout)
         return not self.running
 
     def leave(self) -> bool:
-        """End after the present sample; tell whether the thread has ended: it cannot while a device blocks."""
+        """End after the present sample; return whether the thread has ended, which a blocked device prevents."""
         self._ending = True
         self._state[at.LEAVE] = 1
         while not self.is_blocked:
@@ -397,7 +397,7 @@ class FusedLoop:
             run(*arguments)
             if not state[at.LEAVE] or self._ending:
                 return
-            state[at.LEAVE] = 0  # the change was for parts that have been replaced
+            state[at.LEAVE] = 0  # these parts have been replaced since the change
 
     # -- requests and changes --------------------------------------------------------------------------------------
 
@@ -413,7 +413,7 @@ class FusedLoop:
         Of several requests in one sample the last one counts.
         """
         if not self.axis.kind.motor and (request is not None or speed is not None):
-            raise ValueError("request and speed: only the axis of an inchworm motor takes them")
+            raise ValueError("request and speed: only the axis of an inchworm motor accepts them")
         places = at.POST_SETPOINT, at.POST_REQUEST, at.POST_SPEED
         self._post({place: dict(zip(places, (setpoint, request, speed), strict=True))})
 
@@ -496,7 +496,7 @@ class FusedLoop:
         try:
             part.retune(parameters)
         except Exception:
-            # the copy was changed: it must equal the axis again
+            # the copy was changed, so it must be made equal to the axis again
             with contextlib.suppress(ParameterError):
                 self._double.axes[place].by_node[node].retune(part.parameters)
             raise
@@ -526,7 +526,7 @@ class FusedLoop:
             )
 
     def _rehearse(self, place: int, change: Change | None) -> Parameters | None:
-        """Apply a change to a copy of the axis and run it: errors occur here, and nothing is compiled later.
+        """Apply a change to a copy of the axis and run it, so that errors and compilation occur here, not in the loop.
 
         Returns the new parameters of the part, checked.
         """
@@ -611,7 +611,8 @@ def _same(one, other) -> bool:
     return one is other
 
 
-#: A rate is held when 99 % of the samples begin within this part of a period, and fewer than this part are skipped.
+#: A rate is sustained when 99 % of the samples begin within the first fraction of a period, and less than the second
+#: fraction of the samples is skipped.
 LATEST, MOST_SKIPPED = 0.5, 0.005
 #: Number of batches and samples per batch to measure the cost of a sample; the fastest batch counts.
 BATCHES, BATCH = 5, 100
@@ -622,11 +623,11 @@ class Trial(NamedTuple):
 
     rate: float  #: Samples per second [Hz].
     lateness: Lateness  #: Lateness of its samples, and the number of skipped ones.
-    warning: str  #: What the operating system refused; empty when it permitted everything.
+    warning: str  #: Requests that the operating system refused; empty when it granted all.
 
     @property
     def is_held(self) -> bool:
-        """Whether the machine holds this rate."""
+        """Whether the machine sustains this rate."""
         late = self.lateness
         return late.p99 * self.rate < LATEST and late.missed < MOST_SKIPPED * late.samples
 
@@ -671,11 +672,11 @@ def require_speed(parameters: AxisParameters | StageParameters) -> None:
     first = parameters.axes[0] if isinstance(parameters, StageParameters) else parameters
     plant: PlantNodeParameters = first.plant_simulator
     if plant.realtime.force or plant.driver or not COMPILED:
-        return  # the time of a device is known only once it is driven; without Numba the loop has its own limit
+        return  # the response time of a device is unknown before it is used; without Numba another limit applies
     rate, cost = plant.sample_rate * plant.real_time_factor, tick_cost(parameters)
     if cost * rate > 1.0:
         raise ConfigurationError(
             f"sample_rate = {plant.sample_rate:g} Hz at real_time_factor {plant.real_time_factor:g}: a sample takes "
-            f"{1e6 * cost:.3g} µs on this machine, which holds at most {1.0 / cost:.3g} of them a second; lower one "
-            "of the two, or run it nevertheless with --force (realtime.force: true)"
+            f"{1e6 * cost:.3g} µs on this machine, so the limit is {1.0 / cost:.3g} samples/s; lower sample_rate or "
+            "real_time_factor, or run it nevertheless with --force (realtime.force: true)"
         )

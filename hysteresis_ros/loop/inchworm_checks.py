@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Checks of an inchworm's gait against its motor, which need more than the sequencer's parameters."""
+"""Checks of an inchworm's gait against the parameters of its motor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros.references.inchworm_steps import LOAD_PART
 SAFETY_FACTOR = 2.0
 #: Duration of a motion of the extender, in periods of the slider on the extender, below which a warning is given.
 SWINGS = 2.0
-#: Largest crossover of a designed loop, as a part of the frequency of the slider on the extender.
+#: Largest crossover frequency of a designed loop, as a fraction of the resonance of the slider on the extender.
 CROSSOVER_PART = 0.25
 
 
@@ -34,7 +34,7 @@ def inchworm_problems(plant, parts):
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
-        remedy = "needs a measurement of the actuator itself, a motor measures its slider: take none"
+        remedy = "needs a measurement of the actuator itself, but a motor measures its slider: use none"
         yield Problem("hysteresis_compensator: adaptation.type", adaptation.type, remedy)
     sequencer = parts["inchworm_sequencer"]
     gait, motor = sequencer.gait, plant.inchworm
@@ -78,8 +78,9 @@ def design_warnings(plant, crossovers) -> tuple[str, ...]:
     if highest <= CROSSOVER_PART * frequency:
         return ()
     return (
-        f"the design's crossover is {highest:.4g} Hz; its model lacks the slider's resonance on the extender at "
-        f"{frequency:.4g} Hz: it will oscillate; give a --bandwidth below {CROSSOVER_PART * frequency:.3g} Hz",
+        f"the design's crossover frequency is {highest:.4g} Hz, and its model lacks the slider's resonance on the "
+        f"extender at {frequency:.4g} Hz: the loop will oscillate; give a --bandwidth below "
+        f"{CROSSOVER_PART * frequency:.3g} Hz",
     )
 
 
@@ -102,7 +103,7 @@ def _walking_doubts(motor, walk):
     if deflection > walk.bound:
         yield (
             f"inchworm_sequencer: the load bends the extender by {deflection:.3g} m, more than walk.bound = "
-            f"{walk.bound:g} m can compensate: raise it and shorten walk.step"
+            f"{walk.bound:g} m can compensate: raise walk.bound and shorten walk.step"
         )
 
 
@@ -128,5 +129,6 @@ def _doubts(motor, gait):
         if value < SWINGS * swing:
             yield (
                 f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on "
-                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: it oscillates past the end of its steps"
+                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: the slider still oscillates at "
+                f"the end of a step"
             )

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The compiled loop of the fused runner: samples against absolute deadlines, its switches, and the ring it writes.
+"""The compiled loop of the fused runner: absolute deadlines, start and stop requests, the ring of finished samples.
 
 It computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests, inputs
 and the ring have a place for each axis.
@@ -17,9 +17,9 @@ Starts and stops within a sample are switched here; every other change is made i
 ``hold`` of the parts.
 
 A sample that would begin a whole period or more after its deadline is skipped: there is no measurement and no command,
-the voltage stays, and time goes on. So a burst of late outputs never follows a missed deadline.
+the voltage is held, and time advances. So a missed deadline is never followed by a burst of late outputs.
 
-A core that rests takes some 10 µs to wake. So the thread sleeps only until a time *ahead* of the deadline, and then
+An idle core takes some 10 µs to wake. So the thread sleeps only until a time *ahead* of the deadline, and then
 looks at the clock until the deadline. The time ahead is fixed, or it follows the wake-up times of this machine.
 """
 
@@ -41,7 +41,7 @@ from hysteresis_ros.loop.tick import WHOLE
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import COMPILED, by_part, each, nested
 
-# Codes of the switches; HALT is the emergency stop, which stops everything that can be stopped.
+# Codes of the start and stop requests; HALT is the emergency stop of all parts that can be stopped.
 NOTHING, START_PLANT, HALT_PLANT, START_CONTROLLER, STOP_CONTROLLER, START_COMPENSATOR, STOP_COMPENSATOR = range(7)
 STOP_GENERATOR, HALT, HOLD_GENERATOR = 7, 8, 9
 
@@ -62,14 +62,14 @@ CODES = {what: code for code, what in SWITCHES.items()}
 
 
 def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return node and action of everything that a code switches; a motor's sequencer gets a stop request instead."""
+    """Return node and action of each part that a code switches; a motor's sequencer gets a stop request instead."""
     codes = (HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, STOP_GENERATOR) if code == HALT else (code,)
     return [SWITCHES[one] for one in codes if SWITCHES[one][0] in nodes]
 
 
 @nested
 def switch(laws, parts, column, code):
-    """Start or stop a part, beginning with this sample; resulting inputs of a source are written into the column."""
+    """Start or stop a part, beginning with this sample; requests to a source are written into the column."""
     trip = parts.plant.watch_x.trip
     controller, compensator = parts.controller.watch_x.own, parts.compensator.watch_x.own
     if code == START_PLANT:
@@ -110,7 +110,7 @@ class Together(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """The arrays between the loop and the threads of Python around it."""
+    """The arrays that the loop shares with the threads of Python."""
 
     #: Counters and flags, int64, see below.
     state: np.ndarray
@@ -129,14 +129,14 @@ class Pace(NamedTuple):
     posts: np.ndarray
     #: Switches that were made: sample, code, axis; int64, shape (EVENTS, 3).
     events: np.ndarray
-    #: Samples by their lateness, int64, shape (BINS,).
+    #: Histogram of the lateness, int64, shape (BINS,).
     histogram: np.ndarray
     #: Rows of the last samples, shape (N, axes, row length), and the time each began [ns], int64, shape (N,).
     rows: np.ndarray
     times: np.ndarray
     #: Contents of ``joint_states`` of a motor, shape (N, JOINTS).
     joints: np.ndarray
-    #: For the C library, int64, shape (2,).
+    #: Time structure for the C library, int64, shape (2,).
     timespec: np.ndarray
 
 
@@ -159,7 +159,7 @@ STATES = 24
 SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED = range(6)
 COUNTS = 6
 
-# Columns of a post: each value is followed by the number of times that it has been set.
+# Columns of a post: each value, followed by the number of times it was set.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
 POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
 POST = 9
@@ -167,13 +167,13 @@ POST = 9
 #: Most switches of an axis before one sample.
 MOST_SWITCHES = 2
 
-#: Capacity for posts and events: many more than are made or left unread within a sample.
+#: Capacity for posts and events, far more than occur within a sample.
 POSTS, EVENTS = 64, 1024
 
 #: Lateness of the first bin [ns], number of bins, and bins per factor e.
 LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
-#: Longest uninterrupted wait [ns], hence the delay after which a request to end is noticed.
+#: Longest uninterrupted wait [ns], which is the largest delay of a request to end.
 PIECE = 50_000_000
 #: Steps of the estimated quantile at a longer and at a shorter wake-up time [ns]: it settles where they are balanced,
 #: at 98 %, and follows a change of 10 µs within some 200 long wake-ups.
@@ -182,7 +182,8 @@ LONGER, SHORTER = 49, 1
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: Skipped samples in a row, as a part of the ring, after which the loop waits for readers, and how long [ns].
+#: Skipped samples in a row, as a fraction of the ring, after which the loop waits for readers, and the time to wait
+#: [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
 MONOTONIC, ABSOLUTE = 1, 1
@@ -191,7 +192,7 @@ FEMTO = 1_000_000
 if COMPILED:
     from numba import types
 
-    # by symbol, not by ctypes: addresses of this process could not be cached with the code
+    # called by symbol, not by ctypes, because addresses of this process could not be cached with the code
     _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     _nanosleep: Any = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
@@ -244,7 +245,7 @@ def note_wake(state, late):
     if state[MOST_AHEAD] == 0:
         return
     state[WAKE] = max(state[WAKE] + (LONGER if late > state[WAKE] else -SHORTER), 0)
-    # what a sample computes takes the core too
+    # the computation of a sample needs the core, too
     most = state[MOST_AHEAD] - state[BUSY] // max(state[HEAD], 1)
     state[AHEAD] = max(min(state[WAKE], most), 0)
 
@@ -469,7 +470,7 @@ class Samples(NamedTuple):
     times: np.ndarray  #: Start of each sample [ns since 1970], whole numbers, shape (N,).
     #: Positions [m], velocities [m/s] and efforts [N] of a motor's joints, shape (JOINT_NUMBERS, N).
     joints: np.ndarray | None
-    lost: int  #: Samples before the first one that were overwritten before they were read.
+    lost: int  #: Number of samples before the first one that were overwritten before they were read.
 
 
 class Lateness(NamedTuple):
@@ -481,7 +482,7 @@ class Lateness(NamedTuple):
     p99: float
     p999: float
     max: float
-    missed: int  #: Samples that were skipped.
+    missed: int  #: Number of skipped samples.
     samples: int  #: All samples.
     cost: float  #: cost, highest_cost: mean and largest computing time of a sample [s].
     highest_cost: float

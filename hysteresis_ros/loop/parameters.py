@@ -55,7 +55,7 @@ class NodeParameters(Parameters):
     """Common parameters of all nodes of an axis; normally given once, under ``/**``."""
 
     sample_rate: float = parameter(
-        1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="samples per second of the axis"
+        1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="sample rate of the axis"
     )
     time_mode: str = parameter(
         "realtime",
@@ -66,7 +66,7 @@ class NodeParameters(Parameters):
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
     force_joint: str = parameter(
-        "force", read_only=True, description="joint in joint_states whose effort is the measured force in the stack"
+        "force", read_only=True, description="joint in joint_states whose effort is the measured force of the stack"
     )
     autostart: bool = parameter(
         True, read_only=True, description="configure and activate the node automatically at its start"
@@ -75,7 +75,7 @@ class NodeParameters(Parameters):
         False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
     )
     exit_at_end: bool = parameter(
-        False, read_only=True, description="exit when the plant has published the end of the run"
+        False, read_only=True, description="exit at the end of the run, which the plant publishes"
     )
     partner_timeout: float = parameter(
         10.0,
@@ -109,9 +109,8 @@ class NodeParameters(Parameters):
         "reliable",
         choices=("reliable", "best_effort"),
         read_only=True,
-        description="reliability of the subscription to joint_states: best_effort if a driver of the user publishes "
-        "them so; "
-        "realtime only",
+        description="reliability of the subscription to joint_states: best_effort if the user's driver publishes as "
+        "best effort; realtime only",
     )
 
     setpoint_reliability: str = parameter(
@@ -178,7 +177,7 @@ class RealtimeParameters(Parameters):
         "core is left for the nodes",
     )
     force: bool = parameter(
-        False, read_only=True, description="fused: run also at a rate that this machine does not hold"
+        False, read_only=True, description="fused: run even if this machine does not sustain the rate"
     )
 
 
@@ -231,7 +230,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"
     )
     safe_voltage: float = parameter(
-        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage to which the plant goes when commands stop"
+        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage to which the plant goes when no voltages arrive"
     )
     safe_slew_rate: float = parameter(
         1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="slew rate to the safe voltage"
@@ -247,17 +246,17 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         0,
         low=-1,
         high=10**9,
-        description="number of late voltages, in a row or within a second, above which the axis goes to safe until "
-        "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and voltages for an earlier "
-        "sample are output too",
+        description="number of late voltages, in a row or within a second, above which the axis goes to its safe state "
+        "until ~/start; 0: a twentieth of the samples of a second, at least 20; -1: no limit, and voltages for an "
+        "earlier sample are output too",
     )
     overtravel: float = parameter(
         0.0,
         unit="m",
         low=-1.0,
         high=1.0,
-        description="actuator: distance of a measurement beyond the static range above which the axis goes to safe "
-        "until ~/start; 0: one stroke; below 0: any",
+        description="actuator: distance of a measurement beyond the static range above which the axis goes to its safe "
+        "state until ~/start; 0: one stroke; below 0: no limit",
     )
     realtime: RealtimeParameters = group(RealtimeParameters)
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
@@ -276,7 +275,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 
     @property
     def allowed_late(self) -> int:
-        """Allowed number of late voltages in a row or within a second; 0: any number."""
+        """Allowed number of late voltages in a row or within a second; 0: no limit."""
         if self.late_limit == 0:
             return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
         return max(self.late_limit, 0)
@@ -334,9 +333,11 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 
     def _unfit_for_a_driver(self):
         if self.external_plant:
-            yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
+            yield Problem("driver", self.driver, "the plant is already external: remove driver")
         if self.time_mode == "lockstep":
-            remedy = "a device does not wait for nodes: give time_mode: realtime, or driver: '' for the simulated plant"
+            remedy = (
+                "a device does not wait for nodes: give time_mode: realtime, or remove driver for the simulated plant"
+            )
             yield Problem("driver", self.driver, remedy)
         if self.time_mode == "fused" and not self.driver_is_compiled:
             remedy = (
@@ -402,7 +403,7 @@ class CommandRangeParameters(Parameters):
         unit="m",
         low=-1.0,
         high=1.0,
-        description="lower limit of the command; this and command_maximum 0: one stroke beyond the range of the "
+        description="lower limit of the command; if this and command_maximum are 0: one stroke beyond the range of the "
         "compensator's model if the whole axis is known, else unlimited",
     )
     command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="upper limit of the command")
@@ -439,7 +440,7 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
 
     @property
     def fastest(self) -> float:
-        """Largest velocity of the reference [m/s]; when steps are passed on unchanged, the whole range in a sample."""
+        """Largest velocity of the reference [m/s]; without limits on steps, the whole range in a sample."""
         return self.approach.maximum_velocity or (self.maximum - self.minimum) * self.sample_rate
 
 
@@ -489,7 +490,11 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         description="realtime: time without joint_states after which the command goes to safe_command",
     )
     spike_limit: float = parameter(
-        0.0, unit="m", low=0.0, high=1.0, description="largest plausible change of the measurement per sample; 0: any"
+        0.0,
+        unit="m",
+        low=0.0,
+        high=1.0,
+        description="largest plausible change of the measurement per sample; 0: no limit",
     )
     spike_samples: int = parameter(
         3, low=2, high=10**6, description="number of samples in a row after which a larger change is accepted"
@@ -504,7 +509,7 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         0.0, unit="m", low=-1.0, high=1.0, description="command while the measurement is stale"
     )
     safe_slew_rate: float = parameter(
-        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="rate at which the command goes to safe_command"
+        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="slew rate of the command to safe_command"
     )
     controller_state_rate: float = parameter(
         50.0,
@@ -512,7 +517,7 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         low=0.0,
         high=1.0e6,
         read_only=True,
-        description="rate of ~/controller_state and ~/pid_state, if control_msgs is installed; 0: never",
+        description="rate of ~/controller_state and ~/pid_state, if control_msgs is installed; 0: not published",
     )
 
     def check(self):
@@ -634,10 +639,10 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 }
 
 
-#: Sample rate by the wall clock [Hz] up to which nodes that exchange messages are almost always in time (0.25 % of the
+#: Sample rate in wall-clock time [Hz] up to which nodes that exchange messages are almost always in time (0.25 % of the
 #: voltages late, docs/real_time.md), and the rate above which such a loop is refused (at 1 kHz 3 to 12 % are late).
 MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
-#: Maximum number of samples of a run: beyond this a counter in double precision skips numbers.
+#: Maximum number of samples of a run: above it a counter in double precision is no longer exact.
 COUNTABLE = 2.0**53
 
 
@@ -645,9 +650,9 @@ def require_message_rate(sample_rate: float, where: str) -> None:
     """Refuse a real-time loop with a sample rate [Hz] too high for messages between nodes."""
     if sample_rate > HIGHEST_MESSAGE_RATE:
         raise ConfigurationError(
-            f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which hold "
-            f"{MESSAGE_RATE:g} Hz well and never more than {HIGHEST_MESSAGE_RATE:g} Hz; take a sample rate of "
-            f"{MESSAGE_RATE:g} Hz, or a driver (--driver), which runs in one process with the loop"
+            f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which are reliable up to "
+            f"{MESSAGE_RATE:g} Hz and refused above {HIGHEST_MESSAGE_RATE:g} Hz; use a sample rate of {MESSAGE_RATE:g} "
+            f"Hz, or a driver (--driver), which runs in one process with the loop"
         )
 
 
@@ -688,17 +693,17 @@ def _adaptation_problems(controller, compensator):
 
 
 def _force_problems(plant, controller):
-    """Yield a Problem when a damping needs a force that this axis does not measure."""
+    """Yield a Problem when a damping law needs a force that this axis does not measure."""
     simulated = not plant.driver and not plant.external_plant
     if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
         remedy = (
             f"missing force joint '{plant.force_joint}': nothing measures the force in the stack; give plant_simulator "
-            "a force_sensor (stack_stiffness, flexure_stiffness), or a driver that has one, or take irc or ppf"
+            "a force_sensor (stack_stiffness, flexure_stiffness), or a driver that has one, or use irc or ppf"
         )
         yield Problem("motion_controller: damping.type", controller.damping.type, remedy)
 
 
-#: Time-outs of the nodes, what happens after them, and where the output then goes.
+#: Time-outs of the nodes: monitored input, reaction, and safe value of the output.
 TIMEOUTS = {
     ("motion_controller", "measurement_timeout"): "no usable measurement: command to safe_command",
     ("inchworm_sequencer", "measurement_timeout"): "no joint_states: both clamps close",
@@ -717,7 +722,7 @@ def _short_timeouts(parts):
 
 
 def _fault_problems(plant, motor: bool):
-    """Yield a Problem for each unknown fault, and for each that this axis cannot have."""
+    """Yield a Problem for each fault that is unknown or that this axis cannot have."""
     for text in plant.faults:
         try:
             parse_fault(text, plant.sample_rate, motor)
@@ -789,7 +794,7 @@ class AxisParameters:
     def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
         """Combine the parameters of nodes."""
         absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
-        found: dict[str, Any] = {**absent, **parts}  # for each node an instance of its class in NODE_PARAMETERS
+        found: dict[str, Any] = {**absent, **parts}  # one instance of each class in NODE_PARAMETERS
         problems: list[Problem] = []
         kind = kind_of({name for name, node in found.items() if node is not None})
         plant, controller = found["plant_simulator"], found["motion_controller"]
@@ -832,13 +837,13 @@ class AxisParameters:
         if not self.plant_simulator.external_plant:
             return changed
         source = self.require_generator(
-            "duration: only plant_simulator ends the run of an inchworm motor; leave it out and end with Ctrl-C"
+            "duration: only plant_simulator ends the run of an inchworm motor; omit the duration, and end with Ctrl-C"
         )
         return replace(changed, reference_generator=replace(source, samples=samples))
 
     @property
     def kind(self) -> AxisKind:
-        """What an actuator or an inchworm motor makes of the axis."""
+        """Kind of the axis: actuator or inchworm motor."""
         return ACTUATOR if self.inchworm_sequencer is None else INCHWORM
 
     @property
@@ -864,11 +869,11 @@ class AxisParameters:
     def camera(self) -> DisplacementCameraNodeParameters:
         """Parameters of the camera; raises ConfigurationError without one."""
         if self.displacement_camera is None:
-            raise ConfigurationError("the axis has no displacement_camera: its plant gives the measurement")
+            raise ConfigurationError("the axis has no displacement_camera: its plant publishes the measurement")
         return self.displacement_camera
 
     def with_recorder(self, path: str) -> AxisParameters:
-        """Return the same axis, which begins when its recorder is running."""
+        """Return the same axis, set to begin only when its recorder is running."""
         plant, source = self.plant_simulator, self.reference_generator
         return replace(
             self,
@@ -914,13 +919,13 @@ class AxisParameters:
         return replace(self, **{name: replace(node, faults=tuple(faults)) for name, node in nodes.items()})
 
     def configuration_text(self) -> str:
-        """Return the parameter file of exactly this axis, every parameter written out under its full node name."""
+        """Return a complete parameter file of this axis, with every parameter under its full node name."""
         nodes = {}
         for name in NODE_PARAMETERS:
             if getattr(self, name) is None:
                 continue
             values = getattr(self, name).to_mapping()
-            # empty arrays are left out: ROS has no type for them, and every array that may be empty is so by default
+            # empty arrays are left out: ROS has no type for them, and their default is empty
             nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
         return dump_configuration(nodes)
 
@@ -935,7 +940,7 @@ def require_carried(axis: AxisParameters) -> None:
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis, fused when messages between its nodes are too slow for its rate in real time."""
+    """Return the axis, in fused mode if messages between its nodes are too slow for its rate in real time."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
         return axis

@@ -9,14 +9,14 @@
 
 """The plant as a part of the loop: an actuator, with or without a camera, or an inchworm motor, and its monitoring.
 
-A voltage that is not received in time is late: the last one is held and the miss is counted. After
-``voltage_timeout`` without a voltage, the output goes to its safe value; it returns without a jump when voltages
-return. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed: the
+A voltage that is not received in time is late: the last one is held, and the sample is counted. After
+``voltage_timeout`` without a voltage, the output goes to its safe value; when voltages arrive again, it returns without
+a jump. After more than ``late_limit`` late voltages in a row, or within a second, the loop is no longer closed: the
 plant *trips*, goes to its safe voltage and stops the axis until it is started again. It also trips when an actuator is
-measured far beyond its static range: only an unstable loop gets there.
+measured far beyond its static range, which only an unstable loop can reach.
 
-A plant with a camera measures nothing itself. Offline, the part evaluates each frame at once; between nodes, frames are
-messages. Both run in Python, because a frame takes a thousand times as long as any other sample.
+A plant with a camera has no measurement of its own. Offline, this part evaluates each frame at once; between nodes,
+frames are messages. Both run in Python, because a frame takes a thousand times as long as any other sample.
 """
 
 from __future__ import annotations
@@ -114,18 +114,18 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 
-# Parameters of the trip: allowed late voltages (0: any), and how many of them each sample forgives; allowed range of
-# the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
+# Parameters of the trip: allowed number of late voltages (0: no limit), and the number that each sample subtracts from
+# the count; allowed range of the measurement [m]; nominal stiffness of the front clamp, for the fault lost_grip.
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Why the plant has tripped: too many late voltages; a measurement out of range; an emergency stop; a device that
-# failed, which only a start clears; a lost node of the axis.
+# Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a device that failed, which
+# only a start clears; a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
-# A relative sensor is being homed: ends by itself; every other reason replaces it.
+# A relative sensor is being homed: this reason ends by itself, and every other one replaces it.
 FINDING_HOME = -1
 
-# State: reason of the trip, late voltages so far, late voltages in a row, late voltages not yet forgiven; mode of the
+# State: reason of the trip, late voltages so far, late voltages in a row, decaying count of late voltages; mode of the
 # plant at the last voltage.
 TRIP, LATE, IN_ROW, LEVEL, MODE = range(5)
 TRIP_STATES = 5
@@ -135,7 +135,7 @@ TRIP_STATES = 5
 def watch(p, x, late, measured):
     """Count a sample whose voltage was late (1) or not (0); trip on too many, or on a measurement out of range.
 
-    An unstable loop oscillates at its resonance far beyond the static range of the voltages.
+    An unstable loop oscillates at its resonance, far beyond the range that constant voltages reach.
     """
     x[LATE] += late
     x[IN_ROW] = (x[IN_ROW] + 1.0) * late
@@ -194,7 +194,7 @@ def sense_actuator(laws, arrays, row):
 
 @nested
 def sent(row, place):
-    """Return one of the voltages of a row [V]; NaN in a skipped sample, because it was never sent."""
+    """Return one of the voltages of a row [V]; NaN in a skipped sample, whose voltage was never sent."""
     return math.nan if row[at.SKIPPED] != 0.0 else row[place]
 
 
@@ -238,9 +238,9 @@ def sense_motor(laws, arrays, row):
 def actuate_motor(laws, arrays, row):
     """Hold three voltages on a motor.
 
-    Safety never opens a clamp, because a free slider falls. A clamp goes to its voltage before the start, or keeps its
-    voltage when that is higher. The gait keeps one clamp closed at any time; on the way back from safe, a clamp opens
-    only when the other one is at the gait's voltage.
+    Safety never opens a clamp, because a free slider falls. A clamp goes to its initial voltage, or keeps its present
+    voltage when that is higher. The gait always keeps one clamp closed; on the way back from the safe state, a clamp
+    opens only when the other one has the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -292,10 +292,10 @@ tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no
 class Plant:
     """Common part of the plants of an axis: the monitoring of their voltages."""
 
-    arrays: Any  #: All arrays of the plant in the loop, of the class by which :data:`sense` finds its kernel.
+    arrays: Any  #: All arrays of the plant in the loop; their class selects the kernel of :data:`sense`.
     kernels: tuple[Any, Any, Any]  #: Kernels of the hysteresis of its actuators, with placeholders for missing ones.
     kind = at.ACTUATOR  #: Kind of its axis.
-    joint_numbers = 0  #: Numbers of ``joint_states`` that are not in the row.
+    joint_numbers = 0  #: Values of ``joint_states`` that are not in the row.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -341,7 +341,7 @@ class Plant:
         own = self.parameters.joint
         return (own, self.parameters.force_joint) if self.measures_force else (own,)
 
-    #: Error of a device that has stopped the axis, and error of the last reading of its sensor.
+    #: Error with which a device has stopped the axis, and error of the last reading of its sensor.
     failure = complaint = ""
 
     #: The node whose loss has stopped the axis.
@@ -353,16 +353,16 @@ class Plant:
     #: Whether the force in the stack is measured in addition to the displacement.
     measures_force = False
 
-    #: Rounding [V] of the output that it reports before each sample; infinite: it reports no output.
+    #: Rounding [V] of the output that the plant reports before each sample; infinite: no output is reported.
     rounding = math.inf
 
-    #: Whether it slews from its safe voltage to the received voltage, beginning with the first sample.
+    #: Whether the output slews from the safe voltage to the received one, beginning with the first sample.
     begins_safe = False
 
     #: Whether its samples run in machine code.
     is_compiled = True
 
-    #: Additional places in the row for the inputs of a run with this plant.
+    #: Indices in the row of additional inputs of a run with this plant.
     given: tuple[int, ...] = ()
 
     @property
@@ -392,12 +392,12 @@ class Plant:
         return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
 
     def await_voltages(self) -> None:
-        """Count samples without a voltage as late from now, although none was output yet."""
+        """Count samples without a voltage as late from now on, even before the first voltage."""
         for x in self._watch_x[2:]:
             x[HELD_BEGUN] = 1.0
 
     def count_late(self) -> None:
-        """Count a voltage as late that is output nevertheless."""
+        """Count a voltage as late although it is output."""
         self._watch_x.trip[LATE] += 1.0
 
     def held(self, input_: int = 0) -> float:
@@ -432,7 +432,7 @@ class Plant:
         self._watch_x.trip[[IN_ROW, LEVEL]] = 0.0
 
     def reset(self) -> None:
-        """Begin again at rest."""
+        """Return to the state of rest."""
         x = self._watch_x
         x.trip[:] = 0.0
         self.lost = ""
@@ -460,7 +460,7 @@ class Plant:
         """Bring a device to its safe state."""
 
     def close(self) -> str:
-        """Release a device; return the problem it is left with, empty when there is none."""
+        """Release a device; return the problem that remains, empty when there is none."""
         return ""
 
 
@@ -474,7 +474,7 @@ class ActuatorPlant(Plant):
 
     @property
     def kernels(self):
-        """Kernels of the hysteresis for the loop; the places of the clamps are unused."""
+        """Kernels of the hysteresis for the loop, with placeholders for the clamps."""
         return (self.actuator.hysteresis_kernel,) * 3
 
     @property
@@ -508,7 +508,7 @@ class ActuatorPlant(Plant):
         return self.actuator.limits.limited_samples
 
     def reset(self) -> None:
-        """Begin again at rest."""
+        """Return to the state of rest."""
         self.actuator.reset()
         super().reset()
 
@@ -566,7 +566,7 @@ class MotorPlant(Plant):
         return sum(item.limits.limited_samples for item in (motor.extender, motor.front_clamp, motor.rear_clamp))
 
     def reset(self) -> None:
-        """Begin again at rest, the clamps at their initial voltages."""
+        """Return to the state of rest, with the clamps at their initial voltages."""
         self.motor.reset()
         super().reset()
 
@@ -584,12 +584,12 @@ class CameraPart:
         self.tracker = Tracker(part(parameters, CameraParameters))
 
     def retune(self, parameters: DisplacementCameraNodeParameters) -> None:
-        """Apply other limits for refused frames."""
+        """Apply new limits for the rejection of frames."""
         self.tracker.retune(part(parameters, CameraParameters))
         self.parameters = parameters
 
     def reset(self) -> None:
-        """Begin again with the next frame; a relative position is homed again."""
+        """Restart with the next frame; a relative position is homed again."""
         self.tracker.reset()
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -597,7 +597,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant, and the part that evaluates its frames, if there is one."""
+    """The camera of a plant and, where frames are evaluated at once, the part that does this."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera
@@ -656,7 +656,7 @@ class SeenPlant(ActuatorPlant):
         return -math.inf, math.inf
 
     def reset(self) -> None:
-        """Begin again at rest, with the first frame."""
+        """Return to the state of rest; the next frame counts as the first."""
         super().reset()
         self.eye.camera.reset()
 

@@ -7,23 +7,22 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The axes of a configuration and their range: references beyond stroke or bandwidth are refused.
+"""The axes of a configuration, and the check that their references stay within stroke and bandwidth.
 
-The range follows from the models of the compensator and the controller, because the axis does not know the plant.
+The range is computed from the models of compensator and controller, because the axis does not know its plant.
 
 *Stroke*: the range of the compensator's hysteresis model within its limits, swept in both directions from rest without
 creep, times the DC gain of the controller's model. With inverse ``none`` it is the nominal gain times the limits. Steps
 may briefly need more than that; this is not refused.
 
-*Bandwidth*, for controllers but ``open_loop`` and waveforms with one fundamental f; open loop, chirp, multisine and
-files are experiments:
+*Bandwidth* is checked for closed loops and waveforms with one fundamental f. Open loop, chirp, multisine and files are
+experiments and not checked:
 
-- The command that gives the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
-  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work beyond it, as long as
-  there is stroke left. Waveforms with jumps (square) are steps and not checked.
-- A response d samples late, d the relative degree, has an error of 2 sin(π f d Ts) of the amplitude. From
-  f = 1/(6 d Ts) on the error is larger than the amplitude. Only ``inverse_dynamics`` with its preview has no such
-  delay.
+- The command that produces the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
+  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work above this frequency as
+  long as the stroke suffices. Waveforms with jumps (square) are steps and not checked.
+- A response that lags by d samples, the relative degree, has an error of 2 sin(π f d Ts) times the amplitude. From f =
+  1/(6 d Ts) on the error is larger than the amplitude. Only ``inverse_dynamics`` with its preview has no such delay.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 
-#: Tolerance of a reference beyond the stroke, as a part of it: rounding, and integrated sweeps.
+#: Tolerance of a reference beyond the stroke, as a fraction of it, for rounding and integrated sweeps.
 TOLERANCE = 1e-4
-#: Tolerance of a fundamental's command beyond the stroke, as a part of it; the peaks of the waveform are cut then.
+#: Tolerance of a fundamental's command beyond the stroke, as a fraction of it; the peaks of the waveform saturate then.
 CUT_PEAKS = 0.1
 
 
@@ -66,7 +65,7 @@ def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
 def check_reach(axis: AxisParameters) -> None:
     """Refuse a reference that the axis cannot follow."""
     if axis.plant_simulator.type != "actuator":
-        return  # the reference of a motor that walks is its sequencer's
+        return  # a motor that walks gets its reference from the sequencer
     given = part(axis.generator, ReferenceParameters)
     try:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
@@ -110,9 +109,8 @@ def _bare_steps(axis, given: ReferenceParameters):
         return
     add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
     remedy = (
-        "jumps, and feedforward.type inverse_dynamics saturates the voltage at a jump: "
-        f"{add}set approach.steps: true, so that the steps keep the limits of the approach, or take "
-        "feedforward.type static or none"
+        f"jumps, and feedforward.type inverse_dynamics saturates the voltage at a jump: {add}set approach.steps: true, "
+        "which applies the limits of the approach to steps, or choose feedforward.type static or none"
     )
     yield Problem("reference_generator: waveform.type", given.waveform.type, remedy)
 
@@ -123,7 +121,7 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
     limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
     reached = f"{_range(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
     if not low - slack <= around <= high + slack:
-        remedy = f"{_micro(around)} is out of reach: the compensator's model reaches {reached}"
+        remedy = f"{_micro(around)} is out of range: the compensator's model reaches {reached}"
         yield Problem("reference_generator: initial_setpoint", around, remedy)
         return
     waveform = generator.waveform
@@ -132,7 +130,7 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
             name = given.waveform.shape.extent
             remedy = (
                 f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
-                f"of reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
+                f"of range: the compensator's model reaches {reached}; change the waveform or widen the limits"
             )
             yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], remedy)
             return
@@ -147,8 +145,8 @@ def _too_late(axis, given: ReferenceParameters):
     if given.waveform.frequency > highest:
         late = "a sample" if degree == 1 else f"{degree} samples"
         remedy = (
-            f"must be ≤ {highest:.6g} Hz: the model answers {late} late, and beyond that the error is larger than the "
-            "waveform; lower it, raise sample_rate, or give feedforward.type: inverse_dynamics with preview"
+            f"must be ≤ {highest:.6g} Hz: the model responds {late} late, so above this frequency the error is larger "
+            "than the waveform; lower it, raise sample_rate, or give feedforward.type: inverse_dynamics with preview"
         )
         yield Problem("reference_generator: waveform.frequency", given.waveform.frequency, remedy)
 
@@ -168,7 +166,7 @@ def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, m
         needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
         remedy = (
             f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % there: the {waveform.type} needs "
-            f"commands of {needed}, reachable are {_range(low, high)}; lower frequency or amplitude"
+            f"commands of {needed}, but the range is {_range(low, high)}; lower frequency or amplitude"
         )
         yield Problem("reference_generator: waveform.frequency", waveform.frequency, remedy)
 

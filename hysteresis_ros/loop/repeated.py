@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repetition of a recorded run: the files that an axis names, and the axis with their recorded contents."""
+"""Repetition of a recorded run: the files that an axis reads, and the axis with the recorded contents of these."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import configured, in_force, note_on_disk, require_same, whole
 
-#: Suffix of the names of parameters of output files.
+#: Suffix of the parameters that name output files.
 WRITTEN = "save_file"
 
 
 def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, pathlib.Path]]:
-    """Yield node, name and path of each parameter of an input file; arguments as in :func:`named_files`."""
+    """Yield node, parameter and path for each input file; arguments as in :func:`named_files`."""
     for node, kind in NODE_PARAMETERS.items():
         values = configured(text, node, namespace) if node != "recorder" else {}
         for row in kind.table():
@@ -38,15 +38,15 @@ def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, 
 
 
 def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
-    """Return the existing input files that a configuration names for its nodes."""
+    """Return those input files named by a configuration for its nodes that exist."""
     return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})
 
 
 @contextlib.contextmanager
 def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
-    """Give the axis of a recording, and lines about files of this disk that are not used for it.
+    """Yield the axis of a recording, and a line for each file on this disk that is not used for it.
 
-    Its files exist while the context lasts.
+    The recorded files exist until the context ends.
     """
     with _recorded_configuration(recorded, name) as (configuration, notes):
         yield single_axis(configuration, recorded.metadata.get("namespace")), notes
@@ -54,19 +54,19 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
 
 @contextlib.contextmanager
 def recorded_stage(recorded: Recording, name: str) -> Iterator[tuple[StageParameters, list[str]]]:
-    """Give the stage of a recording, and lines as :func:`recorded_axis` does."""
+    """Yield the stage of a recording, and lines as in :func:`recorded_axis`."""
     with _recorded_configuration(recorded, name) as (configuration, notes):
         yield StageParameters.from_configuration(configuration), notes
 
 
 @contextlib.contextmanager
 def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Configuration, list[str]]]:
-    """Give the configuration of a recording with the recorded contents of its files, and lines about these."""
+    """Yield the configuration of a recording with the recorded contents of its files, and lines about these."""
     text = in_force(recorded)
     if not text:
         raise RecordingError(
-            f"{name}: holds no configuration, so its axis is unknown; verify the bag that "
-            "'up --record' writes, or the .npz of 'simulate -o'"
+            f"{name}: contains no configuration, so its axis is unknown; verify the bag of 'up --record', or the .npz "
+            "of 'simulate -o'"
         )
     configuration = parse_configuration(text, name)
     notes: list[str] = []

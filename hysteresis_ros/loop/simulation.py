@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline simulation: a run as a recording; plants that differ from their models or drift; modes of the parts.
+"""Offline simulation of a recorded run; plants that differ from their models, or drift; modes of the parts.
 
-Each draw multiplies these by independent factors 1 + m u, u uniform in ±1: the gain, the loop width of the hysteresis
-(each model declares how, and further factors), the time scale of the linear dynamics and the rate of the creep. The
-compensator's and the controller's models do not change.
+Each draw multiplies these quantities by independent factors 1 + m u, with u uniform in ±1: the gain, the loop width of
+the hysteresis (each model declares its parameters for it, and may declare more factors), the time scale of the linear
+dynamics, and the rate of the creep. The compensator's and the controller's models do not change.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance, requests_per_sample
 
-#: Largest mismatch at which every drawn parameter keeps its sign, with a margin.
+#: Largest allowed mismatch, at which every drawn parameter keeps its sign with a margin.
 LARGEST = 0.5
 
 
@@ -48,7 +48,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
     def factor(count=None):
         return 1.0 + mismatch * random.uniform(-1.0, 1.0, count)
 
-    # always in this order, so that a seed gives the same factors for every model
+    # in a fixed order, so that a seed gives the same factors for every model
     gain, opening, slowness, creeping = factor(), factor(), factor(), factor()
     changed = deviating(plant, Deviation(gain, opening, factor), slowness, creeping)
     return configuration.override("plant_simulator", **changed)
@@ -57,7 +57,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 def deviating(
     plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
 ) -> dict[str, Any]:
-    """Return those parameters of a deviating plant that differ from the given plant."""
+    """Return the parameters of a deviating plant that differ from those of the given plant."""
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
     drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
@@ -79,7 +79,8 @@ STEP = 1e-3
 def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, opening: float = 0.0) -> list[Change]:
     """Return the changes that let the plant of an axis drift linearly over a run.
 
-    The displacement does not jump at a step of the drift, so a gain changes about the present displacement.
+    The displacement does not jump at a step of the drift, because a change of gain leaves the present displacement
+    unchanged.
     """
     plant = parameters.plant_simulator
     for name, value in (("gain", gain), ("opening", opening)):
@@ -87,7 +88,7 @@ def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, openin
             raise ParameterError([Problem(f"drift {name}", value, f"must be within -{LARGEST:g} ... {LARGEST:g}")])
     if plant.type == "inchworm" or plant.driver:
         what = "a device" if plant.driver else "an inchworm motor"
-        raise ParameterError([Problem("drift", what, "is for a simulated actuator")])
+        raise ParameterError([Problem("drift", what, "requires a simulated actuator")])
     model, chosen = plant.hysteresis.model, plant.hysteresis.chosen
     steps = math.ceil(round(max(abs(gain), abs(opening)) / STEP, 9))
     changes = []
@@ -148,7 +149,7 @@ def simulate(
 
 
 def run_metadata(parameters: AxisParameters, describe: bool = True) -> dict[str, Any]:
-    """Return the metadata of an offline run of an axis, with its configuration when it is to be described."""
+    """Return the metadata of an offline run of an axis, on request with its configuration."""
     return {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
@@ -185,7 +186,7 @@ def changes_of(recorded: Recording) -> list[Change]:
             if after not in STEPS or entry["action"] not in LOGGED.get(entry["node"], ()):
                 raise ValueError(entry)
         except (AttributeError, KeyError, TypeError, ValueError):
-            raise RecordingError(f"changes: {entry!r} is not an entry of a log of changes") from None
+            raise RecordingError(f"changes: {entry!r} is not an entry of a change log") from None
     return found
 
 
@@ -206,15 +207,15 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
         absent["plant_voltage"] = recorded.signals["voltage"]
         given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
-    # the true displacement of a device is unknown
+    # a device's true displacement is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
     if parameters.displacement_camera is not None:
-        unknown = {"measured"}  # of the plant; in a recording the controller's input replaces it
+        unknown = {"measured"}  # signal of the plant, which the controller's input replaces in a recording
     return unequal(recorded, twin, unknown)
 
 
 def unequal(recorded: Recording, twin: Recording, unknown: Collection[str] = ()) -> dict[str, int]:
-    """Return in how many samples each signal of a run differs from its twin, but for those that are ``unknown``."""
+    """Return for each signal of a run, except ``unknown`` ones, the number of samples that differ from the twin."""
     columns = {"time": (recorded.time, twin.time)}
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}

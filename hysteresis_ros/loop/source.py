@@ -44,12 +44,12 @@ def refer(laws, part, row):
 
 @by_part
 def rest(laws, part, column):
-    """Hold, beginning with this sample; ``column``, shape (row length, 1), contains its inputs."""
+    """Hold the reference, beginning with this sample; ``column``, shape (row length, 1), contains its inputs."""
 
 
 @by_part
 def hold(laws, part, column):
-    """End a motion, beginning with this sample; later setpoints are still accepted."""
+    """Bring a motion to rest, beginning with this sample; later setpoints are still accepted."""
 
 
 class GeneratorSourceArrays(NamedTuple):
@@ -112,7 +112,7 @@ class GeneratorSource:
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run by the waveform, in samples; 0: no end."""
+        """Length of a run in samples, as determined by the waveform; 0: no end."""
         return self.generator.waveform.duration_samples
 
     @property
@@ -121,7 +121,7 @@ class GeneratorSource:
         return np.array([[0.0, self.parameters.initial_setpoint]])
 
     def setpoints(self, samples: int) -> np.ndarray:
-        """Return the setpoint [m] at each of the first ``samples`` samples when none is received."""
+        """Return the setpoint [m] at each of the first ``samples`` samples of a run that receives none."""
         return np.full(samples, self.parameters.initial_setpoint)
 
     def inject(self, faults: tuple[str, ...]) -> None:
@@ -132,7 +132,7 @@ class GeneratorSource:
         self.generator.stop()
 
     def begin_at(self, position: float) -> None:
-        """Begin at the position of a running axis [m], and hold it until something is requested."""
+        """Begin at the position of a running axis [m], and hold it until the first request."""
         self.generator.begin_at(position)
 
     def follow(self, **points) -> None:
@@ -148,7 +148,7 @@ class GeneratorSource:
         self.generator.start()
 
     def reset(self) -> None:
-        """Begin again: waveform at its start, setpoint as configured."""
+        """Reset: waveform at its start, setpoint as configured."""
         running = self.generator.running
         self.generator.reset()
         if not running:
@@ -255,7 +255,7 @@ class SequencerSource:
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run by the schedule, in samples; 0: no end."""
+        """Length of a run in samples, as determined by the schedule; 0: no end."""
         return self.sequencer.duration_samples
 
     @property
@@ -270,7 +270,7 @@ class SequencerSource:
         return self.sequencer.scheduled(samples)
 
     def reset(self) -> None:
-        """Begin again: both clamps close, steps and learned lengths are cleared."""
+        """Reset: both clamps close, steps and learned lengths are cleared."""
         self.sequencer.reset()
         self.arrays.x.faults[:] = faulty.fault_state(self.arrays.p.faults)
 

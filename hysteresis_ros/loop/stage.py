@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage in the loop: the samples of all its axes, coupled by one structure, from the parts of a single axis.
+"""A stage in the loop: several axes, each with the parts of a single axis, coupled by one structure.
 
-A sample of a stage is, in this order: every axis measures; the sensor matrix makes degrees of freedom of the readings;
-every axis refers and controls; the decoupling makes commands of actuators of those of degrees of freedom; every axis
-compensates and puts out its voltage; the structure goes on by one sample.
+A sample of a stage is, in this order: every axis measures; the sensor matrix transforms the readings into degrees of
+freedom; every axis computes its reference and its command; the decoupling transforms these commands into commands of
+the actuators; every axis compensates its hysteresis and outputs its voltage; the structure advances by one sample.
 
-A row of an axis has its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``) and its actuator
-(``voltage``, ``plant_voltage``). What the compensators are given are the commands times the decoupling; what they
-achieve comes back through its inverse. A stage stops whole: an axis whose plant trips stops the others, and while the
-measurement of an axis is stale the controllers of the others go to their safe commands, too.
+The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
+and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the commands times the decoupling; their
+achieved commands are transformed back by its inverse. A stage stops as a whole: when the plant of one axis trips, the
+other axes stop too; while the measurement of one axis is stale, all controllers go to their safe commands.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class CoupledPlantArrays(NamedTuple):
     x: ActuatorArrays
     watch_p: PlantWatchArrays
     watch_x: PlantWatchArrays
-    drive: np.ndarray  #: shape (1,); Place of its input among those of the structure.
-    shown: np.ndarray  #: shape (1,); Place of its output among those of the structure.
+    drive: np.ndarray  #: shape (1,); Index of its input of the structure.
+    shown: np.ndarray  #: shape (1,); Index of its output of the structure.
 
 
 @nested
@@ -82,11 +82,11 @@ def sense_coupled(laws, arrays, row):
 
 @nested
 def actuate_coupled(laws, arrays, row):
-    """Hold the voltage on one actuator of a stage, up to the input of the structure."""
+    """Hold the voltage on one actuator of a stage, and compute the input of the structure."""
     p, x = arrays.p, arrays.x
     applied = limiting.limits(p.limits, x.limits, watched_voltage(arrays.watch_p, arrays.watch_x, row))
     crept = creep(p.creep, x.creep, laws.hysteresis(p.hysteresis, x.hysteresis, applied))
-    # the delay of amplifier and converter; an actuator of a stage has no other dynamics
+    # only the delay of amplifier and converter: an actuator of a stage has no other dynamics
     arrays.drive[0] = linear(p.dynamics, x.dynamics, crept)
     row[at.PLANT_VOLTAGE] = applied
 
@@ -114,31 +114,31 @@ class CoupledPlant(ActuatorPlant):
 
     @property
     def stopped_with_stage(self) -> bool:
-        """Whether it is stopped because another axis of the stage is."""
+        """Whether this axis is stopped because another axis of the stage is stopped."""
         return bool(self._watch_x.trip[TRIP] == PARTNER_LOST) and not self.lost
 
     def stop_with_stage(self) -> None:
-        """Stop because another axis of the stage is stopped; an own reason is kept."""
+        """Stop because another axis of the stage is stopped; an earlier reason of this axis is kept."""
         if not self.tripped:
             self._watch_x.trip[TRIP] = PARTNER_LOST
 
     def note_rest(self, displacement: float) -> None:
-        """Take the sensor to where the structure rests [m]."""
+        """Set the sensor to the rest position of the structure [m]."""
         p, x = self.actuator.ps.sensor, self.actuator.xs.sensor
         x[DISPLACEMENT] = displacement + p[PRELOAD]
         x[MEASURED] = x[DISPLACEMENT] + p[OFFSET]
 
 
 class GroupArrays(NamedTuple):
-    """Arrays of what the axes of a stage have in common."""
+    """Arrays that the axes of a stage share."""
 
     p: np.ndarray  #: Of the structure.
     x: np.ndarray
     drive: np.ndarray  #: shape (n,); Inputs of the structure.
-    shown: np.ndarray  #: shape (n,); Its outputs [m].
+    shown: np.ndarray  #: shape (n,); Outputs of the structure [m].
     sensor_matrix: np.ndarray  #: shape (n, n), or (0, 0): each sensor measures its axis.
     decoupling: np.ndarray  #: shape (n, n), or (0, 0): each actuator drives its axis.
-    recoupling: np.ndarray  #: Inverse of the decoupling, of its shape.
+    recoupling: np.ndarray  #: Inverse of the decoupling, of the same shape.
     commands: np.ndarray  #: shape (n,); Last finite command of each degree of freedom [m].
     asked: np.ndarray  #: shape (n,); Commands of the actuators [m].
     scratch: np.ndarray  #: shape (2 n,).
@@ -146,7 +146,7 @@ class GroupArrays(NamedTuple):
 
 @kernel
 def combined(matrix, i, values, first):
-    """Return row ``i`` of a matrix times the values from ``first`` on; what has no part in the row is not looked at."""
+    """Return row ``i`` of a matrix times the values from ``first`` on; values with a factor of 0 are ignored."""
     total = 0.0
     for j in range(matrix.shape[1]):
         if matrix[i, j] != 0.0:
@@ -156,7 +156,7 @@ def combined(matrix, i, values, first):
 
 @nested
 def to_pose(group, rows):
-    """Make degrees of freedom of the readings and of the true displacements at the sensors."""
+    """Transform readings and true displacements at the sensors into degrees of freedom."""
     n = group.sensor_matrix.shape[0]
     for i in range(n):
         group.scratch[i] = rows[i, at.MEASURED]
@@ -168,7 +168,7 @@ def to_pose(group, rows):
 
 @nested
 def to_actuators(group, rows):
-    """Make commands of actuators of those of degrees of freedom; a missing command stays missing."""
+    """Transform commands of degrees of freedom into commands of actuators; a missing command stays missing."""
     n = group.decoupling.shape[0]
     for i in range(n):
         command = rows[i, at.COMMAND]
@@ -183,14 +183,14 @@ def to_actuators(group, rows):
 
 @nested
 def to_axes(group, rows):
-    """Make achieved commands of degrees of freedom of those of actuators, and put their own commands back."""
+    """Transform achieved commands of actuators into those of degrees of freedom, and restore the axes' own commands."""
     n = group.decoupling.shape[0]
     for i in range(n):
         missing = rows[i, at.APPLIED] - group.asked[i]
         group.scratch[n + i] = missing if missing - missing == 0.0 else 0.0
     for i in range(n):
         rows[i, at.COMMAND] = group.scratch[i]
-        # what was not achieved is transformed, so that an achieved command comes back without rounding
+        # the unachieved part is transformed, so that a fully achieved command has no rounding error
         rows[i, at.APPLIED] = group.commands[i] + combined(group.recoupling, i, group.scratch, n)
 
 
@@ -234,7 +234,7 @@ WITH_STAGE = 2.0
 
 @kernel
 def hold_with_stage(own, held):
-    """Stop a controller (``held`` 1) with its stage, or let it go on (0); ``own`` is its own state."""
+    """Stop a controller (``held`` 1) with its stage, or resume it (0); ``own`` is its own state."""
     if held != 0.0 and own[STOP] == 0.0:
         own[STOP] = WITH_STAGE
     elif held == 0.0 and own[STOP] == WITH_STAGE:
@@ -244,7 +244,7 @@ def hold_with_stage(own, held):
 
 @each
 def find_trip(laws, parts, row):
-    """Write into a row why the plant has stopped, and whether the measurement is stale."""
+    """Write into a row the reason of a stop of the plant, and whether the measurement is stale."""
     row[at.TRIPPED] = parts.plant.watch_x.trip[TRIP]
     row[at.CONTROLLER_MODE] = 0.0
     if is_stale(parts.controller.watch_p.guard, parts.controller.watch_x.guard):
@@ -253,14 +253,14 @@ def find_trip(laws, parts, row):
 
 @each
 def stop_axis(laws, parts, row):
-    """Stop one axis because another one of its stage is stopped."""
+    """Stop one axis because another axis of its stage is stopped."""
     if parts.plant.watch_x.trip[TRIP] == 0.0:
         parts.plant.watch_x.trip[TRIP] = PARTNER_LOST
 
 
 @each
 def hold_axis(laws, parts, row):
-    """Hold the controller of one axis while the measurement of another one is stale, as its row says."""
+    """Hold the controller of one axis while, by its row, the measurement of another axis is stale."""
     hold_with_stage(parts.controller.watch_x.own, row[at.CONTROLLER_MODE])
 
 
@@ -298,7 +298,7 @@ def stage_ticks(laws, parts, group, given, columns, rows):
 
 
 class Coupling:
-    """What the axes of a stage have in common: the structure between their actuators and sensors, and the matrices."""
+    """The coupling of the axes of a stage: the structure between actuators and sensors, and the matrices."""
 
     def __init__(self, parameters: StageParameters):
         count, stage, none = len(parameters.axes), parameters.stage, np.zeros((0, 0))
@@ -323,7 +323,7 @@ class Coupling:
         return CoupledPlant(parameters, self.arrays.drive[own], self.arrays.shown[own], self._travel[place])
 
     def settle(self, plants: Sequence[CoupledPlant]) -> None:
-        """Put the structure to rest at the voltages at which the plants of all axes begin."""
+        """Set the structure to rest at the initial voltages of the plants of all axes."""
         group = self.arrays
         group.drive[:] = [plant.resting_drive for plant in plants]
         group.commands[:] = group.asked[:] = 0.0
@@ -380,7 +380,7 @@ class Stage:
         return np.array(self.kind.given, dtype=float)
 
     def default_samples(self) -> int:
-        """Return the configured length of a run in samples, that of the longest axis; 0: no end."""
+        """Return the configured length of a run in samples, which is that of its longest axis; 0: no end."""
         return max(axis.default_samples() for axis in self.axes)
 
     def default_setpoints(self, samples: int) -> dict[str, np.ndarray]:
@@ -393,7 +393,7 @@ class Stage:
         changes: Mapping[str, Sequence[Change]] | None = None,
         skipped: np.ndarray | None = None,
     ) -> dict[str, dict[str, np.ndarray]]:
-        """Simulate as many samples as there are setpoints [m]; return the signals of each axis, ``time`` among them.
+        """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
         Setpoints, changes and signals go by the names of the axes; a sample is skipped (1) for all of them, or not (0).
         """
@@ -442,7 +442,8 @@ class Stage:
         within = next((change for change, _ in found if change.after), None)
         if within is not None:
             raise ConfigurationError(
-                f"a change of {within.node} takes effect within sample {within.sample}: in a stage give it between two"
+                f"a change of {within.node} takes effect within sample {within.sample}: a stage accepts changes "
+                f"only between two samples"
             )
         return sorted(found, key=lambda item: item[0].sample)
 
@@ -458,7 +459,7 @@ class Stage:
         columns[:, :, first:until] = some
 
     def start(self) -> None:
-        """Start all axes again after one of them has stopped the stage."""
+        """Restart all axes after one of them has stopped the stage."""
         for axis in self.axes:
             axis.plant.start()
 

@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameters of a stage: coupled axes that share one structure, read out of a configuration and checked together.
+"""Parameters of a stage: coupled axes that share one structure, read from a configuration and checked together.
 
-Each axis is one degree of freedom with its actuator and its sensor, and has its sections in its own namespace, as an
-independent axis has. The section ``stage`` couples them: the structure between the actuators and the sensors, the
-matrix from the readings to the degrees of freedom, and the matrix from the commands of the degrees of freedom to those
-of the actuators.
+Each axis is one degree of freedom with its actuator and its sensor; like an independent axis, it has its sections in
+its own namespace. The section ``stage`` describes the coupling: the structure between the actuators and the sensors,
+the matrix from the readings to the degrees of freedom, and the matrix from the commands of the degrees of freedom to
+those of the actuators.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class StageNodeParameters(NodeParameters):
         return np.array(values, dtype=float).reshape(count, count) if values else np.eye(count)
 
     def check(self):
-        """Yield what does not fit together within the section."""
+        """Yield a Problem for each inconsistency within the section."""
         yield from super().check()
         count = len(self.axes)
         if not 1 <= count <= MOST_AXES:
@@ -118,10 +118,10 @@ class StageNodeParameters(NodeParameters):
             return
         wrong = [name for name in self.axes if not re.fullmatch(r"[A-Za-z]\w*", name)]
         if wrong:
-            yield Problem("axes", self.axes, f"'{wrong[0]}' is no name of a namespace: letters, digits, underscores")
+            yield Problem("axes", self.axes, f"'{wrong[0]}' is not a valid namespace: use letters, digits, underscores")
         twice = sorted({name for name in self.axes if self.axes.count(name) > 1})
         if twice:
-            yield Problem("axes", self.axes, f"'{twice[0]}' is there twice: give each axis a name of its own")
+            yield Problem("axes", self.axes, f"'{twice[0]}' is given twice: give each axis its own name")
         for name in ("sensor_matrix", "decoupling"):
             size = len(getattr(self, name))
             if size not in (0, count * count):
@@ -137,19 +137,19 @@ class StageNodeParameters(NodeParameters):
             yield Problem("structure.radii", self.structure.radii, f"{allowed} with type: {self.type}")
 
     def large_gain(self) -> np.ndarray:
-        """Return the static gain from the actuators to the degrees of freedom, large motions, shape (n, n)."""
+        """Return the static gain from the actuators to the degrees of freedom for large motions, shape (n, n)."""
         gain = np.reshape(self.structure.large.dc_gain, (len(self.axes), len(self.axes)))
         return product(self.matrix("sensor_matrix"), gain)
 
 
 def _mode(pole: complex, sample_rate: float) -> str:
-    """Return a pole in words."""
+    """Return a description of a mode by its frequency."""
     turns = abs(np.angle(pole)) / (2.0 * np.pi)
     return f"the mode at {turns * sample_rate:.4g} Hz" if turns > 1e-9 else f"the pole {pole.real:.6g}"
 
 
 def _hidden_parts(model: StateSpace, sample_rate: float):
-    """Yield a Problem for a part of a structure that no input moves or no output shows."""
+    """Yield a Problem for each uncontrollable or unobservable mode of a structure."""
     for pole in model.poles[model.poles.imag >= 0.0]:
         still = model.A - pole * np.eye(model.order)
         if not full_rank(np.hstack([still, model.B]).T):
@@ -161,7 +161,7 @@ def _hidden_parts(model: StateSpace, sample_rate: float):
 
 
 def _singular(stage: StageNodeParameters):
-    """Yield a Problem for each matrix that loses a direction."""
+    """Yield a Problem for each singular matrix."""
     actuators = [f"actuator {name}" for name in stage.axes]
     for name, inputs in (("sensor_matrix", [f"sensor {axis}" for axis in stage.axes]), ("decoupling", stage.axes)):
         lost = lost_direction(stage.matrix(name), inputs)
@@ -189,19 +189,19 @@ def _other_clock(axis: AxisParameters, first: AxisParameters):
 
 
 def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
-    """Yield a Problem for whatever an axis has that a stage does not take."""
+    """Yield a Problem for each property of an axis that a stage does not support."""
     plant = axis.plant_simulator
     if plant.type != "actuator":
         yield Problem("type", plant.type, "an axis of a stage is an actuator")
     if plant.driver:
-        yield Problem("driver", plant.driver, "a stage is simulated so far: give driver: ''")
+        yield Problem("driver", plant.driver, "a stage can only be simulated: remove driver")
     if plant.external_plant:
-        yield Problem("external_plant", True, "a stage is simulated so far: give false")
+        yield Problem("external_plant", True, "a stage can only be simulated: give false")
     if plant.force_sensor.there:
         given = plant.force_sensor.stack_stiffness
-        yield Problem("force_sensor.stack_stiffness", given, "a stage has no force sensors so far: give 0")
+        yield Problem("force_sensor.stack_stiffness", given, "a stage has no force sensors: give 0")
     if plant.dynamics.A:
-        allowed = "belongs to the structure of the stage: an actuator of a stage has a delay and no matrices"
+        allowed = "belongs to the structure of the stage: an actuator of a stage may have a delay, but no matrices"
         yield Problem("dynamics.A", plant.dynamics.A, allowed)
     if stage.type == INTERNAL and plant.hysteresis.type != "proportional":
         allowed = "must be proportional with type: internal, where the plays of the structure are the hysteresis"
@@ -212,9 +212,9 @@ def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
 class StageParameters:
     """Parameters of a stage and of all its axes."""
 
-    namespace: str  #: Of the stage; those of its axes lie below it.
+    namespace: str  #: Namespace of the stage; those of its axes are below it.
     stage: StageNodeParameters
-    axes: tuple[AxisParameters, ...]  #: In the order of ``stage.axes``.
+    axes: tuple[AxisParameters, ...]  #: Axes in the order of ``stage.axes``.
 
     @classmethod
     def from_configuration(cls, configuration: Configuration) -> StageParameters:
@@ -229,7 +229,7 @@ class StageParameters:
         """
         namespace = configuration.stage
         if namespace is None:
-            raise ConfigurationError(f"{configuration.source}: has no section '/{STAGE}' that couples its axes")
+            raise ConfigurationError(f"{configuration.source}: has no section '/{STAGE}', which couples its axes")
         values = configuration.node(STAGE, namespace)
         stage = StageNodeParameters.from_mapping(values, prefix=f"{namespace}/{STAGE}: ")
         described = [space for space in configuration.namespaces() if space]
@@ -241,12 +241,12 @@ class StageParameters:
         left = [space for space in described if space not in wanted]
         if left:
             raise ConfigurationError(
-                f"{configuration.source}: {left[0]} is no axis of the stage: name it in {namespace}/{STAGE} axes, or "
-                "give it a file of its own"
+                f"{configuration.source}: {left[0]} is not an axis of the stage: add it to {namespace}/{STAGE} axes, "
+                "or move it to its own file"
             )
         axes: list[AxisParameters] = []
         problems: list[Problem] = []
-        # first, because an axis at another rate has further faults
+        # checked first, because an axis at another rate causes further problems
         for space in wanted:
             for shared in SHARED:
                 value = configuration.node("plant_simulator", space).get(shared, getattr(NodeParameters, shared))
@@ -289,9 +289,9 @@ class StageParameters:
         return () if scan is None else (self.stage.scan.axes or self.names)[: scan.axes]
 
     def following(self, given: StageScanParameters) -> StageParameters:
-        """Return the same stage whose axes follow a scan.
+        """Return the same stage with axes that follow a scan.
 
-        A scan that is wrong, or that the axes cannot follow, is refused: range and limits of the motion are those of
+        A scan that is invalid, or that the axes cannot follow, is refused; range and limits of the motion are those of
         their reference generators.
         """
         where = f"{self.namespace}/{STAGE}: scan"
@@ -340,7 +340,7 @@ class StageParameters:
             joint = axis.plant_simulator.joint
             if joint in joints:
                 allowed = (
-                    f"is the joint of {joints[joint]} already: give each axis one, e.g. under '{axis.namespace}/**'"
+                    f"is already the joint of {joints[joint]}: give each axis its own, e.g. under '{axis.namespace}/**'"
                 )
                 problems.append(Problem(f"{where}: joint", joint, allowed))
             joints.setdefault(joint, axis.namespace)
@@ -366,9 +366,9 @@ class StageParameters:
         return tuple(f"{axis.namespace}/{text}" for axis in self.axes for text in reach_warnings(axis))
 
     def travel(self) -> np.ndarray:
-        """Return within which measurements [m] each axis may go on, shape (n, 2).
+        """Return the allowed range of the measurement [m] of each axis, shape (n, 2).
 
-        These are the poses at which the stage can rest, whatever the others do, and ``overtravel`` beyond.
+        It contains all positions at which the stage can rest, for any voltages of the other axes, plus ``overtravel``.
         """
         gain = self.stage.large_gain()
         ends = np.array(
@@ -412,7 +412,7 @@ class StageParameters:
         return replace(self, axes=tuple(axes))
 
     def place(self, name: str) -> int:
-        """Return the index of an axis."""
+        """Return the index of an axis by its name."""
         name = name.strip("/").removeprefix(self.namespace.strip("/")).strip("/")
         if name not in self.names:
             near = did_you_mean(name, self.names)
@@ -424,7 +424,7 @@ class StageParameters:
         return self.axes[self.place(name)].generator.waveform.type
 
     def scanning(self, names: Sequence[str]) -> StageParameters:
-        """Return the same stage, of whose axes only these follow their waveforms; the others hold their setpoints."""
+        """Return the same stage, in which only these axes follow their waveforms; the others hold their setpoints."""
         axes = []
         for name, axis in zip(self.names, self.axes, strict=True):
             source = axis.generator
@@ -434,12 +434,12 @@ class StageParameters:
         return replace(self, axes=tuple(axes))
 
     def configuration_text(self) -> str:
-        """Return the parameter file of exactly this stage, every parameter written out under its full name."""
+        """Return a complete parameter file of this stage, with every parameter under its full name."""
         nodes = {f"{self.namespace}/{STAGE}": self.stage}
         for axis in self.axes:
             found = {name: getattr(axis, name) for name in NODE_PARAMETERS}
             nodes |= {f"{axis.namespace}/{name}": node for name, node in found.items() if node is not None}
-        # ROS has no type for an empty array; every array is empty by default where it may be
+        # ROS has no type for an empty array, and arrays that may be empty are so by default
         return dump_configuration(
             {
                 name: {key: value for key, value in node.to_mapping().items() if value != ()}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline runs of a stage: recordings, displacements between their samples, and what axes do to each other."""
+"""Offline runs of a stage: recordings, displacements between their samples, and coupling errors between the axes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 
-#: Instants within each sample at which displacements between samples are known.
+#: Number of instants within each sample at which displacements are computed.
 INSTANTS = 5
-#: Largest condition number of the modes of a structure that is continued between its samples.
+#: Largest condition number of the modes for which a structure is continued between its samples.
 WORST_CONDITION = 1e10
 
 
@@ -42,7 +42,7 @@ def simulate_stage(
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
-    Axes without setpoints have their configured one. The signals of the recording are ``x/displacement`` …;
+    Axes without setpoints keep their configured one. The signals of the recording are ``x/displacement`` …;
     :meth:`.Recording.axis` gives those of one axis.
     """
     if duration is not None:
@@ -97,7 +97,7 @@ def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) ->
     if configuration.stage is None:
         raise ConfigurationError(
             f"{configuration.source}: a scan moves several axes, and this file has no section '/{STAGE}' that couples "
-            "them: take a stage such as xy_scanner, or --reference for a single axis"
+            "them: choose a stage such as xy_scanner, or --reference for a single axis"
         )
     entry = f"{configuration.stage}/{STAGE}", {"scan.kind": kind, "scan.values": list(values)}
     return replace(configuration, entries=(*configuration.entries, entry))
@@ -108,9 +108,10 @@ def displacements_between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return instants [s], shape (M,), and degrees of freedom [m], shape (n, M), within and at the samples of a run.
 
-    The run is one of the simulated stage from rest, or of ``stage``, another one at rest. The structure goes on while
-    its inputs are held, so that at the samples these are the displacements of the recording. A structure without a
-    continuous equivalent is joined by lines, and one with hysteresis inside it is known at its samples only.
+    The run starts from rest, with the simulated stage of the recording or with ``stage``, another stage at rest.
+    Between samples the structure is integrated under held inputs, so that at the samples the result equals the
+    recording. Without a continuous equivalent, the samples are joined by straight lines; for hysteresis inside the
+    structure, only the samples are known.
     """
     names, step = parameters.names, 1.0 / parameters.sample_rate
     sampled = np.array([recording[f"{name}/displacement"] for name in names])
@@ -138,7 +139,7 @@ def displacements_between(
 
 
 def _continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
-    """Return outputs at parts of each sample under held inputs, shape (q, N, parts); None without such a system."""
+    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts); None if not continuous."""
     import scipy.signal
 
     poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
@@ -165,41 +166,42 @@ def chosen_stage(configuration: Configuration, faults: tuple[str, ...], namespac
         raise ConfigurationError(f"faults of a stage need an axis: name one of {', '.join(parameters.names)}")
     if namespace is not None and not faults:
         raise ConfigurationError(
-            f"the axes of a stage ({', '.join(parameters.names)}) run together: an axis is named for its faults only"
+            f"the axes of a stage ({', '.join(parameters.names)}) run together: --namespace only selects the "
+            f"axis of --fault"
         )
     return parameters.with_faults(str(namespace), faults) if faults else parameters
 
 
 @dataclass(frozen=True)
 class CouplingError:
-    """Error of an axis that holds its place while another one scans."""
+    """Error of an axis that holds its setpoint while another one scans."""
 
     scanning: str  #: Name of the axis that follows its waveform.
     held: str  #: Name of the axis that holds its setpoint.
     rms: float  #: RMS of the motion that the scan causes in the held axis [m].
-    peak: float  #: Largest such motion [m].
-    scanned: float  #: Peak to peak of the scanned displacement [m].
+    peak: float  #: Largest motion that the scan causes in the held axis [m].
+    scanned: float  #: Scanned displacement, peak to peak [m].
 
     @property
     def part(self) -> float:
-        """Largest motion as a part of the scanned displacement, peak to peak."""
+        """Largest motion as a fraction of the scanned displacement, peak to peak."""
         return self.peak / self.scanned
 
 
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
-    """Return how much a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
+    """Return how far a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
 
-    Every axis that has a waveform scans in a run of its own while the others hold their setpoints, and what the others
-    do in a run in which all hold is subtracted. Both runs have the same noise of the sensors, which therefore does not
-    count; nor do creep and the approach of the setpoint. The true displacements are compared. There are no errors
-    where no axis has a waveform, or there is one axis.
+    Every axis with a waveform scans in its own run while the others hold their setpoints. From their displacements,
+    those of a run in which all axes hold are subtracted. Both runs have the same sensor noise, which therefore cancels,
+    and so do creep and the approach to the setpoint. The true displacements are compared. The result is empty for a
+    single axis, and when no axis has a waveform.
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
     found: list[CouplingError] = []
     if len(parameters.names) < 2 or not scanning:
         return found
     if duration is None:
-        # that of all axes together, because the waveform of one alone may be endless
+        # length for all axes together, because the waveform of a single one may be endless
         duration = Stage(parameters).default_samples() / parameters.sample_rate
     still = simulate_stage(parameters.scanning([]), duration=duration)
     for name in scanning:

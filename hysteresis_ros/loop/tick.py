@@ -45,14 +45,14 @@ class Laws(NamedTuple):
 class Parts(NamedTuple):
     """The arrays of an axis, part by part."""
 
-    plant: Any  #: Of the class by which :data:`sense` finds the kernel of the plant.
+    plant: Any  #: Its class selects the kernel of :data:`sense`.
     source: GeneratorSourceArrays | SequencerSourceArrays
     controller: ControllerArrays
     compensator: CompensationArrays | AdaptiveArrays
 
 
-#: Which part of each sample :func:`ticks` computes: all of it, or one step: the measurement, the command, or the
-#: feedback of the achieved command to the controller.
+#: Step of each sample that :func:`ticks` computes: all steps, or only the measurement, the command, or the feedback of
+#: the achieved command to the controller.
 WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 
 #: Steps of a sample that may precede a change: none, the measurement, the command.

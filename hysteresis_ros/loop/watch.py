@@ -42,7 +42,7 @@ class WatchArrays(NamedTuple):
 # Parameters of a guard.
 TIMEOUT = 0  # samples without a good value after which the input is stale
 SPIKE = 1  # largest change from one good value to the next, 0: any
-CONFIRM = 2  # samples in a row beyond it after which the change is accepted
+CONFIRM = 2  # number of larger changes in a row after which the change is accepted
 FROZEN = 3  # equal values in a row after which a sensor counts as frozen, 0: never
 GUARD_PARAMETERS = 4
 
@@ -72,9 +72,9 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    It rejects values that are not finite, that are not newer than the last one (``stamp``, their sample number), that
-    jump too far, and those of a frozen sensor. After a time-out the next finite value is accepted, because nothing
-    recent could contradict it.
+    It rejects values that are not finite, not newer than the last one by their sample number ``stamp``, too far from
+    the last one, or from a frozen sensor. After a time-out the next finite value is accepted, because nothing recent
+    could contradict it.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -106,7 +106,7 @@ def accept(p, x, value, stamp):
 
 @kernel
 def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
-    """Begin a sample; return its input ``value``, after fault injection, when it is accepted, NaN otherwise."""
+    """Begin a sample; return its input ``value`` after fault injection if it is accepted, NaN otherwise."""
     faulty.begin_sample(faults_x)
     given = faulty.given_instead(faults_p, faults_x, target, value)
     if missing != 0.0:
@@ -148,8 +148,8 @@ def hold_voltage(p, x, voltage, stopped, least):
 
     It is the last received voltage. After the time-out, and while ``stopped`` is not 0, the output slews to the safe
     voltage by at most one step per sample. On the way back, its difference from the received voltage decreases by at
-    least one step per sample: it may move by that step plus the motion of the received voltage, so it always arrives. A
-    target below ``least`` is replaced by ``least``.
+    least one step per sample: the output may move by that step plus the motion of the received voltage, so it always
+    arrives. A target below ``least`` is replaced by ``least``.
     """
     step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
@@ -183,7 +183,8 @@ def hold_voltage(p, x, voltage, stopped, least):
 def least_beside(x, other):
     """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
 
-    The sequencer opens one clamp when it has sent the other to close; after a stop that one may still be closing.
+    The sequencer opens one clamp after it has commanded the other to close; after a stop the other one may still be
+    closing.
     """
     return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
 

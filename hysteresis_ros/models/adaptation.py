@@ -86,8 +86,8 @@ ZEROED = 11  # 1 after the origin of the displacement is known
 ZERO = 12  # measurement at zero displacement [m]
 OWN_STATES = 13
 
-#: States of the adaptation: off; the weights adapt; frozen: no excitation, by a service, the axis does not run or has
-#: just started, range or slew rate limits the voltage.
+#: States of the adaptation: off; the weights adapt; frozen, because the excitation is too small, a service has frozen
+#: it, the axis does not run or has just started, or range or slew rate limits the voltage.
 OFF, ADAPTING, UNEXCITED, FROZEN, WAITING, SATURATED = range(6)
 STATE_NAMES = (
     "off",
@@ -213,9 +213,10 @@ def arrive(settings, states):
 
 @called
 def believe(settings, states, measured, modelled, whole):
-    """Store the displacement [m] to use as the measurement; return whether it was measured.
+    """Store the displacement [m] that is used as measurement; return whether it was measured.
 
-    The model replaces a missing or implausible measurement, until so many are implausible that the model must be wrong.
+    The model replaces a missing or implausible measurement. After too many implausible ones in a row the model must be
+    wrong, and the measurement is used.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     level = int(own_p[TERMS]) + 1
@@ -256,7 +257,7 @@ def move(settings, states, fast):
 
 @called
 def learn(settings, states, measured, usable):
-    """Compare a measurement with the terms at the sensor, and move the factors; tell whether they have moved.
+    """Compare a measurement with the terms at the sensor, and move the factors; return whether they have moved.
 
     Parameters
     ----------
@@ -334,7 +335,7 @@ def put_in(settings, states, p_h, x_h, voltage):
 def adapt(settings, states, p_h, x_h, voltage, measured, usable):
     """Learn from a measurement and update the model; arguments as above.
 
-    One function for both, because a node calls it from Python.
+    Both are in one function, because a node calls it from Python.
     """
     if learn(settings, states, measured, usable):
         put_in(settings, states, p_h, x_h, voltage)

@@ -350,7 +350,7 @@ if COMPILED:
 def displaced(arrays, distance):
     """Return nested named tuples of arrays that lie ``distance`` numbers behind these in the same block of memory.
 
-    The arrays are pieces of one float64 array. Compiled, this moves pointers and costs next to nothing.
+    The arrays are slices of one float64 array. In compiled code only pointers move, at almost no cost.
     """
     if isinstance(arrays, tuple):
         return type(arrays)(*(displaced(array, distance) for array in arrays))
@@ -467,7 +467,7 @@ def direct(function):
 
 
 def _type_of(argument):
-    """Return Numba's type of an argument; machine code passed as an argument is a first-class function."""
+    """Return Numba's type of an argument; compiled functions are first-class functions."""
     if hasattr(argument, "nopython_signatures"):
         return numba.types.FunctionType(argument.nopython_signatures[0])
     return numba.typeof(argument)

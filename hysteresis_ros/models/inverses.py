@@ -77,7 +77,7 @@ def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
         return near
     direction = 1.0 if missing > 0.0 else -1.0
     limit = highest if missing > 0.0 else lowest
-    near_error = -direction * missing  # below zero on the near side, above on the far side
+    near_error = -direction * missing  # the residual is below zero at the near end, above at the far end
     size = abs(displacement) + abs(missing)
     step = abs(missing) / p_i[GAIN]
     far, far_error = near, near_error

@@ -13,7 +13,7 @@ BLAS and LAPACK choose their kernels by processor. Their sums then have another 
 the last digit differs. Numbers that a running axis uses (gains, rest points, input scales, inverse filters) are
 therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of float64,
 each rounded correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such
-steps whatever their vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
+steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
 
 Rank, stability and printed figures may use ``np.linalg``, because they do not enter these numbers.
 

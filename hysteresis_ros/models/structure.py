@@ -10,7 +10,7 @@
 
 """Structure of several actuators: linear dynamics from all inputs to all outputs, hysteresis inside them.
 
-Of m inputs u [V], q outputs y [m] and n states x:
+With m inputs u [V], q outputs y [m] and n states x:
 
     z_i = g_i u_i + C_z,i x,   w_i = Σ_j a_ij play_rj(z_i),   x⁺ = A x + B u + B_w w,   y = C x + D u.
 
@@ -18,10 +18,10 @@ Each actuator has its own hysteresis. Its input z_i contains the voltage of the 
 the structure at the actuator. An actuator may have several hystereses, for example of its ceramic and of its joints:
 with h = m, 2 m … hystereses, hysteresis i is driven by input i mod m. The play operators are those of Prandtl and
 Ishlinskii [1]_, collocated with the actuators, so the modes shift with the level of the excitation. Hysteresis in front
-of linear dynamics cannot reproduce that. z has no feedthrough from w: w of a sample needs only the state and the
-voltage of that sample, so there is no algebraic loop.
+of linear dynamics cannot reproduce this shift. z has no feedthrough from w: w depends only on the state and the voltage
+of the same sample, so there is no algebraic loop.
 
-States have no unit of their own; z, w and the radii are in volts, the weights and g have no unit.
+States, weights and g have no unit; z, w and the radii are in volts.
 
 References
 ----------
@@ -42,10 +42,10 @@ from hysteresis_ros.models.linear_algebra import product, solve
 
 #: Maximum number of inputs and of outputs.
 MOST_CHANNELS = 16
-#: Fixed-point steps of a rest point, and the relative change below which it has settled.
+#: Largest number of fixed-point iterations for a rest point, and the relative change at which they have converged.
 REST_STEPS, REST_CHANGE = 1000, 1e-13
 
-# Layout of p: the sizes; for each row of A, the first column that is not zero and the column after the last such one;
+# Layout of p: the sizes; for each row of A, the index of the first nonzero column and the index after the last one;
 # then the matrices row by row in the order A, B, B_w, C, D, C_z, g, radii, weights.
 ORDER = 0
 INPUTS = 1
@@ -54,7 +54,7 @@ HYSTERESES = 3
 PLAYS = 4  # number of plays of each hysteresis
 ROWS = 5
 
-# Layout of x: n states, n numbers of scratch for the next ones, w of the h hystereses, their plays one after the other.
+# Layout of x: n states, n temporary numbers for the next states, w of the h hystereses, then their plays.
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class StructureParameters(Parameters):
     inputs: int = parameter(description="number of inputs m (actuators)", low=1, high=MOST_CHANNELS)
     outputs: int = parameter(description="number of outputs q (sensors)", low=1, high=MOST_CHANNELS)
     A: tuple[float, ...] = parameter(
-        description="state matrix, n·n numbers, or 2·n numbers: the 2×2 blocks of a block-diagonal matrix (modes) one "
-        "after the other"
+        description="state matrix, n·n numbers, or 2·n numbers: the 2×2 blocks of a block-diagonal matrix (modes), in "
+        "order"
     )
     B: tuple[float, ...] = parameter(description="input matrix, n·m numbers [1/V]")
     C: tuple[float, ...] = parameter(description="output matrix, q·n numbers [m]")
@@ -145,8 +145,8 @@ class StructureParameters(Parameters):
     def sliding(self, slopes) -> StateSpace:
         """Return the linear system from u to y with w_i = ``slopes``_i z_i.
 
-        For small motions the slopes are the weights of the plays of radius 0, for large motions the sums of all
-        weights.
+        For small motions the slopes are the weights of the plays with radius 0; for large motions they are the sums of
+        all weights.
         """
         linear, into = self.linear, self.hysteresis_input * np.asarray(slopes, dtype=float)
         A = linear.A + product(into, self.hysteresis_motion)
@@ -154,25 +154,25 @@ class StructureParameters(Parameters):
 
     @property
     def small(self) -> StateSpace:
-        """The linear system for motions too small for any play."""
+        """The linear system for motions smaller than all radii above 0."""
         return self.sliding(self.play_weights[:, np.array(self.radii, dtype=float) == 0.0].sum(axis=1))
 
     @property
     def large(self) -> StateSpace:
-        """The linear system for motions against which all radii are small."""
+        """The linear system for motions much larger than all radii."""
         return self.sliding(self.play_weights.sum(axis=1))
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
         """Refuse to run the matrices at another sample time [s] than the one they state."""
         if self.sample_time and abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
             allowed = (
-                f"the matrices are for this sample time, the loop runs at {sample_time:.9g} s: set its rate to "
+                f"the matrices are for this sample time, but the loop runs at {sample_time:.9g} s: set its rate to "
                 f"{1.0 / self.sample_time:.9g} Hz, or give matrices for its sample time"
             )
             raise ParameterError([Problem(name, self.sample_time, allowed)])
 
     def check(self):
-        """Yield what is wrong: sizes that do not fit, negative radii, an unstable structure."""
+        """Yield a Problem for inconsistent sizes, negative radii, and an unstable structure."""
         m, q, r = self.inputs, self.outputs, len(self.radii)
         n, h = self.order, self.hystereses
         problems = []
@@ -247,7 +247,7 @@ def structure_advance(p, x, u):
         x[n + i] = accumulate(total, p, a + i * n + first, x, first, behind - first)
     for i in range(n):
         value = x[n + i]
-        # this form of the comparison keeps NaN
+        # this form of the comparison preserves NaN
         x[i] = 0.0 if -NOTHING < value < NOTHING else value
 
 
@@ -283,7 +283,7 @@ class Structure:
         self.x = self.initial_state()
 
     def initial_state(self) -> np.ndarray:
-        """Return x at rest with zero input and plays that never moved, shape (2 n + h + h r,)."""
+        """Return x at rest with zero input and plays in their initial state, shape (2 n + h + h r,)."""
         n, h = self.parameters.order, self.parameters.hystereses
         return np.zeros(2 * n + h + h * len(self.parameters.radii))
 
@@ -319,7 +319,7 @@ class Structure:
         return y
 
     def settle(self, u) -> None:
-        """Set the state to rest at the constant inputs ``u`` [V], as if reached from zero without reversal.
+        """Set the state to rest at the constant inputs ``u`` [V], reached from zero without reversal.
 
         Raises
         ------

@@ -89,10 +89,10 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
 
 
 class Endpoints(Node):
-    """What a node makes publishers, subscriptions and timers with; stands before rclpy's class of the node."""
+    """Mixin that creates publishers, subscriptions and timers; list it before rclpy's node class."""
 
     parameters: Any  #: Typed parameters of this kind of node; None while it is not configured.
-    runner: Any  #: What decides when a sample is dealt with; None before the node is configured.
+    runner: Any  #: The runner, which decides when a sample is processed; None before the node is configured.
     steady: Clock
     partners: Partners
     masters: Masters
@@ -113,7 +113,7 @@ class Endpoints(Node):
         return loop_qos(True, self.parameters.queue_depth)
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
-        """Create a publisher until cleanup; ``loop``: in lockstep it must be matched before the first answer."""
+        """Create a publisher that exists until cleanup; with ``loop``, lockstep waits until it is matched."""
         made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
         self._topic_handles.append((self.destroy_publisher, made))
         if loop:
@@ -121,7 +121,7 @@ class Endpoints(Node):
         return made
 
     def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
-        """Create a subscription until cleanup; ``partner``: its publisher, which lockstep monitors."""
+        """Create a subscription that exists until cleanup; lockstep monitors the publishing node, ``partner``."""
         events = self.compatibility.of_subscription(topic)
         made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
         self._topic_handles.append((self.destroy_subscription, made))
@@ -130,14 +130,14 @@ class Endpoints(Node):
         return made
 
     def loop_input(self, message_type, topic: str, callback, qos, partner: str):
-        """Create a subscription of the loop: it accepts one publisher, in lockstep the same one for the whole run."""
+        """Create a subscription of the loop, with one publisher, which must not change during a run in lockstep."""
         if self.runner.exact:
             return self.subscriber(message_type, topic, callback, qos, partner=partner)
         return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
 
     @property
     def loop_topics(self) -> list[str]:
-        """Full names of the topics of the loop that this node publishes."""
+        """Full names of the loop's topics that this node publishes."""
         return [publisher.topic_name for publisher in self._loop_publishers]
 
     def drop(self, subscription) -> None:
@@ -146,7 +146,7 @@ class Endpoints(Node):
         self.destroy_subscription(subscription)
 
     def timer(self, period: float, callback):
-        """Create a timer on the steady clock until deactivation."""
+        """Create a timer on the steady clock that exists until deactivation."""
         made = self.create_timer(period, callback, clock=self.steady)
         self._work_timers.append(made)
         return made
@@ -216,7 +216,7 @@ class ChangeLog:
         return list(self._entries)[len(self._entries) - new :], self._made
 
     def end(self, sample: int, stopped: bool = False) -> None:
-        """Publish once that the run has ended at a sample; no further entry belongs to the run."""
+        """Publish once that the run has ended at a sample; later entries do not belong to the run."""
         if not self._is_over:
             self._is_over = True
             extra = {"stopped": True} if stopped else {}
@@ -285,7 +285,7 @@ class Compatibility:
         return sorted(found)
 
 
-#: Levels: normal; a user should look at it; the axis does not follow its commands; no report.
+#: Levels: normal; needs attention; the axis does not follow its commands; no report.
 OK, WARN, ERROR, STALE = range(4)
 
 #: Component that a status describes; it follows the node name, as diagnostic aggregators expect.
@@ -368,9 +368,9 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     has_state = True
     #: Time without an input after which it counts as missing, and another publisher may replace its publisher [s].
     patience: float = math.inf
-    #: Whether the result of this node is incomplete, however it exits.
+    #: Whether the result of this node is incomplete, even after a regular exit.
     has_lost: bool = False
-    #: Whether the part can be reset on a running axis without a step of its output.
+    #: Whether this node can be reset on a running axis without a step of its output.
     rests: bool = True
     #: Fraction of partner_timeout after which this node reports a silent partner in lockstep. A node that waits
     #: directly for the cause reports first, so that the error names the cause and not another waiting node.
@@ -392,11 +392,11 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.masters = Masters(self)
         self.parameters = None
         self.runner = None
-        #: With time_mode fused: the axis of which this node is one, in this process.
+        #: With time_mode fused: the axis in this process to which this node belongs.
         self.fused: Any = None
         self.changes = ChangeLog(name)
         self.active = False
-        #: Whether the process is about to end.
+        #: Whether the process is about to exit.
         self.leaving = False
         self.running = True
         self.finished = False
@@ -443,7 +443,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     @property
     def axis_kind(self) -> signals.AxisKind:
-        """Kind of the axis, as far as it matters to this node."""
+        """Kind of the axis (actuator or inchworm motor), which selects the signals of this node."""
         return signals.ACTUATOR
 
     def state_signals(self) -> dict[str, str]:
@@ -480,11 +480,11 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         """``~/start`` (True) or ``~/stop`` (False) was called."""
 
     def hindrance(self) -> str:
-        """Return why this node does not work although it was not stopped; empty when it works."""
+        """Return why this node does not run although it was not stopped; empty when it runs."""
         return "" if self.active else "inactive: activate it first"
 
     def stopped(self) -> str:
-        """Say what ``~/stop`` has done."""
+        """Return a message about the effect of ``~/stop``."""
         return "stopped"
 
     def missing_partner(self) -> str:
@@ -492,7 +492,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:
-        """Publish a change and its first sample, so that a recorded run can be repeated."""
+        """Publish a change and the first sample that it affects, so that a recorded run can be repeated."""
         entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
         self.changes.publish({**entry, "parameters": parameters or {}})
 
@@ -649,7 +649,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.runner.begin_again()
         answer = self._answer_service(response, "reset")
         if answer.success:
-            stopped = "; stopped: ~/start lets it go on" if not self.running else ""
+            stopped = "; stopped: call ~/start to resume" if not self.running else ""
             still = f"; before it did not work: {before}; if that is still so, it does not now" if before else ""
             answer.message = f"reset{stopped}{still}"
         return answer
@@ -673,7 +673,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.log_change("retune", changed)
 
     def retuned(self, parameters) -> None:
-        """Handle changed parameters after the part; :attr:`parameters` still holds the previous ones."""
+        """Handle changed parameters after :meth:`retune`; :attr:`parameters` still holds the previous ones."""
 
     @property
     def is_fused(self) -> bool:
@@ -687,7 +687,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     # -- the run -------------------------------------------------------------------------------------------------
 
     def subscribe_end(self) -> None:
-        """Listen for the end mark of the plant: the number of samples of the run."""
+        """Subscribe to the end mark of the plant, the number of samples of the run."""
         self.subscriber(UInt64, "end_of_run", self._on_end, latched_qos())
 
     def _on_end(self, message) -> None:
@@ -726,5 +726,5 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return max(count - before, 0)
 
     def tell_health(self) -> None:
-        """Publish the diagnostics of this node in every lifecycle state."""
+        """Publish the diagnostics of this node; called in every lifecycle state."""
         self._diagnostics.publish(diagnostics(self))

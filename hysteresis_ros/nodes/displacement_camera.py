@@ -11,7 +11,7 @@
 
 Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame without a detected
 position gives a sample without a measurement, and the reason in the log and on ``/diagnostics``; the axis then reacts
-as to any missing measurement.
+as it does to any missing measurement.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class DisplacementCameraNode(AxisNode):
         self._stamp, self._lost = -1, 0
 
     def state_signals(self) -> dict[str, str]:
-        """Return the content of ``~/state``, which has no signal of the loop."""
+        """Return the content of ``~/state``, which contains no signals of the loop."""
         return dict.fromkeys(STATE, "")
 
     def connect(self) -> None:
@@ -71,7 +71,7 @@ class DisplacementCameraNode(AxisNode):
         self._clear()
 
     def retune(self, parameters) -> None:
-        """Apply other limits for refused frames."""
+        """Apply new limits for the rejection of frames."""
         self.part.retune(parameters)
 
     def _on_image(self, message) -> None:

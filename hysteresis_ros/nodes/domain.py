@@ -50,7 +50,7 @@ def reaches_others() -> bool:
 def named(endpoint) -> str:
     """Return the full name of the node of a discovered publisher or subscription."""
     if "UNKNOWN" in endpoint.node_name:  # placeholder of rmw: _NODE_NAME_UNKNOWN_
-        return "somebody who has not told a name"
+        return "a node without a known name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
@@ -59,10 +59,10 @@ def is_name(words: str) -> bool:
     return words.startswith("/")
 
 
-#: Domains whose ports are above the ephemeral ports of Linux, as far as the port of a claim exists.
+#: Domains whose ports are above the ephemeral ports of Linux and whose claim port is still a valid port number.
 DOMAINS = range(231, 214, -1)
 
-#: Environment variable with the domain that a process was started for.
+#: Environment variable with the domain for which a process was started.
 OWN = "HYSTERESIS_DOMAIN"
 
 #: Number of participants whose ports are checked: all possible ones, because the first ones may have left.
@@ -86,7 +86,7 @@ class Domain:
 
     def __init__(self):
         own = os.environ.get("ROS_DOMAIN_ID", "0")
-        # in turn, so that a graph does not meet the remains of one that has just ended
+        # in turn, because nodes of a graph that has just ended may still be discovered in its domain
         first = (os.getpid() + next(_turns)) % len(DOMAINS)
         for number in (*DOMAINS[first:], *DOMAINS[:first]):
             claim = _bound(number, _CLAIM, "127.0.0.1") if str(number) != own.strip() else None
@@ -95,7 +95,7 @@ class Domain:
                     self.number, self._claim = number, claim
                     return
                 claim.close()
-        raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use; stop other graphs")
+        raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use: stop other graphs")
 
     @property
     def environment(self) -> dict[str, str]:
@@ -137,8 +137,8 @@ def require_admission(number: int) -> None:
     probe = _bound(number, _CLAIM, "127.0.0.1")
     if probe is None:
         raise HysteresisError(
-            f"ROS domain {number} is that of a demonstration, a test or a benchmark that runs now: choose a "
-            "ROS_DOMAIN_ID from 0 to 101"
+            f"ROS domain {number} is in use by a demonstration, a test or a benchmark: choose a ROS_DOMAIN_ID"
+            " from 0 to 101"
         )
     probe.close()
 

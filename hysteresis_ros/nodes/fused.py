@@ -55,7 +55,7 @@ class LoopPace:
 
     @property
     def overruns(self) -> int:
-        """Samples so far that were skipped."""
+        """Number of skipped samples so far."""
         loop = self._fused.loop
         return loop.missed if loop is not None else 0
 
@@ -82,17 +82,17 @@ class LoopPace:
 
 #: Time for the voltage to reach its safe value before the loop of an exiting node ends [s].
 RETURN = 2.0
-#: Maximum time that Python blocks the loop when it applies a change [s].
+#: Maximum time for which Python blocks the loop while it applies a change [s].
 SWITCH_INTERVAL = 5e-4
 
-#: Time after which a loop that is not ready yet is being compiled [s]: one from the cache takes less.
+#: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
 COMPILING_TEXT = (
     "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start takes it "
     "from the cache"
 )
 
-#: Parts that are stopped while their nodes are inactive, in the order of their restart.
+#: Parts of the loop that are stopped while their nodes are inactive, in the order of their restart.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
@@ -122,7 +122,7 @@ class FusedAxis:
         return node
 
     def leave(self, node) -> None:
-        """Remove a node; the loop ends with the first one."""
+        """Remove a node; the removal of the first one ends the loop."""
         self.end()
         self.nodes.pop(node.kind, None)
         node.fused = None
@@ -231,9 +231,10 @@ class FusedAxis:
         self.plant.get_logger().warning(f"real time: {text}")
 
     def end(self) -> None:
-        """End the loop, if there is one; its samples are still published and recorded.
+        """End the loop if it runs; its samples are still published and recorded.
 
-        When a device does not return, its loop remains until the process ends, and no other thread may call the device.
+        While a call of a device does not return, the loop exists until the process ends, and no other thread may call
+        the device.
         """
         if self.loop is None:
             return
@@ -288,7 +289,7 @@ class FusedAxis:
             return
         whole = node.kind == "plant_simulator"
         if whole:
-            self._make_safe()  # a part at rest has no voltage: from any other state that would be a step
+            self._make_safe()  # a reset part puts out no voltage, so from any other state the voltage would step
         axes = self.together if whole else [self]
         for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
             if name in self.axis.by_node:
@@ -392,8 +393,8 @@ class FusedAxis:
         watchdog = self.plant.part.capabilities.watchdog if driver else None
         acts = f"acts after {watchdog:g} s without a voltage" if watchdog else "does not exist"
         return (
-            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is "
-            f"put out, and only the device's own watchdog, which {acts}, makes it safe; end what holds the driver up"
+            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is sent, "
+            f"and only the device's own watchdog, which {acts}, makes it safe; remove what blocks the driver"
         )
 
     def _show(self, samples) -> None:
@@ -413,7 +414,7 @@ class FusedAxis:
                 self.nodes[name].show(stamp, self._leaving)
 
     def tell_changes(self) -> None:
-        """Publish the changes since the last call, each with its first sample."""
+        """Publish the changes since the last call, each with the first sample that it affects."""
         for change in self.loop.changes_of(self.place) if self.loop is not None else ():
             if id(change) not in self._told:
                 self._told.add(id(change))
@@ -456,7 +457,7 @@ class Fused(RealTime):
 
     @property
     def is_live(self) -> bool:
-        """Whether there are samples."""
+        """Whether the loop delivers samples."""
         return self.fused.loop is not None and self.fused.loop.running
 
     def make_pace(self) -> LoopPace:
@@ -495,12 +496,12 @@ class Fused(RealTime):
 
     @property
     def late_samples(self) -> int:
-        """Samples so far that were skipped."""
+        """Number of skipped samples so far."""
         loop = self.fused.loop
         return loop.missed if loop is not None else 0
 
     def timeliness(self) -> dict:
-        """Return how late samples began so far, and their computing time."""
+        """Return the lateness of the samples so far, and their computing time."""
         loop = self.fused.loop
         if loop is None:
             return {}
@@ -535,7 +536,7 @@ class Fused(RealTime):
         """Return why the plant has stopped the axis."""
         loop = self.fused.loop
         if loop is None:
-            return "stopped; ~/start lets it go on"
+            return "stopped; call ~/start to resume"
         rate, limit = self.node.parameters.sample_rate, self.node.parameters.allowed_late
         found = loop.lateness()
         return (

@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Longest ramp to the safe voltage when the node exits [s]; what is left of it then is one step of the voltage.
+#: Longest ramp to the safe voltage when the node exits [s]; the rest of the way is then one step of the voltage.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)
@@ -70,7 +70,7 @@ class HysteresisCompensatorNode(Responder):
         _COMPENSATE(self._laws, self.part.arrays, self.row)
 
     def begin(self) -> None:
-        """In real time go on from the voltage that is there."""
+        """In real time continue from the present output voltage."""
         self._told = False
         if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
@@ -107,7 +107,7 @@ class HysteresisCompensatorNode(Responder):
         return self.parameters.command_timeout
 
     def read(self, message, row) -> bool:
-        """Put into a row whether the axis is stopped, and the measurement if the inverse adapts to it."""
+        """Write into a row whether the axis is stopped, and, for an adaptive inverse, the measurement."""
         if self.part.adaptation is not None:
             return super().read(message, row)
         self.read_trip(message, row)
@@ -118,7 +118,7 @@ class HysteresisCompensatorNode(Responder):
         self.refused += 1
         self.warn("command", f"command {data} m refused, {self.compensator.command:.6g} m kept")
         if not self.runner.exact and self.sample:
-            self.publish_outputs()  # one answer to every command, because the plant counts them
+            self.publish_outputs()  # exactly one voltage for every command, because the plant counts the voltages
 
     def after_step(self) -> None:
         """Log changes of mode."""
@@ -143,13 +143,13 @@ class HysteresisCompensatorNode(Responder):
     # -- adaptation ----------------------------------------------------------------------------------------------
 
     def _on_freeze(self, request, response):
-        return self._steer(response, "freeze", "the weights stay as they are")
+        return self._steer(response, "freeze", "adaptation off: the weights are kept")
 
     def _on_resume(self, request, response):
-        return self._steer(response, "resume", "the weights follow the measurements")
+        return self._steer(response, "resume", "adaptation on: the weights follow the measurements")
 
     def _on_forget(self, request, response):
-        return self._steer(response, "forget", "the weights are the identified ones")
+        return self._steer(response, "forget", "the weights are reset to the identified ones")
 
     def _steer(self, response, action: str, done: str):
         if self.is_fused:
@@ -205,7 +205,7 @@ class HysteresisCompensatorNode(Responder):
         return {AMPLIFIER: self.compensator.limits.limited_samples}
 
     def release(self) -> None:
-        """Say at the end for how long of the run the limits kept the voltage from what was asked; once."""
+        """Log once, at the end, for how long of the run the limits restricted the voltage."""
         if self.part is None or self._told:
             return
         self._told = True
@@ -214,7 +214,7 @@ class HysteresisCompensatorNode(Responder):
             self.get_logger().warning(limited)
 
     def stopped(self) -> str:
-        """Say what ``~/stop`` has done."""
+        """Return a message about the effect of ``~/stop``."""
         if self.rests:
             return "stopped"
         return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
@@ -231,14 +231,14 @@ class HysteresisCompensatorNode(Responder):
         adaptation, adapted = self.part.adaptation, ""
         if adaptation is not None:
             names = adapting.STATE_NAMES
-            # the state after the last sample; another thread may use the part itself
+            # a copy of the state after the last sample, because another thread may be using the part
             state, gain = int(self.row[signals.ADAPTATION]), self.row[signals.ADAPTED_GAIN]
             adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
             values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}
         refused = self.since_report("refused", self.refused)
         limited = self._limited.report(self._limited_counts(), self.parameters.sample_rate)
         if not self.sample and not self.runner.exact:
-            return 2, "no command has come yet", values
+            return 2, "no command has arrived yet", values
         if self.silent or self.runner.latched:
             return 2, f"command is stale{': ' * bool(self.loss)}{self.loss}", values
         if self._mode == TRIPPED:

@@ -37,10 +37,10 @@ CLOSING_TIME = 0.3
 #: Message of each error.
 ERRORS = {
     at.SENSOR_ERROR: "slider or extender has no finite measurement: both clamps hold until there is one",
-    at.NO_MOTION_ERROR: "the slider did not move in {still} steps: both clamps hold; look after clamps and load, then "
-    "call ~/start",
+    at.NO_MOTION_ERROR: "the slider did not move in {still} steps: both clamps hold; check clamps and load, then call "
+    "~/start",
     at.RUNAWAY_ERROR: "the slider moved where nothing was to move it (guard.runaway {runaway:g} m): both clamps hold; "
-    "look after clamps and load, then call ~/start",
+    "check clamps and load, then call ~/start",
     at.SLIP_ERROR: "the front clamp slips (guard.slip {slip:g} m) again and again: both clamps hold; raise its voltage "
     "or lower the load, then call ~/start",
 }
@@ -60,7 +60,7 @@ class InchwormSequencerNode(ReferenceSource):
     """
 
     parameters: InchwormSequencerNodeParameters
-    # in this order: whoever hears a reference has heard its origin
+    # origin before reference: a node that receives a reference already has its origin
     outputs = (
         ("origin", signals.ORIGIN),
         ("reference", signals.REFERENCE),
@@ -74,7 +74,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     @property
     def axis_kind(self) -> signals.AxisKind:
-        """The axis of a sequencer is that of an inchworm motor."""
+        """Kind of the axis: an inchworm motor."""
         return signals.INCHWORM
 
     @property
@@ -114,7 +114,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     def _look_for_the_others(self) -> None:
         if self.active and not self._complete:
-            # steps of an extender without a driver would count as missed
+            # without a driver of the extender its steps would count as missed
             topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
             self._complete = self.all_matched() and all(self.count_publishers(topic) for topic in topics)
 
@@ -163,7 +163,7 @@ class InchwormSequencerNode(ReferenceSource):
                 self.sequencer.walk(message.data)
 
     def _on_start(self, request, response):
-        return self._ask(response, at.START_REQUEST, "goes on")
+        return self._ask(response, at.START_REQUEST, "resumes")
 
     def _on_stop(self, request, response):
         return self._ask(response, at.STOP_REQUEST, "closes both clamps and holds")
@@ -180,13 +180,13 @@ class InchwormSequencerNode(ReferenceSource):
         return self._ask(response, at.RELEASE_REQUEST, "opens the front clamp and relaxes the extender")
 
     def _on_learn(self, request, response):
-        return self._ask(response, at.LEARN_REQUEST, "learns from the next whole cycle of continuous walking on; asked")
+        return self._ask(response, at.LEARN_REQUEST, "learns from the next cycle of continuous walking; requested")
 
     def _on_freeze(self, request, response):
-        return self._ask(response, at.FREEZE_REQUEST, "only uses what it has learned")
+        return self._ask(response, at.FREEZE_REQUEST, "stops learning, and applies the learned values")
 
     def _on_forget(self, request, response):
-        return self._ask(response, at.FORGET_REQUEST, "forgets what it has learned of walking; asked")
+        return self._ask(response, at.FORGET_REQUEST, "discards the values learned while walking; requested")
 
     def _on_save(self, request, response):
         if self.parameters is not None:
@@ -194,7 +194,7 @@ class InchwormSequencerNode(ReferenceSource):
         return self._answer_service(response, f"written to {self.parameters and self.parameters.walk.save_file}")
 
     def _ask(self, response, code: int, what: str):
-        """Queue a request; it takes effect at a sample."""
+        """Queue a request; it takes effect at the next free sample."""
         if self.parameters is not None:
             if code in (at.HOME_REQUEST, at.RELEASE_REQUEST) and self.sequencer.x[at.MODE] == at.FAILED:
                 response.success = False
@@ -209,7 +209,7 @@ class InchwormSequencerNode(ReferenceSource):
     # -- samples -----------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Put the positions of slider and extender into a row, NaN where there is none."""
+        """Write the positions of slider and extender into a row, NaN for a missing one."""
         if not super().read(message, row):
             return False
         row[signals.EXTENDER] = math.nan
@@ -228,7 +228,7 @@ class InchwormSequencerNode(ReferenceSource):
         return True
 
     def before_step(self) -> None:
-        """Put setpoint and request into the row."""
+        """Write setpoint and request into the row."""
         while self._schedule and self._schedule[0][0] <= self.sample:
             self.setpoint = self._schedule.popleft()[1]
         self.row[signals.SETPOINT] = self.setpoint
@@ -240,7 +240,7 @@ class InchwormSequencerNode(ReferenceSource):
         _SEQUENCED(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
-        """Answer the sample in the row; in real time once the other nodes are present."""
+        """Answer the sample in the row; in real time only when the other nodes are present."""
         if self.runner.exact or self._complete:
             super().answer(stamp)
 
@@ -255,7 +255,7 @@ class InchwormSequencerNode(ReferenceSource):
                 self.warn("error", self._explanation, error=True, every=0.0)
 
     def look_at(self, rows) -> None:
-        """Update with samples whether the slider has arrived and rests."""
+        """Detect from the samples whether the slider has arrived and rests."""
         last = rows[-1]
         self.tell_settled(bool(last[signals.ARRIVED]) and not last[signals.TRIPPED])
 
@@ -266,7 +266,7 @@ class InchwormSequencerNode(ReferenceSource):
         """Whether measurements have stopped."""
         return not self.runner.exact and self.runner.silent
 
-    #: Both clamps close as soon as measurements have stopped: missed samples are not made up for.
+    #: Both clamps close as soon as measurements have stopped; missed samples are not repeated.
     is_stale = True
 
     def say_silent(self) -> None:
@@ -299,7 +299,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # the gait is too slow to wait for
+        # closing both clamps takes too long at this speed of the gait
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()
@@ -344,7 +344,7 @@ class InchwormSequencerNode(ReferenceSource):
         if x[at.MODE] == at.STOP:
             return 1, "stopped: both clamps hold", values
         if x[at.MODE] == at.LET_GO:
-            return 1, "released: the rear clamp holds alone", values
+            return 1, "released: only the rear clamp holds", values
         if missed:
             return 1, f"{missed} steps missed, slip of the last step {1e6 * x[at.SLIP]:.3g} um", values
         if x[at.LIMITED_SPEED]:

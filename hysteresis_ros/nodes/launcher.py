@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _PR_SET_PDEATHSIG = 1
 
-#: Commands that start nodes, and leave them running when they end by SIGTERM or SIGKILL.
+#: Commands that start nodes but leave them running when SIGTERM or SIGKILL ends the command.
 STARTERS = ("launch", "run")
 
 
@@ -69,7 +69,8 @@ def leave_with_ros2() -> None:
             die_with_parent(parent)
 
 
-#: Order in which nodes are stopped: the voltage returns to safe while the plant still runs; the recorder is last.
+#: Order in which nodes are stopped: the voltage returns to its safe value while the plant still runs; the recorder is
+#: last.
 STOP_ORDER = (
     "reference_generator",
     "inchworm_sequencer",
@@ -97,7 +98,7 @@ def require_messages(stage: StageParameters) -> None:
     if stage.stage.time_mode == "realtime" and rate > HIGHEST_MESSAGE_RATE:
         raise ConfigurationError(
             f"time_mode = 'realtime': {rate:g} samples/s are too many for the messages between the nodes of a stage, "
-            f"which hold never more than {HIGHEST_MESSAGE_RATE:g} Hz: run it fused (hysteresis up CONFIG --fused), in "
+            f"whose limit is {HIGHEST_MESSAGE_RATE:g} Hz: run it fused (hysteresis up CONFIG --fused), in "
             "lockstep (--rate lockstep), or slow the time down (--factor)"
         )
 
@@ -171,7 +172,7 @@ class Graph:
             self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
         else:
             self.axes = self._with_one_bag(axes)
-        #: The stage of the axes, which have common processes and one bag; None: they are independent.
+        #: The stage of coupled axes, which share processes and one bag; None for independent axes.
         self.stage = stage
         self.processes: list[NodeProcess] = []
         #: Recorders that died or stopped recording while the axis continued.
@@ -266,22 +267,23 @@ class Graph:
         for node in [node for node in self.processes if self._is_lost_recorder(node)]:
             self.processes.remove(node)
             self.lost.append(node)
-            self._warn(f"{node.full_name} {_how_it_ended(node)}: nothing is recorded any more, the axis goes on")
+            self._warn(f"{node.full_name} {_how_it_ended(node)}: the recording has ended, the axis continues")
         codes = [node.process.poll() for node in self.processes]
         ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
         dead = [node for node in ended if node.process.returncode != 0]
         if dead:
-            # one failed node ends others within moments: killed nodes and refused parameters are reported first
+            # one failed node soon ends others, so killed nodes and refused parameters are reported first
             first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
             code = first.process.returncode
             self.stop()
-            raise GraphError(f"{first.full_name} {_how_it_ended(first)}; the rest was stopped", code if code > 0 else 1)
+            said = f"{first.full_name} {_how_it_ended(first)}; the other nodes were stopped"
+            raise GraphError(said, code if code > 0 else 1)
         if ended and None in codes:
             self._first_left = self._first_left or time.monotonic()
             if time.monotonic() - self._first_left > PATIENCE:
                 names = ", ".join(node.full_name for node in ended)
                 self.stop()
-                raise GraphError(f"{names} left while the others went on; the rest was stopped", 1)
+                raise GraphError(f"{names} exited early; the other nodes were stopped", 1)
         return None in codes
 
     def _is_lost_recorder(self, node: NodeProcess) -> bool:

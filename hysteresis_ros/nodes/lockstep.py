@@ -40,7 +40,7 @@ TOGETHER = "start or reset all nodes together"
 
 
 class Partners:
-    """Publishers of the inputs of a node; a run has one publisher of each input, the same from beginning to end."""
+    """Publishers of the inputs of a node; during a run the publisher of an input must not change."""
 
     def __init__(self, node):
         self._node = node
@@ -68,7 +68,7 @@ class Partners:
             present = frozenset(bytes(info.endpoint_gid) for info in found)
             known = self._known.get(topic)
             if len(present) > 1:
-                who = f"{partner} was restarted, or there are two" if known else "there must be one"
+                who = f"{partner} was restarted, or there are two" if known else "exactly one is allowed"
                 names = " and ".join(sorted(map(named, found)))
                 return f"{topic} has {len(present)} publishers at sample {sample}, {names}: {who}; {TOGETHER}"
             if known is None or sample == 0:
@@ -82,13 +82,13 @@ class Partners:
             elif topic in self._absent:
                 return f"{partner} vanished at sample {sample} (topic {topic})"
             else:
-                # the end mark may still be in the queue: accept the loss at the second check only
+                # the end mark may still be in the queue, so a loss must persist until the second check
                 self._absent.add(topic)
         return ""
 
 
 class Lockstep(Runner):
-    """Base of the lockstep runners: samples in order, partners present, one common end."""
+    """Base of the lockstep runners: samples in order, partners monitored, one common end."""
 
     #: Whether every sample is answered exactly once.
     exact = True
@@ -144,19 +144,19 @@ class Lockstep(Runner):
             self.reset_pending = False
             return True
         if self.reset_pending:
-            return False  # was pending at the reset; sample 0 is still to come
+            return False  # pending since before the reset; sample 0 has not come yet
         if index == 0:
             who = f"{node.get_name()} is at {node.sample}"
             node.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")
         elif index < node.sample:
-            node.warn("repeat", f"sample {index} came again and was rejected; sample {node.sample} is awaited")
+            node.warn("repeat", f"sample {index} arrived a second time, rejected; the next is sample {node.sample}")
         else:
             who = f"{node.get_name()} awaits {node.sample}"
-            node.fail(f"sample {index} came while {who}: it joined late or samples were lost; {TOGETHER}")
+            node.fail(f"sample {index} arrived while {who}: it joined late or samples were lost; {TOGETHER}")
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
-        """Return whether more messages arrived than samples need, which ends the run: they could not be assigned."""
+        """Return whether more messages arrived than samples need; they cannot be assigned, so the run ends."""
         if count <= allowed:
             return False
         what = f"{topic} has {count} messages at sample {self.node.sample}"
@@ -175,7 +175,7 @@ class Lockstep(Runner):
         self._heard_new = True
 
     def advance(self) -> None:
-        """Process what is complete; overridden by runners that answer samples."""
+        """Process complete samples; overridden by runners that answer samples."""
 
     def missing_partner(self) -> str:
         """Return the partner whose input for the present sample is missing; empty when none is missing."""
@@ -244,7 +244,7 @@ class LockstepResponder(Lockstep):
         self._stamp = None
 
     def measurement(self, message) -> None:
-        """Take ``joint_states``: its stamp is the key of the sample."""
+        """Receive ``joint_states``; its stamp identifies the sample."""
         node = self.node
         if self.expected(node.sample_of(message.header.stamp)):
             self.heard()
@@ -254,7 +254,7 @@ class LockstepResponder(Lockstep):
             self.advance()
 
     def value(self, place: int, data: float) -> None:
-        """Take a message of the input with this index; its count assigns it to a sample."""
+        """Receive a message of the input with this index; its count assigns it to a sample."""
         node = self.node
         input_ = node.inputs[place]
         count = self._counts[place] = self._counts[place] + 1

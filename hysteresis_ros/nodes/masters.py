@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one active publisher: a node runs once in a ROS domain, and each of its inputs is fed by one publisher.
+"""One axis, one active publisher: a node runs once in a ROS domain, and each of its inputs accepts one publisher.
 
 A node claims its name on this machine: discovery would report a second graph only after both have moved. The kernel
 releases the claim when the process ends, however it ends.
@@ -15,8 +15,8 @@ releases the claim when the process ends, however it ends.
 A node accepts an input from the publisher that sent the first message, known by its identity (GID), which rclpy
 leaves out of its callbacks. Silence does not release the input: when the active publisher has been silent for the
 time-out of the input, or has left the graph, only a publisher of a node with the same full name replaces it. Any other
-publisher needs ``~/reset`` of the node that listens, or a new configuration. What a competing publisher sends has no
-effect, and diagnostics name both.
+publisher needs ``~/reset`` of the node that listens, or a new configuration. Messages of a competing publisher have no
+effect, and diagnostics name both publishers.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return the process that has claimed a node, by its number and command line; '' when there is none."""
+    """Return number and command line of the process that has claimed a node; '' without such a process."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -91,8 +91,8 @@ def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.so
         time.sleep(CLAIM_LOOK)
     owner = holder(domain, name) or "a process of this machine"
     raise HysteresisError(
-        f"{name} already runs in ROS domain {domain}: {owner}; an axis runs each node once: stop that one, or give "
-        "this axis another namespace or ROS_DOMAIN_ID"
+        f"{name} already runs in ROS domain {domain}: {owner}; an axis runs each node once: stop the other one, or "
+        "give this axis another namespace or ROS_DOMAIN_ID"
     )
 
 
@@ -193,10 +193,10 @@ class IdentifiedSubscription(Waitable):
             self._callback(*taken)
 
 
-#: Time-out of an input that has none of its own [s].
+#: Default time-out of an input [s].
 PATIENCE = 1.0
 
-#: Interval of the check whether this process itself was halted [s], and the number of checks that may be late.
+#: Interval at which the node checks whether this process was halted [s], and the number of checks that may be late.
 LOOK, LATE = 0.01, 3.0
 
 #: Time to discover nodes of other machines, and interval of the check for them [s].
@@ -286,14 +286,14 @@ class Master:
             return False
         if len(self._looked) > MOST_RIVALS:
             self._looked.clear()
-        self._looked[identity] = now  # for each: a flood of one must not keep another one from being looked at
+        self._looked[identity] = now  # for each publisher: a flood from one must not delay the check of another
         if not over and self.identity is not None and masters.is_there(self.topic, self.identity):
             return False
         return self.released or bool(self.name and masters.full_name(self.topic, identity) == self.name)
 
     @property
     def refusal(self) -> str:
-        """Description of the refused publisher, and what to do."""
+        """Message about the refused publisher, with a remedy."""
         name, rival = (self._masters.name_of(self.topic, who) for who in (self.identity or b"", self._rival))
         return f"{self.topic} is accepted from {name} and refused from {rival}: {REMEDY}"
 
@@ -348,7 +348,7 @@ class Masters:
         self._inputs.clear()
 
     def begin(self) -> None:
-        """Start the check whether this process itself is halted, during which it receives nothing."""
+        """Start to monitor whether this process is halted, because a halted process receives nothing."""
         self._since = self._looked = time.monotonic()
         if self._inputs:
             self._node.timer(LOOK, self.look)
@@ -400,7 +400,7 @@ class Masters:
         text = " or ".join(sorted(names))
         if is_name(text):  # known names are kept after the node has left
             self._names[identity] = text
-        return self._names.get(identity) or text or "a node that has left"
+        return self._names.get(identity) or text or "a node that has left the graph"
 
     def tell_of_change(self, master: Master, identity: bytes) -> None:
         """Log that another publisher is the active one from now on."""
@@ -411,7 +411,7 @@ class Masters:
         )
 
     def replaced(self, master: Master) -> None:
-        """Let the runner know that another process of a node feeds an input, unless a person has allowed it."""
+        """Inform the runner that another process of a node publishes an input, unless the user has allowed it."""
         if not master.released:
             self._node.runner.replaced(master.topic, master.name)
 
@@ -450,7 +450,7 @@ def publishers(node, topic: str) -> list[str]:
 def rivals(node) -> list[str]:
     """Return the nodes that compete with a node before its activation: same published topics, or same name.
 
-    A publisher without a known name is ignored: a node that has just left looks like that, and moves nothing.
+    A publisher without a known name is ignored: it may be a node that has just left the graph, which has no effect.
     """
     own = node.get_fully_qualified_name()
     found = [

@@ -36,7 +36,7 @@ from hysteresis_ros.nodes.spin import run
 
 #: Relative threshold of saturation, as a fraction of the largest achieved command so far: inverses are approximate.
 FRACTION = 0.05
-#: Absolute threshold of saturation [m]: rounding before the first motion is not saturation.
+#: Absolute threshold of saturation [m]: rounding errors before the first motion do not count.
 SMALLEST = 1e-9
 #: Number of stored commands: on a busy machine an achieved command may be late by fewer samples than this.
 LATENESS = 20
@@ -52,7 +52,7 @@ class Shortfall:
         self._worst = None
 
     def sent(self, command: float) -> None:
-        """Note a command [m] that was sent."""
+        """Store a command [m] that was sent."""
         self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
@@ -150,8 +150,8 @@ class MotionControllerNode(Responder):
     time a measurement whose stamp does not follow the last one counts as missing; while no measurements arrive, the
     clock counts the samples.
 
-    When it stops it publishes nothing: the compensator then moves to its safe voltage after its time-out, at its slew
-    rate. A final command would be a step.
+    On exit it publishes no final command, which would be a step: after its time-out the compensator moves to its safe
+    voltage at its slew rate.
 
     With ``use_origin`` an inchworm_sequencer replaces the reference generator: the controlled variable is the measured
     joint minus the ``origin`` of every reference.
@@ -258,7 +258,7 @@ class MotionControllerNode(Responder):
         return not self.running and self.command == self.parameters.safe_command
 
     def stopped(self) -> str:
-        """Say what ``~/stop`` has done."""
+        """Return a message about the effect of ``~/stop``."""
         if self.rests:
             return "stopped"
         return f"stopped: the command goes to safe_command = {self.parameters.safe_command:g} m"
@@ -280,11 +280,11 @@ class MotionControllerNode(Responder):
 
     @property
     def unpaired(self) -> bool:
-        """Whether reference and origin of a motor are missing."""
+        """Whether the reference of a motor, or its origin, is missing."""
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return whether the achieved command of the last sample is still missing: a change then precedes it."""
+        """Return whether the last sample still lacks its achieved command; a change now takes effect before it."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -295,7 +295,7 @@ class MotionControllerNode(Responder):
         return self._tell_learning("learn", "learning", response)
 
     def _on_freeze(self, request, response):
-        return self._tell_learning("freeze", "repeating what was learned", response)
+        return self._tell_learning("freeze", "learning off: the learned correction is repeated", response)
 
     def _on_forget(self, request, response):
         return self._tell_learning("forget", "forgetting", response)
@@ -321,7 +321,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Also put the measured force into the row, NaN when there is none; some dampings require it."""
+        """Also write the measured force into the row, NaN without one; some damping laws require it."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name
@@ -352,7 +352,7 @@ class MotionControllerNode(Responder):
     def refuse_value(self, input_: Input, data: float) -> None:
         """Log that a reference is invalid: the last valid one is used; for a motor the command is held."""
         if not input_.previous:
-            self.warn(input_.topic, f"{input_.topic} {data} m refused, the last one is kept")
+            self.warn(input_.topic, f"{input_.topic} {data} m refused, the last value is kept")
 
     def show(self, stamp, quiet: bool) -> None:
         """Publish the row of a sample, and compare its command with the achieved one."""
@@ -375,7 +375,7 @@ class MotionControllerNode(Responder):
         joint, parameters = self.parameters.joint, self.parameters
         if mode == STALE:
             limit, safe = parameters.measurement_timeout, parameters.safe_command
-            self.warn("stale", f"no good measurement of '{joint}' for {limit:g} s: going to safe_command {safe:g} m")
+            self.warn("stale", f"no valid measurement of '{joint}' for {limit:g} s: going to safe_command {safe:g} m")
         elif mode == FOLLOWING:
             text = "no node reports achieved commands: the command follows the displacement until one does"
             self.warn("following", text)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Interface of a node to its users: parameters from the tables of the blocks, and services that explain refusals.
+"""Interface of a node to its users: parameters from the tables of the blocks, services that explain their refusals.
 
 A value of the command line (``-p``) overrides parameter files; rcl does not do this for sections with wildcards. A file
 named over the graph must be in a folder that the user of the node has allowed. No request stops the node.
@@ -78,7 +78,7 @@ FOLDERS = "HYSTERESIS_FILES"
 
 
 def misplaced(row: ParameterRow, value) -> Problem | None:
-    """Return the problem of a value that was set over the graph; None when it names nothing forbidden.
+    """Return the problem of a value that was set over the graph; None when it is allowed.
 
     Symbolic links and ``..`` are resolved first.
     """
@@ -89,7 +89,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         return None
     stated = os.environ.get(FOLDERS)
     if stated is None:
-        folders, where = _working_folder(), "the folder the node was started in, hidden files excepted"
+        folders, where = _working_folder(), "the folder in which the node was started, without hidden files"
     else:
         folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
     try:
@@ -97,7 +97,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         if any(part.is_symlink() for part in (path, *path.parents)):  # from Python 3.13 on resolve() returns a loop
             raise OSError("a loop of symbolic links")
         below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
-    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a user who is not, a null byte
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, or a null byte
         return Problem(row.name, value, f"is not a path: {error}")
     if any(stated is not None or not any(part.startswith(".") for part in found.parts) for found in below):
         return None
@@ -110,7 +110,7 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
 
 
 def _working_folder() -> list[pathlib.Path]:
-    """Return the working folder; none for a service started in the root folder, which contains every file."""
+    """Return the working folder; None for the root folder, which contains every file."""
     folder = pathlib.Path.cwd()
     return [folder] if folder != pathlib.Path(folder.anchor) else []
 
@@ -137,7 +137,7 @@ def answered(serve):
 
 
 class GuardedServices(Node):
-    """A node whose services, including those of rclpy, survive any request; precedes rclpy's class in the bases.
+    """A node whose services, including those of rclpy, survive any request; list it before rclpy's node class.
 
     An exception in a service ends the process without moving the outputs to safe values; rclpy up to 7.1.6 raises one,
     for instance, for a value of an unknown type.
@@ -184,7 +184,7 @@ class GuardedServices(Node):
 
 
 def _of(error: Exception) -> str:
-    """Return the message of an exception as one line of bounded length."""
+    """Return the message of an exception as one short line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:LONGEST]}"
 
 
@@ -247,7 +247,7 @@ class TabledParameters(Node):
 
 
 class ParameterInterface:
-    """Declares a parameter table on a node and keeps the typed parameters in step with it.
+    """Declares a parameter table on a node and keeps the typed parameters consistent with it.
 
     A value of the command line (``-p``) overrides every matching section of parameter files.
     """
@@ -330,7 +330,7 @@ class ParameterInterface:
     def _typed(self, row: ParameterRow, value, is_given: bool = True):
         """Return a value in the type of its row, converted from an integer or from the text of a number.
 
-        ``ros2 param`` reads values by YAML 1.1, which takes 5e-7 for a text, 1 for an integer and [] for no value.
+        ``ros2 param`` applies YAML 1.1, which reads 5e-7 as text, 1 as an integer and [] as no value.
         """
         if row.type is float and not isinstance(value, bool):
             try:
@@ -370,7 +370,7 @@ class ParameterInterface:
             if own or len(changed) < len(changes):
                 # another callback may refuse these after this one has applied its values, so the change would not be
                 # atomic
-                raise ParameterError([Problem(", ".join(own), "", "set it by itself, not together with others")])
+                raise ParameterError([Problem(", ".join(own), "", "set it alone, not together with other parameters")])
             if self.typed is None:
                 for name, value in changed.items():
                     self._rows[name].convert(value)
@@ -420,7 +420,7 @@ class ParameterInterface:
             Problem(
                 name,
                 changed[name],
-                f"read-only while the node is configured, it stays {now.get(name)}; set it in the parameter file, or "
+                f"read-only while the node is configured: still {now.get(name)}; set it in the parameter file, or "
                 f"after `ros2 lifecycle set {self._node.get_fully_qualified_name()} cleanup`",
             )
             for name in fixed

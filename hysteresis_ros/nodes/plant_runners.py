@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runners of the plant: a sample begins when all nodes have answered the last one, or at its scheduled time."""
+"""Runners of the plant: a sample begins when all nodes have answered the previous one, or at its scheduled time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: longer waits are interruptible; the rest of a wait is slept, which is more accurate [s].
+#: Real time: a wait is interruptible until this time before its end, then a sleep, which is more accurate [s].
 EXACT_WAIT = 0.02
 
 #: Interval at which a device is kept alive between samples [s].
@@ -47,11 +47,11 @@ PAUSE = 0.01
 #: Nodes of an axis that read joint_states.
 READERS = 3
 
-#: Delay in periods from which the schedule is shifted instead of caught up with.
+#: Delay [periods] above which the schedule is shifted instead of caught up with.
 FAR_BEHIND = 10.0
 
-#: Time [s] and number of periods without a voltage after which none is pending; and the maximum wait as a multiple of
-#: that.
+#: Time [s] and number of periods without a voltage after which none counts as pending; and the maximum wait, as a
+#: multiple of these.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Nodes whose absence opens the loop.
@@ -102,7 +102,7 @@ class LockstepPlant(Lockstep):
         self.advance()
 
     def go_on(self) -> None:
-        """In lockstep every voltage is that of the present sample, and every node hears of the start with the next."""
+        """Do nothing: every voltage belongs to the present sample, and the next sample informs the other nodes."""
 
     is_quiet = True
 
@@ -137,7 +137,7 @@ class LockstepPlant(Lockstep):
         return self.is_measured and len(self._came) == len(self.node.inputs)
 
     def finish_sample(self) -> None:
-        """Hold the voltages of the present sample and go on to the next one."""
+        """Apply the voltages of the present sample and advance to the next one."""
         self.is_measured = False
         self.node.finish_sample()
         self.advance()
@@ -149,7 +149,7 @@ class LockstepPlant(Lockstep):
         return self._acknowledged < 0 or self.node.sample - self._acknowledged >= parameters.lead
 
     def voltage(self, input_, message) -> None:
-        """Take the voltage of the present sample; any other one breaks the run."""
+        """Receive the voltage of the present sample; any other voltage ends the run with an error."""
         node = self.node
         if self._ended or not node.active or node.failure:
             return
@@ -157,7 +157,7 @@ class LockstepPlant(Lockstep):
         if not self.is_measured or again:
             # ignored before sample 0, and from a compensator that exits while the time is paused
             if (self.is_measured and again) or (node.sample and node.running and not self._recorder_behind()):
-                text = f"a voltage came on {input_.topic} that sample {node.sample} did not ask for"
+                text = f"a voltage on {input_.topic} does not belong to sample {node.sample}"
                 node.fail(f"{text}: {input_.partner} was restarted, or there are two; {TOGETHER}")
             return
         self.heard()
@@ -190,7 +190,7 @@ class LockstepPlant(Lockstep):
     def explain_trip(self) -> str:
         """Return why the plant has stopped the axis."""
         limit = self.node.parameters.allowed_late
-        return f"more than {limit} voltages were missing in a row or within a second; ~/start lets it go on"
+        return f"more than {limit} voltages were missing in a row or within a second; call ~/start to resume"
 
 
 class RealTimePlant(RealTime):
@@ -282,7 +282,7 @@ class RealTimePlant(RealTime):
         return at_work and now - self._heard.get(input_.topic, now) > limit
 
     def replaced(self, topic: str, name: str) -> None:
-        """Another process of a node sends voltages: the one before is lost unless it has said that it stops."""
+        """Handle voltages from another process of a node: the previous one is lost unless it has announced its stop."""
         node = self.node
         for input_ in node.inputs:
             partner = input_.partner
@@ -294,7 +294,7 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _await_voltages(self) -> None:
-        """Count silence from now, as of partners that have just begun: without this node none could send voltages."""
+        """Count silence from now on, as for new partners: without this node no partner could send voltages."""
         now = time.monotonic()
         for input_ in self.node.inputs:
             input_.first = now
@@ -316,7 +316,7 @@ class RealTimePlant(RealTime):
         self._unaligned = True
 
     def go_on(self) -> None:
-        """Begin to count voltages anew, and say that a person has started the axis; called with the lock held."""
+        """Restart the count of voltages, and announce that the user has started the axis; called with the lock held."""
         self.align()
         self._presence.publish(String(data=f"{STARTED} {PLANT}"))
 
@@ -382,7 +382,7 @@ class RealTimePlant(RealTime):
         self._presence.publish(String(data=f"{GONE if held else HERE} {self.node.kind}"))
 
     def voltage(self, input_, message) -> None:
-        """Take a voltage; the last one before the deadline counts."""
+        """Receive a voltage; the last one before the deadline counts."""
         node = self.node
         if not input_.received:
             self.align()
@@ -423,17 +423,17 @@ class RealTimePlant(RealTime):
         answers = sorted(self._answers[: min(self._answered, ANSWERS)])
         if answers:
             slow = max(answers[int(0.99 * (len(answers) - 1))], 1e-9)
-            text += f"; this graph answers within {1e3 * slow:.3g} ms (99 %), which holds {0.5 / slow:.3g} Hz"
+            text += f"; this graph answers within {1e3 * slow:.3g} ms (99 %), which is enough for {0.5 / slow:.3g} Hz"
         return (
-            f"{text}; lower sample_rate or real_time_factor, run it composed, or in lockstep; then call ~/start "
-            "(late_limit says how many may be late)"
+            f"{text}; lower sample_rate or real_time_factor, run the nodes composed, or in lockstep; then call ~/start "
+            "(late_limit sets how many may be late)"
         )
 
     def _keep_time(self) -> None:
         try:
             self._keep_time_until_left()
         except Exception as error:  # the thread would end silently
-            self.node.fail(f"the thread that keeps the time broke: {type(error).__name__}: {error}")
+            self.node.fail(f"the timing thread failed: {type(error).__name__}: {error}")
 
     def _keep_time_until_left(self) -> None:
         node, period = self.node, self.period
@@ -467,21 +467,21 @@ class RealTimePlant(RealTime):
         self.node.publish_sample()
 
     def ask(self) -> None:
-        """Note that the voltages of the present sample are asked for."""
+        """Record that the voltages of the present sample are expected."""
         self.node.pace.tick()
         self.is_measured = True
         self._published[(self._asked + 1) % PUBLISHED] = time.monotonic()
         self._asked += 1
 
     def end_sample(self, behind: bool) -> None:
-        """Hold the voltages that have come and go on to the next sample; called with the lock held."""
+        """Apply the voltages that have arrived and advance to the next sample; called with the lock held."""
         self.close_answers()
         before = self.node.part.tripped
         self.node.finish_sample()
         self.go_to_next(before, behind)
 
     def close_answers(self) -> None:
-        """Take no more voltages for the present sample, and drop late ones.
+        """Accept no more voltages for the present sample, and drop late ones.
 
         Voltages that are missing because a node has left the loop do not count as late.
         """
@@ -492,7 +492,7 @@ class RealTimePlant(RealTime):
             self.node.part.forgive()
 
     def go_to_next(self, before: bool, behind: bool) -> None:
-        """Handle what follows from a sample: ``before``: the axis was stopped; ``behind``: the schedule is shifted."""
+        """Handle a stop of the axis in this sample (unless stopped ``before``); shift the schedule if ``behind``."""
         node = self.node
         late = node.part.tripped and not before and not node.part.failure
         if late and self._is_open:
@@ -516,7 +516,7 @@ class RealTimePlant(RealTime):
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:
-        """Drop voltages that answer an earlier sample: an unknown delay makes a loop unstable."""
+        """Drop voltages that answer an earlier sample, because an unknown delay may make the loop unstable."""
         node = self.node
         behind = [input_ for input_ in node.inputs if self._is_behind(input_)]
         if not behind or self._is_open:
@@ -539,7 +539,7 @@ class RealTimePlant(RealTime):
         return self._unaligned
 
     def align_now(self) -> bool:
-        """Wait until no voltage is pending if the count has to start anew; return whether it had to."""
+        """If the count has to start anew, wait until no voltage is pending; return whether it had to."""
         if self._unaligned:
             self._align()
             return True

@@ -9,9 +9,9 @@
 
 """Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
 
-What it simulates is a part of the loop (:mod:`hysteresis_ros.loop.plant`): an inchworm has three voltages and four
-joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.device`). Its runner decides when a sample
-is processed (:mod:`hysteresis_ros.nodes.plant_runners`).
+The simulated plant is a part of the loop (:mod:`hysteresis_ros.loop.plant`); an inchworm has three voltages and four
+joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.device`). Its runner decides when a sample is
+processed (:mod:`hysteresis_ros.nodes.plant_runners`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 from hysteresis_ros.recordings.dataset import output_tolerance
 
-#: Deviation of the stamps from the wall clock [ns] above which they continue from the wall clock.
+#: Deviation of the stamps from the wall clock [ns] above which they are set to the wall clock again.
 OFF_CLOCK = 100_000_000
 
 
@@ -119,24 +119,24 @@ class VoltageInput:
 def explain_trip(part, runner) -> str:
     """Return why a plant has stopped the axis, and how to resume."""
     if part.failure:
-        return f"{part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+        return f"{part.failure}; ~/start tries the device again, cleanup and configure open it again"
     if part.lost:
-        return f"{part.lost} is lost: nothing has come from it; start it again, then call ~/start"
+        return f"{part.lost} is lost: it sends no messages; start it again, then call ~/start"
     if part.finding_home:
-        return "its relative sensor is homed at the safe voltage; it goes on by itself"
+        return "its relative sensor is being homed at the safe voltage; then the axis resumes by itself"
     if part.halted:
-        return "an emergency stop (~/stop of a fused axis, or estop); ~/start lets it go on"
+        return "an emergency stop (~/stop of a fused axis, or estop); call ~/start to resume"
     if part.overtravelled:
         low, high = part.travel
         where = f"measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm (overtravel)"
-        others = "look at gains, delay and scaling"
+        others = "check gains, delay and scaling"
         late = runner.late_samples
         if not late:
-            return f"{where}, where an unstable loop or a wrong sensor gets: {others}; ~/start lets it go on"
+            return f"{where}, which an unstable loop or a wrong sensor can cause: {others}; then call ~/start to resume"
         return (
-            f"{where} after {late} late samples: voltages that come late make a loop unstable, so look at these first "
-            f"(`hysteresis doctor` says what this machine holds); if they are not the cause, {others}; ~/start lets it "
-            "go on"
+            f"{where} after {late} late samples: late voltages make a loop unstable, so check these first (`hysteresis "
+            f"doctor` measures the rate that this machine sustains); if they are not the cause, {others}; then call "
+            "~/start to resume"
         )
     return runner.explain_trip()
 
@@ -157,11 +157,11 @@ def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, st
     if late:
         return WARN, f"{late} samples late"
     if runner.by_message and not runner.exact and not any(input_.received for input_ in inputs):
-        return WARN, f"no {topics} has come yet: nobody drives the axis"
+        return WARN, f"no {topics} received yet: no node drives the axis"
     return OK, ""
 
 
-#: Samples of a fused loop until it is known whether a stopped axis resumes.
+#: Samples of a fused loop after which it is known whether a stopped axis resumes.
 OUTCOME = 3
 
 #: Time for the voltage of a device to reach its safe value before the node releases the device [s].
@@ -173,7 +173,7 @@ _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 class PlantSimulatorNode(AxisNode):
     """Simulates an actuator or an inchworm motor in place of real hardware.
 
-    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived, for an inchworm all three.
+    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived (of an inchworm all three).
     ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
@@ -215,8 +215,8 @@ class PlantSimulatorNode(AxisNode):
         """Create the plant from the parameters."""
         if parameters.external_plant:
             raise ConfigurationError(
-                "external_plant = True: a node of your own stands in this one's place; leave this one out (`hysteresis "
-                "up --plant external` does), or set it to false"
+                "external_plant = True: your own node replaces this one; do not start this one (`hysteresis up --plant "
+                "external`), or set it to false"
             )
         self.parameters = parameters
         self.part = self.make_part(parameters)
@@ -238,7 +238,7 @@ class PlantSimulatorNode(AxisNode):
         self._clear()
 
     def make_part(self, parameters):
-        """Return the part of the loop that stands for the plant."""
+        """Return the plant's part of the loop."""
         return fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
 
     def _tell_device(self) -> None:
@@ -338,13 +338,13 @@ class PlantSimulatorNode(AxisNode):
             self._message.effort[0] = parameters.preload.force
 
     def change_details(self) -> dict:
-        """Return a field that marks an already measured sample: a change then affects what follows."""
+        """Return a field that marks a sample as already measured; a change then affects only what follows."""
         return {"after": MEASURED} if self.runner.is_measured else {}
 
     def _on_emergency(self, message) -> None:
         if not message.data or not self.active:
             return
-        self.warn("estop", "emergency stop: the axis goes to safe until ~/start", error=True)
+        self.warn("estop", "emergency stop: the axis moves to its safe state until ~/start", error=True)
         if self.is_fused:
             self.fused.halt()
             return
@@ -353,11 +353,11 @@ class PlantSimulatorNode(AxisNode):
             self.log_change("halt")
 
     def lose(self, name: str) -> None:
-        """Stop the axis because a node of it is lost, latched; called with the lock held."""
+        """Stop the axis with a latch because one of its nodes is lost; called with the lock held."""
         if not self.part.tripped:
             self.log_change("halt")
         elif self.part.lost != name:
-            self.warn("tripped", f"axis stopped: {name} is lost: nothing has come from it", error=True, every=0.0)
+            self.warn("tripped", f"axis stopped: {name} is lost: it sends no messages", error=True, every=0.0)
         self.part.lose(name)
 
     def _on_start(self, request, response):
@@ -376,7 +376,7 @@ class PlantSimulatorNode(AxisNode):
         return answer
 
     def go_on(self) -> None:
-        """Let the stopped axis go on unless a node of it is lost; called with the lock held."""
+        """Resume the stopped axis unless one of its nodes is lost; called with the lock held."""
         if not self.runner.missing_partners():
             self.part.start()
             if not self.part.tripped:
@@ -384,10 +384,10 @@ class PlantSimulatorNode(AxisNode):
             self.log_change("start")
 
     def stopped(self) -> str:
-        """Say what ``~/stop`` has done: fused it is an emergency stop, elsewhere the time stands still."""
+        """Return a message about the effect of ``~/stop``: emergency stop if fused, otherwise a pause of time."""
         if self.is_fused:
             return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
-        return f"stopped: no samples are made, and the voltage stays at {self.part.held():.6g} V"
+        return f"stopped: no samples are computed, and the voltage stays at {self.part.held():.6g} V"
 
     def hindrance(self) -> str:
         """Return why the axis does not run although it was not stopped; empty when it runs."""
@@ -458,7 +458,7 @@ class PlantSimulatorNode(AxisNode):
             if tripped and not quiet:
                 self.warn("tripped", f"axis stopped: {self.explain_trip()}", error=True, every=0.0)
             elif not quiet:
-                self.get_logger().info("the axis goes on")
+                self.get_logger().info("the axis resumes")
         self._output.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
@@ -474,7 +474,7 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
-        # only on the way back to a path; the way to safe is reported by its cause
+        # only on the way back to a path; the cause of a way to safe is reported elsewhere
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
             self.held_back += int(differs)
@@ -512,16 +512,17 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def silent(self) -> bool:
-        """Whether a voltage has stopped."""
+        """Whether a voltage is no longer received."""
         return self.part.silent
 
     @property
     def late(self) -> int:
-        """Number of late samples so far: their voltage was late, or a loop has skipped them."""
+        """Number of late samples so far: samples with a late voltage, or skipped by a loop."""
         return self.runner.late_samples
 
     def _limited_counts(self) -> dict[str, int]:
-        """Return in how many samples the output was limited, by what; of a motor three amplifiers count together."""
+        """Return the number of samples with a limited output, by cause; the three amplifiers of a motor count
+        together."""
         counts = {"safe_slew_rate": self.held_back}
         return counts if self.axis_kind.motor else counts | {AMPLIFIER: self.part.limited_samples}
 

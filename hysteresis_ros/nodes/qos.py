@@ -23,8 +23,9 @@ def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
 def loop_qos(keeps: bool, depth: int) -> QoSProfile:
     """Topics between the nodes of an axis.
 
-    Lockstep (``keeps``) keeps the last ``depth`` messages for a subscription that is matched later (transient-local):
-    with volatile topics sample 0 can be lost and the loop would wait forever. In real time old samples have no use.
+    In lockstep (``keeps``) a publisher keeps the last ``depth`` messages for subscriptions that match later (transient
+    local): with volatile topics sample 0 can be lost, and the loop would wait forever. In real time old samples are
+    useless.
     """
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)
 
@@ -35,7 +36,7 @@ def setpoint_qos() -> QoSProfile:
 
 
 def chosen_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
-    """An external input: as in ``qos``, or ``best_effort`` when its publisher may be best effort."""
+    """An external input: ``qos`` itself, or best effort if its publisher may be best effort."""
     if reliability == "best_effort":
         qos = QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=qos.durability)
     return qos
@@ -52,5 +53,5 @@ def latched_qos(depth: int = 1) -> QoSProfile:
 
 
 def diagnostics_qos(keeps: bool = False) -> QoSProfile:
-    """``/diagnostics`` as ROS tools expect it; ``keeps``: the last reports are kept for late subscribers."""
+    """``/diagnostics`` as ROS tools expect it; with ``keeps``, late subscribers get the last reports."""
     return _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

@@ -9,17 +9,17 @@
 
 """Real-time mode: the plant or a driver keeps the time; all other nodes answer its measurements on arrival.
 
-Within a sample the order is that of lockstep: a measurement is answered when the other inputs of its sample have
+Within a sample the order is the same as in lockstep: a measurement is answered when the other inputs of its sample have
 arrived. Float64 messages carry no number, so they are assigned to measurements by count. An input that has not arrived
 by the next measurement is late: the sample is answered without it, and its message is not assigned to the next one. An
 input that is late repeatedly is not awaited until it returns.
 
-A partner of which nothing comes for the time-out of the node that needs it, and for a few samples, is *lost*, unless
-it has said that it stops; a halt of the node's own process is no silence of others (:class:`AwakeTime`). The node keeps
-its own part safe, and says so to the plant, which stops the axis, latched: it goes on when the partner is back and a
-person calls ``~/start``. That is so whichever node is lost, and at any rate. In
-the first seconds of a partner, in which a busy machine leaves gaps, its silence has to last as long as these; a partner
-that comes back as another process without having said that it stops was lost at any time.
+A partner is *lost* when it sends nothing for the time-out of the node that needs it, and for a few samples, unless it
+has announced that it stops; time in which the node's own process was halted does not count (:class:`AwakeTime`). The
+node then keeps its own part safe and informs the plant, which stops the axis. The stop is latched: the axis resumes
+when the partner is back and a person calls ``~/start``. This holds for the loss of any node and at any sample rate. In
+the first seconds of a partner, when a busy machine leaves gaps between messages, a longer silence is allowed. A partner
+that is replaced by another process without having announced that it stops counts as lost at any time.
 """
 
 from __future__ import annotations
@@ -38,28 +38,28 @@ from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 #: Interval of the check of an input that may have stopped [s].
 WATCHDOG_PERIOD = 0.01
 
-#: Longest interval between two checks that counts whole as time in which a partner was silent [s].
+#: Longest interval between two checks that counts in full as silence of a partner [s].
 LONGEST_CHECK = 2.0 * WATCHDOG_PERIOD
 
 #: Presence messages: a node reports that it is active or stopped (``here NODE``, ``gone NODE``), and that a partner is
 #: lost or back (``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``; NAME is the partner's full name).
 HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
-#: And what the plant says when a person has started a stopped axis: ``started NODE``.
+#: And the message of the plant when a person has started a stopped axis: ``started NODE``.
 STARTED = "started"
-#: Measurements of an axis that is stopped which may come after the plant has said so: they were under way.
+#: Number of measurements of a stopped axis that may still arrive after the plant has announced the start.
 UNDER_WAY = 2
 
 #: Queue depth of the presence messages.
 PRESENCES = 20
 
-#: Messages after which a partner that has not said what it is can be lost; seconds in which the nodes of an axis start,
-#: for which a partner that has just begun is silent before it is lost; and samples for which any partner is.
+#: Number of messages after which a partner that has not reported its kind can be lost; allowed silence of a partner
+#: that has just begun, while the nodes of an axis start [s]; and allowed silence of any partner [samples].
 AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
 
-#: How it is known that a partner was lost that is there.
-ANOTHER_PROCESS = "another process of it has come, and the one before has not said that it stops"
+#: Reason for the loss of a partner that has been replaced.
+ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not announced that it stops"
 
-#: The node that owns the time; without its measurements nobody else can be expected to send anything.
+#: The node that keeps the time; without its measurements no other node can be expected to send anything.
 PLANT = "plant_simulator"
 
 #: Fraction of the loss time after which measurements count as paused; their answers are then matched anew.
@@ -85,18 +85,18 @@ MOST_MISSED = 20000
 
 
 class AwakeTime:
-    """Time [s] in which this process ran: what it was halted or starved for is nothing that a partner was silent for.
+    """Time [s] in which this process ran; only this time counts as silence of a partner.
 
-    :meth:`look` is called at each check of the inputs; of a longer interval than ``longest`` [s] between two checks no
-    more than that counts, so a partner whose messages still wait in a queue is not lost.
+    :meth:`look` is called at each check of the inputs. An interval between two checks counts as at most ``longest``
+    [s], so a partner whose messages still wait in a queue is not lost.
     """
 
     def __init__(self, longest: float):
         self._longest = longest
-        self._looked = (0.0, time.monotonic())  # one value, because two threads read it
+        self._looked = (0.0, time.monotonic())  # a single value, because two threads read it
 
     def at(self, moment: float) -> float:
-        """Return the awake time at a moment of the monotonic clock, which is not before the last check."""
+        """Return the awake time at an instant of the monotonic clock, not before the last check."""
         awake, looked = self._looked
         return awake + min(moment - looked, self._longest)
 
@@ -231,7 +231,7 @@ class RealTime(Runner):
         """Do nothing: the other nodes continue until their time-outs."""
 
     def replaced(self, topic: str, name: str) -> None:
-        """Another process of the same node feeds an input from now on; whoever awaits the input overrides it."""
+        """Do nothing when a new process of a node feeds an input; runners that await the input override this."""
 
     def matched(self) -> bool:
         """Return whether every publisher of the loop is matched with its partner."""
@@ -410,7 +410,7 @@ class RealTimeResponder(RealTime):
             self.pair_answer()
 
     def take_command(self, input_, data: float) -> bool:
-        """Put a message that needs no measurement into the row; return False when it is not to be answered."""
+        """Put a message that needs no measurement into the row; return False when it must not be answered."""
         node = self.node
         if self._has_waited():
             return False
@@ -497,7 +497,7 @@ class RealTimeResponder(RealTime):
         missing = self._missing(now)
         for partner, name in missing.items():
             if partner not in self._lost or not self.latched:
-                self._lose(partner, name, f"nothing has come from it for {self.loss_time:.3g} s")
+                self._lose(partner, name, f"it has sent nothing for {self.loss_time:.3g} s")
         for partner in self._returned.difference(missing):
             self._returned.discard(partner)
             self.say_of(HEARD, partner, self._lost.pop(partner))
@@ -513,7 +513,7 @@ class RealTimeResponder(RealTime):
         self.say_of(LOST, partner, name)
 
     def replaced(self, topic: str, name: str) -> None:
-        """Another process of the same node feeds an input: the one before is lost unless it has said that it stops."""
+        """Mark a partner as lost when a new process replaces one that had not announced that it stops."""
         node = self.node
         partners = {node.resolve_topic_name("joint_states"): (0, PLANT)}
         for place, input_ in enumerate(node.inputs):
@@ -541,7 +541,7 @@ class RealTimeResponder(RealTime):
         return self._going > 0
 
     def missing_partners(self) -> str:
-        """Name the nodes that are lost; empty: none is."""
+        """Return the names of the lost nodes; empty when none is lost."""
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
@@ -549,7 +549,7 @@ class RealTimeResponder(RealTime):
         if not self.latched:
             return ""
         if self._lost:
-            return f"{' and '.join(self._lost.values())} is lost and has not come back: start it again first"
+            return f"{' and '.join(self._lost.values())} is lost and has not returned: restart it first"
         self.latched, self._has_tripped = "", False
         self.node.row[signals.TRIPPED] = 1.0 if self._stopped else 0.0
         RealTime.begin(self)

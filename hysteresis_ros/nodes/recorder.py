@@ -52,7 +52,7 @@ SILENCE = 0.3
 def sampled_topics(kind: AxisKind, external: bool = False):
     """Return the topics with exactly one message per sample, their types, and their publishers.
 
-    A plant of somebody else need not publish its state.
+    An external plant need not publish its state.
     """
     source = kind.source
     return (
@@ -153,7 +153,7 @@ class RecorderNode(AxisNode):
 
     @property
     def is_fused(self) -> bool:
-        """Whether a loop computes its samples: never, a recorder has no part of a loop."""
+        """Whether a loop computes its samples: never, because a recorder computes nothing."""
         return False
 
     def _describes_inchworm(self, source: str) -> bool:
@@ -179,10 +179,10 @@ class RecorderNode(AxisNode):
             heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
             self._record(topic, message_type, heard, durability, index, partner)
         if self.parameters.external_plant and self.runner.by_message:
-            # what it says that it put out, where it does
+            # the outputs that it reports, if it reports them
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # from the node that takes them: a publisher that leaves at once may be discovered here too late
+        # from the node that accepts them: a publisher that leaves at once may be discovered here too late
         heard = f"{self._axis_kind.source}/taken"
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")

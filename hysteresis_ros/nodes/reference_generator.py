@@ -49,7 +49,7 @@ LEADING_MODES = (RUNNING, HOLDING, FOLLOWING)
 def place_of(state: dict[str, float]) -> float:
     """Return the position [m] that the controller holds, from the signals of its ``~/state``; NaN before any command.
 
-    For a stopped controller this is the command, on its way to ``safe_command``.
+    For a stopped controller this is the command, which moves to ``safe_command``.
     """
     if math.isnan(state["reference"]):
         return math.nan
@@ -292,7 +292,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Update the settling detection with samples."""
         look = self.settling.look
         for row in rows:
-            if not row[signals.SKIPPED]:  # nobody looked
+            if not row[signals.SKIPPED]:  # no measurement
                 stopped = row[signals.TRIPPED] != 0.0
                 look(row[signals.SETPOINT], row[signals.REFERENCE], row[signals.MEASURED], stopped)
         self.tell_settled(self.settling.settled)

@@ -26,7 +26,7 @@ LOOK, SILENCE = 0.1, 0.3
 
 #: Queue depth of the accepted setpoints for a recorder.
 KEPT = 1000
-#: Service that takes a setpoint and answers, and the only parameter of its request.
+#: Service that takes a setpoint and replies, and the only parameter of its request.
 SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
 
 
@@ -81,7 +81,7 @@ class ReferenceSource(Responder):
 
     def look_at(self, rows) -> None:
         """Update the settling detection with samples."""
-        raise TypeError(f"{type(self).__name__} does not say when its axis has settled")
+        raise TypeError(f"{type(self).__name__} must implement when its axis has settled")
 
     def tell_settled(self, settled: bool) -> None:
         """Publish whether the axis has settled, when this has changed."""
@@ -96,7 +96,7 @@ class ReferenceSource(Responder):
 
     def take_setpoint(self, value: float) -> str:
         """Take a setpoint [m]; return why it is refused, empty when it is taken."""
-        raise TypeError(f"{type(self).__name__} does not say how it takes setpoints")
+        raise TypeError(f"{type(self).__name__} must implement how it takes setpoints")
 
     def _take(self, value: float) -> str:
         """Take a setpoint [m] and publish it, or refuse it; publish and return the reason."""
@@ -112,7 +112,7 @@ class ReferenceSource(Responder):
         self._take(message.data)
 
     def _on_set_setpoint(self, request, response):
-        """Take a setpoint and answer; it comes as a parameter, because ROS has no service with one number."""
+        """Take a setpoint and reply; the setpoint comes as a parameter, because ROS has no service with one number."""
         given = [(one.name, one.value) for one in request.parameters]
         if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
             reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"

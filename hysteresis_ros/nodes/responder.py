@@ -37,7 +37,7 @@ class Input:
     topic: str
     signal: int  #: Index in the row.
     partner: str  #: Node that publishes it.
-    previous: bool = False  #: Whether it belongs to the previous sample, as the achieved command does.
+    previous: bool = False  #: Whether it belongs to the previous sample, like the achieved command.
     strict: bool = False  #: Whether a late message is not replaced by the last one in real time.
 
 
@@ -69,7 +69,7 @@ class Responder(AxisNode):
 
     def step(self) -> None:
         """Run this node's part of the loop on the row."""
-        raise TypeError(f"{type(self).__name__} does not say which part of the loop it is")
+        raise TypeError(f"{type(self).__name__} must implement its part of the loop")
 
     def reset_blocks(self) -> None:
         """Reset the part to rest."""
@@ -95,11 +95,11 @@ class Responder(AxisNode):
         return super()._on_start(request, response)
 
     def hindrance(self) -> str:
-        """Say why this node does not work though nobody has stopped it; empty when it does."""
-        # a fused loop has gone on since its last sample was shown
+        """Return why this node does not work although the user has not stopped it; empty when it works."""
+        # a fused loop has advanced since its last sample was shown
         row = self.fused.latest()[1] if self.is_fused else self.row
         tripped = abs(row[signals.TRIPPED]) > 0.0 and not self.runner.goes_on
-        stopped = "the plant has stopped the axis: ~/start of plant_simulator lets it go on" if tripped else ""
+        stopped = "the plant has stopped the axis: call ~/start of plant_simulator to resume" if tripped else ""
         return super().hindrance() or self.loss or stopped
 
     def compile(self) -> None:
@@ -178,7 +178,7 @@ class Responder(AxisNode):
     def loss(self) -> str:
         """Return the lost partner that keeps this part safe; empty when there is none."""
         name = self.runner.latched
-        return f"{name} is lost, ~/start of plant_simulator when it is back lets the axis go on" if name else ""
+        return f"{name} is lost: when it is back, call ~/start of plant_simulator to resume" if name else ""
 
     def reject(self, row) -> None:
         """Remove the measurement from a row."""
@@ -239,7 +239,7 @@ class Responder(AxisNode):
             message.data = float(row[place])
             publisher.publish(message)
 
-    # -- real time: what is missing ------------------------------------------------------------------------------
+    # -- real time: missing inputs ------------------------------------------------------------------------------
 
     @property
     def patience(self) -> float:

@@ -87,7 +87,7 @@ def block_of(message: Float64MultiArray) -> Block:
     begin = len(STAMPED)
     count = len(message.data) // max(len(names), 1)
     if names[: begin + row] != labels(kind, ())[: begin + row] or count * len(names) != len(message.data):
-        raise HysteresisError("samples: the rows are not of this version; run the page in the version of the axis")
+        raise HysteresisError("samples: the rows are from another version; run the page in the version of the axis")
     table = np.frombuffer(message.data, float).reshape(len(names), count)
     if count > MOST or not np.isfinite(table[:begin]).all():
         raise HysteresisError(f"samples: a block has at most {MOST} samples, whose times and numbers are finite")

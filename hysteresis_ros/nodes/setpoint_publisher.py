@@ -98,7 +98,7 @@ def main(arguments=None) -> int:
                 if node.get_clock().now() > give_up:
                     where = f"{node.get_namespace().rstrip('/')}/setpoint"
                     print(
-                        f"nobody listens on {where}: is a reference_generator or inchworm_sequencer running?",
+                        f"{where} has no subscriber: is a reference_generator or inchworm_sequencer running?",
                         file=sys.stderr,
                     )
                     return 1

@@ -53,7 +53,8 @@ def release_compiler() -> None:
 LOOK = 0.05
 
 #: Time for messages to be acknowledged: at the regular end of a run, and when a signal or an error ends it [s]. An
-#: acknowledgement waits for a heartbeat, seconds after the message has arrived: a longer time would delay every exit.
+#: acknowledgement waits for a heartbeat, which may come seconds after the message; a longer time would delay every
+#: exit.
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
@@ -113,7 +114,7 @@ def run(factories, arguments=None) -> int:
             nodes += [factory() for factory in factories]
             claims += [claim(domain, node.get_fully_qualified_name()) for node in nodes if node.kind != "recorder"]
         except Exception as error:  # rclpy raises its own and C++ errors for refused names and files
-            # without the places in rcl's C sources
+            # without the line numbers in rcl's C sources
             print(f"error: {' '.join(str(error).split(', at /')[0].split())}", file=sys.stderr)
             return 2
         executor = make_executor()
@@ -209,7 +210,7 @@ def _leave(executor, nodes, regular: bool) -> None:
     for node in reversed(nodes):
         if not node.active:
             continue
-        # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
+        # A lockstep run that ended regularly has exactly one voltage for each sample, and its plant has left.
         if not (regular and node.runner.exact):
             node.runner.go_safe()
             if not node.is_fused:  # the recorder of a fused loop reads the change log directly

@@ -68,7 +68,7 @@ from hysteresis_ros.recordings.bag_writer import GuardedBag
 
 
 class Group:
-    """Nodes of one kind of all axes of a stage, in one process; their rows are those of one table."""
+    """Nodes of one kind, of all axes of a stage, in one process; their rows are the rows of one table."""
 
     def __init__(self, parameters: StageParameters):
         self.parameters = parameters
@@ -78,7 +78,7 @@ class Group:
 
     @property
     def runners(self) -> list:
-        """What decides when the nodes deal with a sample; empty until all are configured."""
+        """The runners, which decide when the nodes process a sample; empty until all nodes are configured."""
         configured = len(self.nodes) == len(self.rows) and all(node.parameters is not None for node in self.nodes)
         return [node.runner for node in self.nodes] if configured else []
 
@@ -95,13 +95,13 @@ class StagePlants(Group):
         self._publisher: Any = None
 
     def settle(self) -> None:
-        """Put the structure to rest at the voltages at which the plants begin, as soon as all are there."""
+        """Put the structure to rest at the initial voltages of the plants, as soon as all plants are configured."""
         parts = [node.part for node in self.nodes]
         if len(parts) == len(self.rows) and None not in parts:
             self.coupling.settle(parts)
 
     def publish_sample(self) -> None:
-        """Measure the present sample of all axes and publish it, on the topics of the axes and that of the stage."""
+        """Measure the present sample of all axes and publish it on the topics of the axes and of the stage."""
         for node in self.nodes:
             node.sense()
         to_pose(self.coupling.arrays, self.rows)
@@ -118,13 +118,13 @@ class StagePlants(Group):
         self._publisher.publish(whole)
 
     def connect(self, node) -> None:
-        """Create the topic of all joints, by the first of the plants."""
+        """Create the topic of all joints in the first of the plants."""
         if node is self.nodes[0]:
             topic = f"{self.parameters.namespace}/joint_states"
             self._publisher = node.publisher(JointState, topic, node.qos())
 
     def finish_sample(self) -> None:
-        """Hold the received voltages of all axes and advance to the next sample."""
+        """Apply the received voltages of all axes and advance to the next sample."""
         for node in self.nodes:
             node.hold_voltages()
         advance_structure(self.coupling.arrays)
@@ -148,7 +148,7 @@ class LockstepStagePlant(LockstepPlant):
             self.node.group.publish_sample()
 
     def finish_sample(self) -> None:
-        """Go on to the next sample when the voltages of all axes have come."""
+        """Advance to the next sample when the voltages of all axes have arrived."""
         runners = self.node.group.runners
         if all(one.is_answered for one in runners):
             for one in runners:
@@ -163,7 +163,7 @@ class LockstepStagePlant(LockstepPlant):
 
 
 class RealTimeStagePlant(RealTimePlant):
-    """Starts each sample of all axes at its scheduled time, in one thread, which the first of the plants has."""
+    """Starts each sample of all axes at its scheduled time, in one thread, which belongs to the first of the plants."""
 
     def __init__(self, node):
         super().__init__(node)
@@ -184,11 +184,11 @@ class RealTimeStagePlant(RealTimePlant):
             RealTimePlant.stop_time(self._first)
 
     def is_awaited(self, recorded: bool) -> bool:
-        """Return whether the loops of all axes are complete, and with ``recorded`` the recorder is there."""
+        """Return whether the loops of all axes are complete, with ``recorded`` including the recorder."""
         return all(RealTimePlant.is_awaited(one, recorded) for one in self.node.group.runners)
 
     def align_now(self) -> bool:
-        """Wait until no voltage of any axis is pending if the count of one has to start anew."""
+        """Wait until no voltage of any axis is pending, if the counting of one axis must restart."""
         runners = self.node.group.runners
         if any(one.is_unaligned for one in runners):
             for one in runners:
@@ -204,7 +204,7 @@ class RealTimeStagePlant(RealTimePlant):
         self.node.group.publish_sample()
 
     def end_sample(self, behind: bool) -> None:
-        """Hold the voltages that have come and go on to the next sample; called with the lock held."""
+        """Apply the voltages that have arrived and advance to the next sample; called with the lock held."""
         group = self.node.group
         runners = group.runners
         for one in runners:
@@ -246,7 +246,7 @@ class StagePlantNode(PlantSimulatorNode):
         return self.group.coupling.plant(self.place, parameters)
 
     def connect(self) -> None:
-        """Create the topics of the axis, and once those of the stage."""
+        """Create the topics of the axis, and once the topics of the stage."""
         super().connect()
         self.group.connect(self)
 
@@ -257,7 +257,7 @@ class StagePlantNode(PlantSimulatorNode):
     def reset_blocks(self) -> None:
         """Restart the plants of all axes at sample 0; in lockstep reset all other nodes first."""
         with self.lock:
-            for node in reversed(self.group.nodes):  # the first one starts the time
+            for node in reversed(self.group.nodes):  # the first plant starts the time
                 if node is not self:
                     node.runner.clear()
                 super(StagePlantNode, node).reset_blocks()
@@ -278,18 +278,18 @@ class StagePlantNode(PlantSimulatorNode):
             super(StagePlantNode, node).on_running(running)
 
     def go_on(self) -> None:
-        """Let the stopped stage go on unless a node of it is lost."""
+        """Resume the stopped stage, unless one of its nodes is lost."""
         if not any(node.runner.missing_partners() for node in self.group.nodes):
             for node in self.group.nodes:
                 super(StagePlantNode, node).go_on()
 
     def explain_trip(self) -> str:
-        """Return why the plant has stopped the axis: for a reason of its own, or because another axis has stopped."""
+        """Return why the plant has stopped the axis: its own reason, or that another axis has stopped."""
         if not self.part.stopped_with_stage:
             return super().explain_trip()
         cause = next((node for node in self.others if node.part.tripped and not node.part.stopped_with_stage), None)
         if cause is None:
-            return "another axis of the stage was stopped; ~/start lets it go on"
+            return "another axis of the stage was stopped: call ~/start to resume"
         return f"{cause.get_namespace()} has stopped the stage: {cause.explain_trip()}"
 
     def health(self):
@@ -307,7 +307,7 @@ class StageCompensators(Group):
         self.achieved = np.zeros(len(self.rows))
 
     def answer(self, nodes) -> None:
-        """Compute the voltages of these axes, whose commands are in their rows, and publish them."""
+        """Compute and publish the voltages of these axes from the commands in their rows."""
         for node in self.nodes:
             if node not in nodes:
                 node.row[signals.COMMAND] = math.nan
@@ -321,7 +321,7 @@ class StageCompensators(Group):
             node.close_answer()
 
     def note_achieved(self, nodes) -> None:
-        """Put the achieved commands of the degrees of freedom into the rows; ``nodes`` have new ones of actuators."""
+        """Put the achieved commands of the degrees of freedom into the rows; ``nodes`` have new values."""
         for node in nodes:
             self.achieved[node.place] = node.row[signals.APPLIED]
         self.rows[:, signals.APPLIED] = self.achieved
@@ -342,10 +342,10 @@ class LockstepTogether(LockstepResponder):
 
 
 class RealTimeTogether(RealTimeResponder):
-    """Answers the commands of all axes when they have come.
+    """Answers the commands of all axes when all have arrived.
 
-    An axis whose command has not come by the next one of another axis misses this sample; one that has been silent for
-    its time-out is not awaited.
+    An axis misses the sample if its command has not arrived before the next command of another axis; an axis that has
+    been silent for its time-out is not awaited.
     """
 
     has_command = False
@@ -356,7 +356,7 @@ class RealTimeTogether(RealTimeResponder):
         self.has_command = False
 
     def _command(self, input_, data: float) -> None:
-        """Answer when the commands of all axes have come."""
+        """Answer when the commands of all axes have arrived."""
         runners = self.node.group.runners
         if self.has_command:
             self._answer_all(runners)
@@ -399,7 +399,7 @@ class StageCompensatorNode(HysteresisCompensatorNode):
 
 
 class StageControllers(Group):
-    """The controllers of a stage: while the measurement of an axis is stale, the others go to safe, too."""
+    """The controllers of a stage: while the measurement of one axis is stale, the others are safe, too."""
 
     def look_for_stale(self) -> None:
         """Stop or start the controllers, once all of them have answered a sample."""
@@ -419,16 +419,16 @@ class StageControllerNode(MotionControllerNode):
         group.nodes.append(self)
 
     def after_missing(self) -> None:
-        """Log changes of mode, and look whether the measurement of an axis is stale."""
+        """Log changes of mode, and check whether the measurement of an axis is stale."""
         super().after_missing()
         self.group.look_for_stale()
 
     def health(self):
-        """Report stale and rejected measurements, saturated commands, and that another axis holds this one."""
+        """Report stale and rejected measurements, saturated commands, and whether another axis keeps this one safe."""
         found = super().health()
         if self.part.arrays.watch_x.own[STOP] != WITH_STAGE:
             return found
-        return 2, "the measurement of another axis of the stage is stale: safe until it is back", found[2]
+        return 2, "the measurement of another axis of the stage is stale: safe until it returns", found[2]
 
 
 class StageSources(Group):
@@ -549,13 +549,16 @@ class StageReferenceNode(ReferenceGeneratorNode):
             self.trajectories.refuse(error)
 
     def _on_setpoints(self, message) -> None:
-        """Take setpoints of several axes: their names, separated by commas, label the dimension; without: all axes."""
+        """Take setpoints of the axes that the label names, separated by commas, or of all axes without a label."""
         if len(self.group.runners) < len(self.group.rows):
             return
         label = message.layout.dim[0].label if message.layout.dim else ""
         names = [name.strip() for name in label.split(",")] if label else list(self.group.parameters.names)
         if len(set(names)) != len(names) or len(names) != len(message.data):
-            reason = f"setpoints has {len(message.data)} numbers for {', '.join(names)}; one for each, no name twice"
+            reason = (
+                f"setpoints has {len(message.data)} numbers for {', '.join(names)}; give one number "
+                "for each, and no name twice"
+            )
         else:
             reason = self.group.take(dict(zip(names, message.data, strict=True)))
         if reason:
@@ -597,14 +600,14 @@ class StageRecorderNode(RecorderNode):
         super().begin()
 
     def finish_bag(self) -> None:
-        """Finish the bag when no other recorder works."""
+        """Finish the bag when no other recorder is active."""
         self.group.at_work.discard(self)
         if not self.group.at_work:
             super().finish_bag()
 
 
 def stage_factories(parameters: StageParameters, kinds) -> list:
-    """Return what makes the nodes of these kinds, of all axes; the first node is the last to exit."""
+    """Return the factories of the nodes of these kinds, of all axes; the first node is the last to exit."""
     plants, recorders = StagePlants(parameters), StageRecorders(parameters)
     compensators, sources = StageCompensators(parameters), StageSources(parameters)
     controllers = StageControllers(parameters)

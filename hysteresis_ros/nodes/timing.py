@@ -44,7 +44,7 @@ class CountedRate:
         self._rate = 0.0
 
     def begin(self, now: float, total: int) -> None:
-        """Count from here [s, samples], unless it is counted already."""
+        """Start counting at these values [s, samples], unless the count is running."""
         if not self._marks:
             self._marks.append((now, total))
 
@@ -120,10 +120,10 @@ class Pairing:
 
     Every measurement is answered once, so the n-th answer belongs to the n-th measurement; the first of the two to
     arrive waits. An answer precedes its measurement only by chance and by little; a measurement may wait as long as a
-    loaded machine takes. Two rules keep a loss from shifting all later pairs. An entry that waits too long is discarded
-    (a watchdog's command answers no measurement). When answers repeatedly find several waiting measurements, the oldest
-    was never answered (it was rejected) and is dropped; likewise an answer that every measurement finds waiting,
-    because answers follow their measurements.
+    loaded machine takes. Two rules keep a loss from shifting all later pairs. First, an entry that waits too long is
+    discarded (a watchdog's command answers no measurement). Second, when answers repeatedly find several waiting
+    measurements, the oldest of them was rejected, thus never answered, and is dropped; an answer that every measurement
+    finds waiting is dropped as well, because answers follow their measurements.
     """
 
     #: Maximum number of waiting entries, and their maximum age [s].
@@ -170,11 +170,11 @@ class Pairing:
         return None
 
 
-#: Length of the reported past [s].
+#: Length of the reported interval [s].
 LATELY = 60.0
 #: Beginning of the text of such a report.
 LIMITED = "output limited for"
-#: Name of the voltage limits, besides the way back to a path.
+#: Name of the voltage limits, when the reason is not the return to a path.
 AMPLIFIER = "limits (range or slew rate)"
 
 
@@ -210,7 +210,7 @@ class LimitedTime:
 
 
 def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> str:
-    """Return for how long of a run limits kept the output from what was asked; empty: for no more than a moment.
+    """Return for how long in a run limits kept the output from its requested value; empty when only for an instant.
 
     Units: ``sample_rate`` [Hz].
     """
@@ -218,7 +218,7 @@ def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> 
     if limited <= MOMENT * sample_rate:
         return ""
     whole = f"{LIMITED} {limited / sample_rate:.3g} s of {samples / sample_rate:.3g} s, by {_causes(counts)}"
-    return f"{whole}: what was asked did not leave for the actuator then"
+    return f"{whole}: during this time the actuator did not receive the requested output"
 
 
 def _causes(counts: dict[str, int]) -> str:
@@ -237,7 +237,7 @@ class Runner:
     absent: tuple[str, ...] = ()
     #: Partner whose loss keeps this node's part of the loop safe until the user resumes it; empty: none.
     latched = ""
-    #: Whether the plant has said that the axis goes on, and no measurement has come yet that shows it.
+    #: Whether the plant has announced that the axis resumes, and no measurement has confirmed it yet.
     goes_on = False
 
     def __init__(self, node):

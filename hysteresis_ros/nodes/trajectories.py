@@ -91,7 +91,7 @@ def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
 
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
-    """Return the tolerances of a goal of the action: 0 is the default, a negative value is unlimited."""
+    """Return the tolerances of a goal of the action: 0 means the default, a negative value means unlimited."""
     found = {}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
         if len(given) > 1:
@@ -197,7 +197,7 @@ class Trajectories:
         told(ending, text)
 
     def _look_for_samples(self) -> None:
-        """Abort the moves of an axis that has stopped to produce samples (timer callback).
+        """Abort the moves of an axis that no longer produces samples (timer callback).
 
         In lockstep no clock decides anything, and the loss of a node ends the run.
         """

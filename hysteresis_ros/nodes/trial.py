@@ -73,7 +73,7 @@ class Trial:
     @contextlib.contextmanager
     def _recorded(self, time_mode: str) -> Iterator[pathlib.Path]:
         """Run the axis and yield its bag, which is removed afterwards."""
-        # also a separate namespace: another graph may enter the domain while this one runs
+        # a separate namespace, too: another graph may enter the domain while this one runs
         plant = replace(self.axis.plant_simulator, samples=self.samples, late_limit=-1)
         axis = replace(self.axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant).with_time_mode(time_mode)
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:

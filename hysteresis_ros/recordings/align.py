@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Alignment of the messages of a bag by their stamps, into the columns of a run and its log of changes."""
+"""Alignment of the messages of a bag by their stamps: the columns of a run, and its change log."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ from hysteresis_ros.signals import (
 
 @dataclass
 class ChangeLog:
-    """Content of the log of an axis."""
+    """Content of the change log of an axis."""
 
     changes: list[dict] = field(default_factory=list)  #: Changes in order: sample, node, action, parameters.
     #: Flat dotted parameters that each node was configured with, by its name.
     parameters: dict[str, dict] = field(default_factory=dict)
-    lacking: int = 0  #: Number of missing entries, by the numbering.
-    #: Whether the log does not end with the end of the run, because the nodes were stopped.
+    lacking: int = 0  #: Number of missing entries, found by their numbers.
+    #: Whether the log lacks the end of the run, because the nodes were stopped.
     stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
 
@@ -69,7 +69,7 @@ class ChangeLog:
         own = [entry for entry in self.changes if entry.get("node") == node]
         if isinstance(parameters, dict) and not any(entry.get("sample") for entry in own):
             self.parameters[node] = parameters
-            # they include earlier changes
+            # these parameters include earlier changes
             self.changes = [entry for entry in self.changes if entry.get("node") != node]
 
 
@@ -85,9 +85,9 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
     return log
 
 
-#: Times [ns] after this, September 2001, are those of a clock; smaller ones count from a start.
+#: Times [ns] above this (September 2001) are wall-clock times; smaller ones count from a start.
 CLOCK = 10**18
-#: Last samples whose messages may not have reached the recorder before its stop.
+#: Number of last samples whose messages may not have reached the recorder before its stop.
 TAIL = 100
 
 
@@ -119,7 +119,7 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
     found = namespaces(bag)
     listed = ", ".join(name or "/" for name in found)
     if not found and (not bag.complete or not len(bag)):
-        reasons = "; ".join(bag.notes) or "there are no messages in it"
+        reasons = "; ".join(bag.notes) or "it contains no messages"
         raise RecordingError(
             f"{bag.path}: damaged, or nothing was recorded ({reasons}): no joint_states and no ~/state messages "
             "are left; use an undamaged copy, or record again"
@@ -145,7 +145,7 @@ OF_ALL = ("configuration", "provenance", "files", "source")
 
 
 def _stage(bag: Bag) -> tuple[str, tuple[str, ...]] | None:
-    """Return namespace and axes of the stage whose recording a bag is; None: its axes are independent."""
+    """Return namespace and axes of the recorded stage; None for independent axes."""
     for prefix in namespaces(bag):
         found = stage_of(_configuration(bag, prefix, []))
         if found is not None:
@@ -215,7 +215,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     columns |= motor
     recorded = stamps.size
     stamps, columns = _without_tail(stamps, columns, present, notes)
-    # a device may have no measurement at a sample, or fail: that sample is not missing
+    # a sample without a measurement, or with a failed device, does not count as missing
     device = configured(configuration, "plant_simulator", prefix).get("driver")
     wanted = [name for name in present if not (device and name in ("measured", "displacement"))]
     missing, per_signal = _missing(stamps, columns, wanted, notes)
@@ -251,10 +251,10 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
-            f"{late} voltages came late, the plant held the previous one: this machine was too busy for the rate"
+            f"{late} voltages were late, and the plant held the previous one: this machine was too busy for the rate"
         )
     if log.lacking:
-        notes.append(f"{log.lacking} entries of the log of changes are missing: the run cannot be repeated")
+        notes.append(f"{log.lacking} entries of the change log are missing: the run cannot be repeated")
     return {
         "source": str(bag.path.name),
         "late_commands": late,
@@ -272,7 +272,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
 
 
 def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
-    """Return the signals beyond the columns of a run: with ``further`` all, otherwise those that are not empty."""
+    """Return the signals besides the columns of a run: with ``further`` all, otherwise those that are not empty."""
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}
@@ -365,7 +365,7 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
 
 
 def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
-    """Return the last readable configuration, because any node may publish on its topic."""
+    """Return the last readable configuration: any node may publish on its topic, so a message may be unreadable."""
     name = f"{prefix}/configuration"
     topic = bag.of_type(name, cdr.STRING)
     messages = topic.data if topic else ()
@@ -376,13 +376,13 @@ def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
             notes.append(f"a message is ignored: {error}")
             continue
         if number:
-            notes.append(f"{name}: the previous one is used, {number} of {len(messages)} messages cannot be decoded")
+            notes.append(f"{name}: {number} of {len(messages)} messages cannot be decoded; the one before them is used")
         return text
     return ""
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
-    """Return the messages of a topic and their rows; of several runs in one bag (decreasing stamps) the longest."""
+    """Return the messages of a topic and their rows; of several runs (stamps decrease between them) the longest."""
     topic = bag.of_type(name, cdr.JOINT_STATE)
     if topic is None:
         return None, np.zeros(0, dtype=np.int64)
@@ -391,7 +391,7 @@ def _one_run(bag: Bag, name: str, notes: list[str]):
     runs = np.split(np.arange(messages.stamps.size), cuts)
     rows = max(runs, key=len)
     if len(runs) > 1:
-        notes.append(f"the time of the samples went back {len(runs) - 1} times (reset): the longest run is shown")
+        notes.append(f"the time of the samples decreased {len(runs) - 1} times (reset): the longest run is used")
     return messages.take(rows), rows
 
 
@@ -407,7 +407,7 @@ def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
 
 def _joint(bag: Bag, joints: cdr.JointStates, joint) -> np.ndarray | None:
     if not joints.names:
-        raise RecordingError(f"{bag.path}: joint_states holds no joint; the driver must fill name and position")
+        raise RecordingError(f"{bag.path}: joint_states contains no joint; the driver must fill name and position")
     if joint is not None and joint not in joints.names:
         raise RecordingError(
             f"{bag.path}: joint '{joint}' of the configuration is not in joint_states; it has {', '.join(joints.names)}"
@@ -439,7 +439,7 @@ def _held(values: np.ndarray, topic: Topic, until: np.ndarray) -> np.ndarray:
 
 
 def _without_tail(stamps, columns, present, notes):
-    """Remove the last samples whose messages the recorder has not received."""
+    """Remove samples at the end whose messages the recorder has not received completely."""
     whole = np.ones(stamps.size, dtype=bool)
     for name in present:
         if np.any(np.isfinite(columns[name])):
@@ -474,14 +474,14 @@ def _missing(stamps, columns, present, notes):
             per_signal[name] = int(np.sum(hole))
         outside = int(there[0]) + stamps.size - 1 - int(there[-1])
         if outside:
-            notes.append(f"{name} is there for {stamps.size - outside} of {stamps.size} samples only")
+            notes.append(f"{name} was recorded for only {stamps.size - outside} of {stamps.size} samples")
     if per_signal:
         notes.append("samples without a value: " + ", ".join(f"{name} {count}" for name, count in per_signal.items()))
     return gaps + int(np.sum(holes)), per_signal
 
 
 def _recorded(bag: Bag, prefix: str) -> int:
-    """Return the time of reception of the first sample [ns of the clock]; 0 without a clock."""
+    """Return the time of reception of the first sample [ns, wall clock]; 0 without a clock."""
     topic = bag.of_type(f"{prefix}/joint_states", cdr.JOINT_STATE)
     first = topic.times[0] if topic and topic.times else 0
     return first if first > CLOCK else 0
@@ -499,14 +499,14 @@ def _late_commands(bag: Bag, prefix: str) -> int:
 
 
 def _is_paced(configuration: str, prefix: str) -> bool:
-    """Return whether samples began by the wall clock: fused, and with real-time factor 1."""
+    """Return whether the wall clock started the samples: fused mode with real-time factor 1."""
     plant = configured(configuration, "plant_simulator", prefix)
     slowed = plant.get("real_time_factor", 1.0) != 1.0 or plant.get("publish_clock", False)
     return plant.get("time_mode") == "fused" and not slowed
 
 
 def _received(bag: Bag, prefix: str, joints, rows: np.ndarray) -> np.ndarray | None:
-    """Return the times of reception of ``joint_states`` [ns]; None without a recorded clock."""
+    """Return the times of reception of ``joint_states`` [ns]; None if no clock was recorded."""
     if joints is None or rows.size < 3:
         return None
     received = bag.topics[f"{prefix}/joint_states"].received()[rows]

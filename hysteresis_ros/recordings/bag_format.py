@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Descriptions of the content of a bag: index and footer of MCAP, and ``metadata.yaml`` (version 9)."""
+"""Index and footer of an MCAP file, and ``metadata.yaml`` (version 9) of a bag."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ CHUNK = struct.Struct("<QQQII")
 INDEX = struct.Struct("<HI")
 ENTRY = 16
 
-#: Log time after all others, the first log time without messages.
+#: Log time later than all others: the first log time of a chunk without messages.
 NEVER = 2**63 - 1
 
 
@@ -124,7 +124,7 @@ class McapIndex:
         return [RECORD.pack(Opcode.CHUNK, len(head) + stored) + head, *pieces, index]
 
     def noted(self) -> tuple:
-        """Return the state for :meth:`forget`."""
+        """Return the present state, for :meth:`forget`."""
         return dict(self.counts), len(self.chunks), self.start, self.end
 
     def forget(self, noted: tuple) -> None:
@@ -205,7 +205,7 @@ class TopicInformation:
 class FileInformation:
     """Description of one file of a bag."""
 
-    name: str  #: Its name in the folder.
+    name: str  #: Name of the file in the folder.
     start: int = NEVER  #: start, end: Times of the first and the last message [ns].
     end: int = 0
     topics: list[TopicInformation] = field(default_factory=list)  #: Its topics.

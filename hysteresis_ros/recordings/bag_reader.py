@@ -45,7 +45,8 @@ from hysteresis_ros.recordings.bag_format import (
     records_in,
 )
 
-#: Size to which any chunk may unpack [bytes], and largest ratio above it; bytes unpacked at a time.
+#: Unpacked size that is always allowed for a chunk [bytes], and largest compression ratio above it; bytes unpacked at a
+#: time.
 SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
 
 
@@ -63,7 +64,7 @@ class StreamResult:
 
 @dataclass
 class _Records:
-    """Tracks schemas and channels, and passes every message on."""
+    """Keeps track of schemas and channels, and passes every message on."""
 
     sink: Callable[..., object]
     schemas: dict = field(default_factory=dict)
@@ -115,7 +116,7 @@ def read_stream(path, sink) -> StreamResult:
             raise RecordingError(f"{path}: not an MCAP file (it begins with {head!r}); give a recorded bag")
         stream.seek(0)
         result.whole = len(head)
-        # a damaged file raises any exception (struct, UTF-8, decompression …); all of them mean "ends here"
+        # a damaged file may raise any exception (struct, UTF-8, decompression …): the readable part ends here
         try:
             for record in StreamReader(stream, emit_chunks=True, record_size_limit=result.size).records:
                 _take(record, records, result)
@@ -164,7 +165,7 @@ def chunk_content(record: bytes) -> bytes:
 
 
 def _content(chunk: Chunk) -> bytes:
-    """Return the unpacked content of a chunk; any exception if it is damaged."""
+    """Return the unpacked content of a chunk; raises an exception of any type if it is damaged."""
     data = _unpacked(chunk.data, chunk.compression.encode(), most(len(chunk.data)))
     if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("a damaged chunk")
@@ -229,9 +230,9 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
         except sqlite3.Error as error:
-            raise RecordingError(f"{path}: not a readable bag: damaged, or no database ({error})") from None
+            raise RecordingError(f"{path}: not a readable bag: damaged, or not a database ({error})") from None
         if not {"topics", "messages"} <= names:
-            raise RecordingError(f"{path}: not a readable bag: damaged, or no tables of messages and topics in it")
+            raise RecordingError(f"{path}: not a readable bag: damaged, or without tables of messages and topics")
         yield connection
 
 
@@ -289,7 +290,7 @@ def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformati
     with target.open("rb") as stream:
         os.fsync(stream.fileno())
     if not found.count:
-        raise RecordingError(f"{source}: nothing can be saved: no message can be reached")
+        raise RecordingError(f"{source}: nothing can be recovered: no message is readable")
     return found
 
 
@@ -327,7 +328,7 @@ def _described(name: str, connection: sqlite3.Connection) -> FileInformation:
         topic = dict(zip(columns, row, strict=True))
         try:
             qos = parse_qos(topic.get("offered_qos_profiles", ""))
-        except Exception:  # rosbags lets errors of YAML, of types and of keys through
+        except Exception:  # rosbags may raise errors of YAML, of types and of keys
             qos = []
         words = topic["name"], topic["type"], topic["serialization_format"], topic.get("type_description_hash") or ""
         found.topics.append(TopicInformation(*words, qos, counts.get(topic["id"], 0)))
@@ -339,7 +340,7 @@ ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"
 #: Bytes that are decompressed at a time.
 PIECE = 1 << 20
 
-#: Message types that are kept; of others (images …) only the topic is noted.
+#: Message types whose messages are read; for others (images …) only the topic is listed.
 KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
 
 
@@ -368,7 +369,7 @@ class Bag:
     topics: dict[str, Topic] = field(default_factory=dict)  #: Topics by full name.
     complete: bool = True  #: False if the bag was cut off or is damaged.
     notes: list[str] = field(default_factory=list)  #: Notes for the user.
-    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: What its metadata records say, by their names.
+    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of its metadata records, by their names.
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
@@ -408,9 +409,9 @@ def read_bag(path) -> Bag:
             bag.words = words_of(files[0]) if files and files[0].suffix == ".mcap" else {}
             return bag
         except RecordingError as error:
-            notes.append(f"read in file order because the index cannot be used ({error})")
+            notes.append(f"the index cannot be used, so the file was read in order ({error})")
     else:
-        notes.append("metadata.yaml is missing: read in file order")
+        notes.append("metadata.yaml is missing, so the files were read in order")
     return _read_files(path, files, notes)
 
 
@@ -421,9 +422,9 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
         within = _recordings_within(path, files)
         if within:
             listed = ", ".join(map(str, within))
-            raise RecordingError(f"{path}: not itself a bag; give one of the recordings in it: {listed}")
+            raise RecordingError(f"{path}: not a bag; give one of the recordings in this folder: {listed}")
         if not files and not (path / "metadata.yaml").exists():
-            raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
+            raise RecordingError(f"{path}: not a bag: it contains neither metadata.yaml nor .mcap or .db3 files")
         return files
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder; give the path of a recorded bag")
@@ -440,7 +441,7 @@ def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
 
 
 def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
-    """Return the recordings in a folder that is not itself a bag; none if its files are parts of one (run_0, run_1)."""
+    """Return the recordings in a folder that is not itself a bag; none if its files form one (run_0, run_1)."""
     if (path / "metadata.yaml").exists() or len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
         return []
     bags = [child for child in path.iterdir() if (child / "metadata.yaml").exists() or any(child.glob("*.mcap"))]

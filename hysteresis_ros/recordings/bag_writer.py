@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Writer of MCAP bags through ``rosbags``, in chunks that survive a kill, with a valid end when the disk is full.
+"""Writer of MCAP bags, based on ``rosbags``: chunks survive a kill, and a file on a full disk still ends validly.
 
-A chunk goes to the operating system in one piece. If that fails (full disk), the file is truncated to the end of the
-previous chunk, so that it never ends inside a record, and the chunk counts as not written.
+A chunk is passed to the operating system in one piece. If this fails (full disk), the file is truncated to the end of
+the previous chunk, so that it never ends inside a record; the chunk counts as not written.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Frames:
         self._times = np.zeros(rows, np.uint64)
 
     def add(self, stamps, times, values) -> None:
-        """Append samples as far as there is room."""
+        """Append as many samples as fit."""
         rows = slice(self.count, self.count + len(stamps))
         fields = self._fields[rows]
         self._times[rows] = times
@@ -216,7 +216,7 @@ class ChunkStorage(McapWriter):
         self.chunk = PendingChunk(NEVER, 0, io.BytesIO(), defaultdict(list))
 
     def _append(self, pieces) -> None:
-        """Append pieces to the file, all or none."""
+        """Append all pieces to the file, or none."""
         whole = self.bio.tell()
         left = [memoryview(piece) for piece in pieces if len(piece)]
         try:
@@ -509,17 +509,17 @@ class BagWriter:
             writer.file.write_words(name, words)
 
     def _failed(self, error: OSError) -> RecordingError:
-        """Return the error of a failed write, also for every later write."""
+        """Return the error of a failed write, which every later write raises too."""
         self._failure = f"{self.path}: cannot be written: {error.strerror}"
         if self._writer is not None:
-            self._writer.file.drop()  # leaves more room for the end of the file
+            self._writer.file.drop()  # this leaves more space for the end of the file
         return RecordingError(self._failure)
 
     def _alive(self) -> ChunkedWriter:
         if self._failure:
             raise RecordingError(self._failure)
         if self._writer is None:
-            raise RecordingError(f"{self.path}: the bag is closed already; open a new one")
+            raise RecordingError(f"{self.path}: the bag is already closed; open a new one")
         return self._writer
 
 
@@ -549,7 +549,7 @@ class GuardedBag:
             self.stop(str(error))
 
     def tend(self, min_space: int) -> None:
-        """Flush the bag and check the disk when it is time."""
+        """Flush the bag and check the disk when their intervals have passed."""
         now = time.monotonic()
         if now - self._flushed >= self._flush_time:
             self._flushed = now
@@ -563,7 +563,7 @@ class GuardedBag:
                 )
 
     def stop(self, reason: str) -> None:
-        """End the recording for a reason; the bag is complete up to here if there is room for its end."""
+        """End the recording for a reason; the bag is complete up to here if the disk has space for its end."""
         self.stopped = reason
         try:
             self.finish()
@@ -592,7 +592,7 @@ def free_space(path: pathlib.Path) -> int:
 
 
 def require_space(path, least: int) -> None:
-    """Refuse to begin a recording without enough room."""
+    """Refuse to begin a recording without enough space."""
     path = pathlib.Path(path).absolute()
     there = next(parent for parent in path.parents if parent.exists())
     free = free_space(there)

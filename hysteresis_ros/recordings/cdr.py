@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Messages as the bytes in bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
+"""Serialised messages of bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
 
 A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
-usually share one layout: the type store decodes the first message, its layout follows, and the numbers of all messages
-are extracted at once if every significant byte of the layout agrees. Other messages are decoded one by one.
+usually share one layout, which follows from the first decoded message. The numbers of all messages are extracted at
+once if every significant byte of the layout agrees; otherwise messages are decoded one by one.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ def _decode_one_by_one(raws, topic: str) -> JointStates:
 def _decode(raw, kind: str, topic: str):
     try:
         return typestore().deserialize_cdr(raw, kind)
-    except Exception as error:  # the type store raises any exception for damaged bytes
+    except Exception as error:  # for damaged bytes the type store may raise any exception
         raise RecordingError(f"a message on {topic} is not a {kind}: {type(error).__name__}: {error}") from None
 
 

@@ -9,7 +9,7 @@
 
 """The dataset type of all recordings, simulations and analyses, and quantities derived from its columns.
 
-Derived are the voltage that the device received, and the requests of an inchworm motor.
+The derived quantities are the voltage that the device received, and the requests of an inchworm motor.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import ASKED_VOLTAGE, COLUMNS, LEAST_DIFFERENCE, MODE_HOLDING, REQUESTS, UNITS
 
-#: Duration in sample times that any recording may have, and largest ratio to its number of samples above it.
+#: Duration that is always allowed [sample times], and largest ratio of duration to number of samples above it.
 SMALL, RATIO = 1_000_000, 100
-#: Figures of the lateness of samples, with their percentiles [%].
+#: Names of the lateness figures, with their percentiles [%].
 LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
 
 
@@ -34,11 +34,11 @@ class Recording:
 
     time: np.ndarray  #: shape (N,); Times [s], finite and strictly increasing.
     signals: dict[str, np.ndarray]  #: shape (N,); Named signals in SI units; NaN where a sample of a signal is missing.
-    #: Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
+    #: Unit of each signal; optional for signals in :data:`hysteresis_ros.signals.UNITS`.
     units: dict[str, str] = field(default_factory=dict)
     #: Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
-    #: ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, fused, ``lateness_…_s``),
-    #: ``namespace``, ``source``; of a stage ``axes``: those of each axis by its name.
+    #: ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, in fused mode,
+    #: ``lateness_…_s``), ``namespace``, ``source``; for a stage ``axes``: the metadata of each axis by its name.
     metadata: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -56,7 +56,7 @@ class Recording:
         signals, units = {}, {}
         for name, values in self.signals.items():
             if name == "time":
-                raise RecordingError("'time' is the time axis and cannot be a signal as well; give it as `time`")
+                raise RecordingError("'time' is the time axis and cannot be a signal; give it as `time`")
             column = _column(name, values)
             if column.shape != time.shape:
                 raise RecordingError(
@@ -64,7 +64,7 @@ class Recording:
                 )
             unit = self.units.get(name, UNITS.get(name))
             if unit is None:
-                raise RecordingError(f"signal '{name}' has no unit; give units={{'{name}': 'm'}} or whatever it is in")
+                raise RecordingError(f"signal '{name}' has no unit; give it, for instance units={{'{name}': 'm'}}")
             known = UNITS.get(name, unit)
             if unit != known:
                 raise RecordingError(f"signal '{name}' is given in '{unit}'; it must be in '{known}' (SI)")
@@ -78,7 +78,7 @@ class Recording:
 
     @classmethod
     def from_columns(cls, columns, metadata=None) -> Recording:
-        """Build a recording from a mapping that holds ``time`` among the columns, all of known names."""
+        """Build a recording from a mapping of known column names, which includes ``time``."""
         signals = dict(columns)
         if "time" not in signals:
             raise RecordingError(f"no column 'time'; the columns are {', '.join(signals) or 'none'}")
@@ -122,7 +122,7 @@ class Recording:
         """
         name = name.strip("/")
         if name not in self.axes:
-            there = f"it has {', '.join(self.axes)}" if self.axes else "it is of a single axis"
+            there = f"it has {', '.join(self.axes)}" if self.axes else "it is the recording of a single axis"
             raise RecordingError(f"the recording has no axis '{name}'; {there}")
         names = {key: key.removeprefix(f"{name}/") for key in self.signals if key.startswith(f"{name}/")}
         space = f"{self.metadata.get('namespace', '').rstrip('/')}/{name}"
@@ -135,7 +135,7 @@ class Recording:
 
     @classmethod
     def of_axes(cls, axes: Mapping[str, Recording], metadata: dict) -> Recording:
-        """Return the recording of a stage, of the recordings of its axes at the same instants."""
+        """Combine recordings of the axes of a stage, at the same instants, into the recording of the stage."""
         signals = {f"{name}/{key}": values for name, one in axes.items() for key, values in one.signals.items()}
         units = {f"{name}/{key}": unit for name, one in axes.items() for key, unit in one.units.items()}
         return cls(next(iter(axes.values())).time, signals, units, metadata)
@@ -146,10 +146,10 @@ class Recording:
 
     @property
     def sample_time(self) -> float:
-        """Sample time [s], with missing samples counted; NaN with fewer than two samples.
+        """Sample time [s], missing samples included; NaN with fewer than two samples.
 
-        It is the duration divided by the number of samples: stamps are whole nanoseconds, and over 10⁶ samples the
-        rounding of a single distance would add up to a sample.
+        It is the duration divided by the number of samples: stamps are whole nanoseconds, and the rounding of a single
+        interval would add up to a sample over 10⁶ samples.
         """
         if len(self) < 2:
             return float("nan")
@@ -157,7 +157,7 @@ class Recording:
         return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
 
     def sample_numbers(self) -> np.ndarray:
-        """Return the number of each sample, with missing ones counted, shape (N,), int64; the first is 0."""
+        """Return the number of each sample, shape (N,), int64; the first is 0, and missing samples are included."""
         if len(self) < 2:
             return np.zeros(len(self), dtype=np.int64)
         numbers = np.rint((self.time - self.time[0]) / self.sample_time)
@@ -169,7 +169,7 @@ class Recording:
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the user (displacement not true, samples missing, bag cut off …)."""
+        """Notes for the user (true displacement unknown, samples missing, bag truncated …)."""
         return list(self.metadata.get("notes", ()))
 
     @property
@@ -187,7 +187,7 @@ def _column(name: str, values) -> np.ndarray:
     try:
         column = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise RecordingError(f"signal '{name}' does not hold numbers") from None
+        raise RecordingError(f"signal '{name}' does not contain numbers") from None
     if np.ndim(values) != 1:
         raise RecordingError(f"signal '{name}' has shape {np.shape(values)}; it must be one-dimensional")
     return column
@@ -200,7 +200,7 @@ def _first(mask) -> int:
 def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
     """Return the rounding of converters between requested and output voltage [V]; infinite: unknown."""
     try:
-        # a device rounds by itself, and reports its input
+        # a device rounds internally, and reports the unrounded input
         own = 0.0 if plant.get("driver") else _step(plant)
         return own + _step(compensator) + LEAST_DIFFERENCE
     except (ArithmeticError, KeyError, TypeError, ValueError):

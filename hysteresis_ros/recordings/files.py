@@ -34,8 +34,8 @@ _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 def write_csv(recording: Recording, path) -> None:
     """Write ``time`` and all signals as CSV: one header line such as ``time [s],displacement [m]``, then numbers.
 
-    Numbers have enough digits to read back as the same float64. A plain table has no metadata: the configuration and
-    the notes are lost.
+    Numbers have enough digits to read back as the same float64. A plain table has no metadata: it does not contain the
+    configuration and the notes.
     """
     names = ["time", *recording.signals]
     units = {"time": "s", **recording.units}
@@ -68,7 +68,7 @@ def read_csv(path) -> Recording:
     if not table.size:
         table = np.empty((0, len(parts)))
     if table.shape[1] != len(parts):
-        raise RecordingError(f"{path}: rows have {table.shape[1]} numbers and the header {len(parts)} columns")
+        raise RecordingError(f"{path}: rows have {table.shape[1]} numbers, but the header has {len(parts)} columns")
     names = [name for name, _, _ in parts]
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
@@ -94,7 +94,7 @@ def write_npz(recording: Recording, path) -> None:
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
     with (
         replacing(path, RecordingError) as beside,
-        # like numpy.savez_compressed, whose stronger compression takes longer than a simulation and saves little
+        # a fast level: the compression of numpy.savez_compressed takes longer than a simulation and saves little more
         zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):
         for name, array in arrays.items():
@@ -115,7 +115,7 @@ def read_npz(path) -> Recording:
 
 
 def _mapping(text, name: str) -> dict:
-    """Return the mapping in an array with one JSON text."""
+    """Return the mapping that an array contains as JSON text."""
     found = read_json(str(text))
     if not isinstance(found, dict):
         raise ValueError(f"its {name} is not a mapping")
@@ -157,13 +157,13 @@ def _reason(error) -> str:
 def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
 
-    Of a table of a stage ``namespace`` chooses one axis; without it the recording of all axes is returned.
+    In the table of a stage, ``namespace`` selects one axis; without it all axes are returned.
     """
     path = pathlib.Path(path)
     if path.suffix.lower() in (".npz", ".csv"):
         table = read_npz(path) if path.suffix.lower() == ".npz" else read_csv(path)
         return table.axis(namespace) if namespace and table.axes else table
-    # rosbags and mcap take a tenth of a second to import, so only a bag imports them
+    # rosbags and mcap take 0.1 s to import, so they are imported only for a bag
     from hysteresis_ros.recordings.align import read_recording
 
     return read_recording(path, namespace, further=further)

@@ -13,9 +13,9 @@ The layout of a text table is determined from its first lines: encoding, lines b
 columns, delimiter, decimal comma. NumPy reads the numbers block by block, so that only the selected columns are in
 memory; a block with cells that are not numbers is read again cell by cell.
 
-SciPy's reader of MATLAB files does not check types, sizes and dimensions; with a damaged file it accesses invalid
-memory and ends the process, so they are checked here first. Source: The MathWorks, MAT-File Format, "Level 5
-MAT-Files", tables 1-1 and 1-3.
+SciPy's reader of MATLAB files does not check types, sizes and dimensions; for a damaged file it accesses invalid memory
+and crashes the process, so files are checked here first. Source: The MathWorks, MAT-File Format, "Level 5 MAT-Files",
+tables 1-1 and 1-3.
 
 :mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, where every header names a unit. Other
 recordings name their columns ``control_V`` or ``y``; the user gives the missing units.
@@ -47,7 +47,7 @@ _AFTER = re.compile(r"^(?P<name>.+?)(?:\s*/\s*|\s+in\s+|\s*:\s*|,\s*|\s+)(?P<uni
 
 
 def named_column(cell: str) -> tuple[str, str | None]:
-    """Split a cell of a header into the column's name and its declared unit, None without one."""
+    """Split a cell of a header into the column's name and its declared unit; the unit is None if not declared."""
     cell = cell.strip()
     for pattern in (_BRACKETS, _AFTER):
         found = pattern.match(cell)
@@ -57,7 +57,7 @@ def named_column(cell: str) -> tuple[str, str | None]:
 
 
 def column_unit(name: str, header_unit: str | None = None) -> str | None:
-    """Return the declared unit of a column: in its header, by a known signal name, or as suffix (``control_V``)."""
+    """Return the declared unit of a column, from its header, a known signal name, or a suffix (``control_V``)."""
     suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
     return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix[:1].isalpha() and conversion(suffix) else None)
 
@@ -84,12 +84,12 @@ def known_conversion(name: str, unit: str) -> tuple[str, float]:
     return found
 
 
-#: Largest deviation of times from a uniform grid, in units of their rounding.
+#: Largest deviation of times from a uniform grid, as a multiple of their rounding.
 ROUNDED = 1.01
-#: Part of the samples with the time of the previous one above which times are rounded; if all of these also repeat the
-#: values, rows are duplicated, up to the second part.
+#: Fraction of samples with the same time as the previous one above which times count as rounded. If all of these also
+#: repeat the values, they count as duplicated rows up to the second fraction.
 SHARED = 0.05
-#: Decreasing time counts as jitter if no time deviates from a uniform grid by more than this part of the duration.
+#: Decreasing time counts as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
 DISORDERED = 0.005
 WRITTEN_TWICE = 0.4
 
@@ -100,12 +100,12 @@ class Clock:
 
     time: np.ndarray  #: shape (N,) [s], finite and strictly increasing.
     kept: np.ndarray | None = None  #: shape (M,); Rows of the table that are samples; None: all.
-    notes: tuple[str, ...] = ()  #: notes, warnings: Changes of the times.
+    notes: tuple[str, ...] = ()  #: notes, warnings: Descriptions of corrections of the times.
     warnings: tuple[str, ...] = ()
 
 
 def mend_clock(time: np.ndarray, signals) -> Clock:
-    """Return the time axis of a column of times.
+    """Return the corrected time axis of a column of times.
 
     Rows without a time are omitted. Rounded times that several rows share are spread over a uniform grid; a row that
     repeats the previous one is omitted, and so is a row with the same time but other values.
@@ -133,8 +133,8 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
             )
         warnings.append(
             f"time goes back {np.count_nonzero(distances < 0.0)} times, by up to {readable(-distances.min(), 's')}: "
-            f"the rows are taken as uniform, {readable(grid[1] - grid[0], 's')} apart (times deviate by up to "
-            f"{readable(beside, 's')}); lags shorter than that are not known"
+            f"the rows are assumed to be uniform, {readable(grid[1] - grid[0], 's')} apart (times deviate by up to "
+            f"{readable(beside, 's')}); shorter lags cannot be identified"
         )
         return Clock(grid, kept, (), tuple(warnings))
     if len(instants) < 2 or instants[-1] == instants[0]:
@@ -149,7 +149,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     beside = np.max(np.abs(instants - grid))
     if beside <= ROUNDED * rounding and np.mean(again) > (WRITTEN_TWICE if np.all(same == again) else SHARED):
         share = len(instants) / np.count_nonzero(~again)
-        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share a time: taken as uniform, "
+        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share a time: assumed uniform, "
         return Clock(grid, kept, (note + f"{readable(grid[1] - grid[0], 's')} apart",), tuple(warnings))
     twice, other = int(np.count_nonzero(same)), int(np.count_nonzero(again & ~same))
     at = int(np.argmax(again))
@@ -163,13 +163,13 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     return Clock(instants[~again], kept, (), tuple(warnings))
 
 
-#: Bytes for the detection of the layout.
+#: Number of bytes used to detect the layout.
 HEAD = 1 << 18
 #: Lines read at a time.
 BLOCK = 100_000
-#: Rows at the end of the head for the detection of delimiter and width.
+#: Number of rows, at the end of these bytes, used to detect delimiter and width.
 TELLING = 200
-#: Largest part of damaged rows in a table.
+#: Largest fraction of damaged rows in a table.
 DAMAGED = 0.01
 _COMMENTS = ("#", "%", "//")
 _DELIMITERS = (";", "\t", ",", None)
@@ -183,7 +183,7 @@ class Layout:
     delimiter: str | None  #: None: blanks.
     comma: bool  #: Decimal commas.
     first: int  #: Number of lines before the first row.
-    names: tuple[str, ...]  #: Names of the columns, ``1``, ``2`` … without names.
+    names: tuple[str, ...]  #: Names of the columns; ``1``, ``2`` … if the table has none.
     units: dict[str, str | None]
     notes: tuple[str, ...]  #: Notes for the user.
 
@@ -246,7 +246,7 @@ def read_columns(
     warnings: tuple[str, ...] = ()
     if damaged:
         line, cells = damaged[0]
-        warnings = (f"{len(damaged)} damaged rows, the first in line {line} ({cells} cells): taken as missing",)
+        warnings = (f"{len(damaged)} damaged rows, the first in line {line} ({cells} cells): treated as missing",)
     return columns, warnings
 
 
@@ -261,7 +261,7 @@ def _head(path):
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encoding = "utf-16"
     elif b"\0" in head:
-        raise RecordingError(f"{path}: not a text table: it holds zero bytes; give CSV, TXT, NPZ or MAT")
+        raise RecordingError(f"{path}: not a text table: it contains zero bytes; give CSV, TXT, NPZ or MAT")
     whole = len(head) < HEAD
     cut = head if whole else head[: head.rfind(b"\n") + 1] or head
     try:
@@ -272,7 +272,7 @@ def _head(path):
 
 
 def _how_written(path, lines):
-    """Return delimiter, decimal comma and width with which most lines are rows of numbers."""
+    """Return delimiter, decimal comma and width for which most lines are rows of numbers."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         if delimiter == "," and comma:
@@ -286,12 +286,12 @@ def _how_written(path, lines):
     if found is None and all(_number(line, False) is not None for line in lines[1:] or lines):
         found = None, False, 1
     if found is None:
-        raise RecordingError(f"{path}: not a table of numbers: no delimiter makes columns of its last lines")
+        raise RecordingError(f"{path}: not a table of numbers: no delimiter splits its last lines into columns")
     return found
 
 
 def _with_text(lines):
-    """Return delimiter, decimal comma and width of rows with texts besides numbers, None without such rows."""
+    """Return delimiter, decimal comma and width of rows of numbers and texts; None if there are no such rows."""
     best, found = 0, None
     for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
         rows = [row for row in (_split(line, delimiter) for line in lines) if len(row) > 1 and _is_row(row, comma)]
@@ -302,7 +302,7 @@ def _with_text(lines):
 
 
 def _is_row(row, comma, strict=False) -> bool:
-    """Return whether the cells are those of a row of numbers; strict: without texts."""
+    """Return whether the cells form a row of numbers; with ``strict``, texts are not allowed."""
     filled = [cell for cell in row if cell]
     numbers = sum(_number(cell, comma) is not None for cell in filled)
     return bool(numbers) and (numbers == len(filled) or (not strict and 2 * numbers >= len(filled) and len(row) > 2))
@@ -337,7 +337,7 @@ def _fitting(text, delimiter, width):
     for mark in (*([] if delimiter is None else [delimiter]), ",", ";", "\t", None):
         row = _split(text, mark)
         if mark == delimiter and width > 1:
-            # the rows have no last column (a comment), or end with a delimiter that the header does not have
+            # rows may lack the last column (a comment), or end with a delimiter that the header lacks
             row = (
                 row[:width] if len(row) == width + 1 else [*row, ""] if len(row) == width - 1 > 1 and all(row) else row
             )
@@ -392,23 +392,24 @@ def _numbers(lines, layout, wanted, line_number, damaged):
 
 #: Bytes before the first element; the last four are version and byte order.
 HEADER = 128
-#: Version and byte order by their bytes; that of HDF5, since MATLAB 7.3.
+#: Version and byte order by their bytes; bytes of HDF5 files (since MATLAB 7.3).
 ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
 #: Types of elements.
 INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
 #: Classes of arrays: cells, structures, objects, texts, sparse, functions, opaque; all others are numerical.
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-#: Largest depth of nested elements; size to which any element may unpack [bytes], and largest ratio above it.
+#: Largest depth of nested elements; unpacked size that is always allowed [bytes], and largest compression ratio above
+#: it.
 DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
 
 
 def is_hdf5(content: bytes) -> bool:
-    """Return whether this is HDF5 with the header of MATLAB, as since 7.3."""
+    """Return whether this is HDF5 with a MATLAB header, the format since version 7.3."""
     return 0 not in content[:4] and content[HEADER - 4 : HEADER] in HDF5
 
 
 def require_sound(content: bytes) -> None:
-    """Refuse a file of level 5 with inconsistent elements; level 4 is not checked."""
+    """Refuse an inconsistent file of level 5; level 4 is not checked."""
     mark = content[HEADER - 4 : HEADER]
     if 0 in content[:4]:
         return
@@ -449,11 +450,11 @@ def _require_array(data: bytes, order: str, depth: int) -> None:
         return  # an empty cell
     (flags_kind, flags), (dimensions_kind, dimensions) = parts[:2] if len(parts) > 2 else ((0, b""), (0, b""))
     if flags_kind != UINT32 or len(flags) != 8 or depth > DEEPEST:
-        raise ValueError("an array without class, or too deep")
+        raise ValueError("an array without class, or too deeply nested")
     array_class, is_complex = flags[0 if order == "<" else 3], flags[1 if order == "<" else 2] & 8
     if not 1 <= array_class <= OPAQUE:
         raise ValueError(f"an array of unknown class {array_class}")
-    if array_class == OPAQUE:  # three names instead of dimensions
+    if array_class == OPAQUE:  # an opaque array has three names instead of dimensions
         _require_content(CELL, 1, parts[4:], False, (order, depth))
         return
     if dimensions_kind != INT32 or not dimensions or len(dimensions) % 4 or len(dimensions) > 4 * 32:
@@ -473,7 +474,7 @@ def _require_content(array_class: int, count: int, parts: list, is_complex: bool
         elif array_class != CELL:
             count, parts = _fields(count, parts[array_class == OBJECT :], order)
         if len(parts) != count or any(kind != MATRIX for kind, _ in parts):
-            raise ValueError(f"{len(parts)} arrays where {count} should be")
+            raise ValueError(f"{len(parts)} arrays instead of {count}")
         for _, inner in parts:
             _require_array(inner, order, depth + 1)
         return
@@ -481,9 +482,9 @@ def _require_content(array_class: int, count: int, parts: list, is_complex: bool
         return
     numbers = (3 if array_class == SPARSE else 1) + is_complex
     if len(parts) != numbers or any(kind in (MATRIX, COMPRESSED) for kind, _ in parts):
-        raise ValueError(f"{len(parts)} parts of an array that has {numbers}")
+        raise ValueError(f"{len(parts)} parts of an array, which must have {numbers}")
     if array_class != SPARSE and any(len(content) < count for _, content in parts):
-        raise ValueError(f"{count} elements in fewer bytes")
+        raise ValueError(f"too few bytes for {count} elements")
 
 
 def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
@@ -498,7 +499,7 @@ def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
 
 def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
     """Return the vectors of the most frequent length in a ``.mat`` file."""
-    import scipy.io  # imported here because it takes a tenth of a second
+    import scipy.io  # imported here because it takes 0.1 s
 
     try:
         data = path.read_bytes()
@@ -508,7 +509,7 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
         content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except RecordingError:
         raise
-    except Exception as error:  # SciPy raises any exception for damaged bytes
+    except Exception as error:  # for damaged bytes SciPy may raise any exception
         raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None
     vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))
     sizes = [values.size for values in vectors.values()]
@@ -562,7 +563,7 @@ class Selection:
     #: The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
     time: str | None = None
     sample_time: float | None = None  #: Sample time [s] for tables without a time column.
-    #: First row and the one after the last; None: up to the end, negative: from the end.
+    #: First row, and the row after the last; None: up to the end; negative: counted from the end.
     rows: tuple[int, int | None] = (0, None)
 
 
@@ -594,7 +595,7 @@ def find_time(units: dict[str, str | None]) -> str | None:
 
 def choose_columns(table: Table, selection: Selection, progress=None) -> Recording:
     """Read chosen columns of a table into a recording in SI units."""
-    # a column called time or t without a unit is in seconds, as everywhere in this package
+    # a column called time or t without a unit is in seconds, as in all tables of this package
     declared = {name: unit or ("s" if name.lower() in _TIME_NAMES else None) for name, unit in table.units.items()}
     chosen = {name: (divisor, unit) for name, divisor, unit in (_chosen(table, c, declared) for c in selection.choices)}
     time = selection.time
@@ -650,27 +651,27 @@ def _rows(columns, rows):
 
 
 def _chosen(table, choice, declared):
-    """Return name, divisor and SI unit of one choice."""
+    """Return name, divisor and SI unit of a chosen column."""
     name, unit = (choice, None) if choice in declared else split_choice(choice)
     if name not in declared:
         raise RecordingError(f"{table.path}: no column '{name}'; the columns are {', '.join(declared)}")
     other = declared[name]
     unit = unit or other
     if unit is None:
-        raise RecordingError(f"{table.path}: column '{name}' has no unit; give it as '{name}:um' or whatever it is in")
+        raise RecordingError(f"{table.path}: column '{name}' has no unit; give it, for instance '{name}:um'")
     si, divisor = known_conversion(name, unit)
     stands = conversion(other) if other is not None and other != unit else None
     if stands is not None and stands[0] == "V" and "/" in unit:
-        divisor *= stands[1]  # a sensor's sensitivity, for the reading of its converter
+        divisor *= stands[1]  # a sensitivity (10um/V) converts a sensor's voltage
     elif stands not in (None, (si, divisor)):
         raise RecordingError(
-            f"{table.path}: column '{name}' is in '{other}' by its header, not in '{unit}'; give the right unit"
+            f"{table.path}: column '{name}' has the unit '{other}' in its header, not '{unit}'; give the right unit"
         )
     return name, divisor, si
 
 
 def _declared(names) -> dict[str, str | None]:
-    """Return the units that the names declare, also for fields of structures."""
+    """Return the units declared by the names, also for fields of structures."""
     return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
 
 
@@ -683,7 +684,9 @@ def _open_arrays(path) -> Table:
     lengths = list(sizes.values())
     size = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
     if lengths.count(size) < min(2, max(len(lengths), 1)):
-        raise RecordingError(f"{path}: needs one-dimensional arrays of one length; it has lengths {sorted(lengths)}")
+        raise RecordingError(
+            f"{path}: the arrays must be one-dimensional and of equal length; their lengths are {sorted(lengths)}"
+        )
     declared = _declared(name for name, length in sizes.items() if length == size)
 
     def load(names, progress):

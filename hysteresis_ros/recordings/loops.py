@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Smallest reversal of the loop, as a part of the input's range; smaller ones are noise and quantisation.
+#: Smallest reversal of the loop, as a fraction of the input's range; smaller ones are noise and quantisation.
 REVERSAL = 0.01
-#: Smallest reversals, tried in order until there are branches.
+#: Smallest reversals, tried in order until branches are found.
 REVERSALS = (REVERSAL, 0.03, 0.1)
-#: Fewest different input values of a branch; a jump between two levels is not a branch.
+#: Least number of different input values of a branch; a jump between two levels is not a branch.
 BRANCH_LEVELS = 10
 
 
@@ -62,12 +62,12 @@ def loop_opening(u, y) -> float | None:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    # noise may exceed the smallest reversal: then its branches are too short, unlike those of the loop
+    # noise may exceed the smallest reversal; its branches are then too short, unlike those of the loop
     return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
 
 
 def _opening(u, y, reversal: float) -> float | None:
-    """Return the width of the loops between reversals of at least a part of the range of ``u``."""
+    """Return the width of the loops between reversals of at least a given fraction of the range of ``u``."""
     points = turning_points(u, reversal)
     branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
     if len(branches) > 2:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Origin of a recording: the configuration of its nodes, the files they read, the software and the machine."""
+"""Origin of a recording: configuration of its nodes, files that they read, software and machine."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError, Recording
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
 
-#: Nodes whose parameters an axis needs, and the node without a log.
+#: Nodes whose parameters define an axis, and the node without a change log.
 LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
 OPTIONAL = ("displacement_camera",)
 
 
 def described(text: str, node: str, namespace: str = "") -> bool:
-    """Return whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
+    """Return whether the configuration in a recording has a section for ``node`` itself, not only a common one."""
     configuration = _parsed(text)
     return configuration is not None and configuration.describes(node, namespace)
 
@@ -62,7 +62,7 @@ def configured(text: str, node: str, namespace: str = "") -> dict:
 def in_force(recording: Recording) -> str:
     """Return the parameter file with the actual parameters of the nodes of a recording.
 
-    The log of the nodes also has values of the command line and changes before the first sample.
+    The change log of the nodes also contains values of the command line and changes before the first sample.
     """
     text = recording.configuration
     found: dict[str, dict] = {}
@@ -82,7 +82,7 @@ def in_force(recording: Recording) -> str:
 
 @functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Configuration | None:
-    # cached, because a page reads the same text a few dozen times, and reading YAML takes most of its time
+    # cached, because a page parses the same text a few dozen times, which takes most of its time
     if not text:
         return None
     try:
@@ -110,7 +110,7 @@ def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
 
 
 def whole(words: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the contents of files by their original paths, as far as the recording has them."""
+    """Return the contents of the files that the recording contains, by their original paths."""
     found = {}
     for name, text in words.items():
         if text.startswith(WHOLE):
@@ -137,8 +137,8 @@ def require_same(name: str, text: str) -> None:
         same = False
     if not same:
         raise RecordingError(
-            f"{name}: the run was made with this file, which is too large for the recording, and it is not on this "
-            f"disk any more ({text}); put it there to repeat the run"
+            f"{name}: the run used this file, which is too large for the recording and no longer on this disk "
+            f"({text}); restore it to repeat the run"
         )
 
 

@@ -65,12 +65,12 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # a file may have the end of another one: the index must lie within it
+            # the file may end with the footer of another one, so its index must lie within this file
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):
                     return None
-        except Exception:  # a damaged or missing summary raises any exception
+        except Exception:  # a damaged or missing summary may raise any exception
             return None
     told = summary.statistics
     index = McapIndex(summary.schemas, summary.channels, counts=told.channel_message_counts)
@@ -82,14 +82,14 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
 def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
     """Write the readable part of an MCAP file as an intact one.
 
-    Everything up to the last whole message is kept: schemas, channels, messages, attachments, other metadata records.
+    Everything up to the last complete message is kept: schemas, channels, messages, attachments, other metadata.
     Damaged chunks inside the file are omitted.
     """
     with source.open("rb") as stream, target.open("xb") as out:
         size = stream.seek(0, io.SEEK_END)
         stream.seek(0)
         if not MAGIC.startswith(stream.read(len(MAGIC))):
-            raise RecordingError(f"{source}: not an MCAP file; nothing can be saved")
+            raise RecordingError(f"{source}: not an MCAP file; nothing can be recovered")
         out.write(MAGIC)
         rescue = _Rescue(out)
         whole = stream.tell()
@@ -106,7 +106,7 @@ def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
         out.flush()
         os.fsync(out.fileno())
     if not found.count:
-        raise RecordingError(f"{source}: nothing can be saved: no whole message is in it")
+        raise RecordingError(f"{source}: nothing can be recovered: it contains no complete message")
     return found
 
 
@@ -123,7 +123,7 @@ class _Rescue:
         self.entries: dict[int, list[tuple[int, int]]] = defaultdict(list)
 
     def take(self, opcode: int, data: bytes) -> None:
-        """Copy a whole record; one with invalid content is omitted."""
+        """Copy a complete record; a record with invalid content is omitted."""
         if opcode == Opcode.CHUNK:
             self._take_chunk(data)
         elif opcode == Opcode.MESSAGE:
@@ -148,12 +148,12 @@ class _Rescue:
                     begin, size, item.log_time, item.create_time, len(item.data), item.name, item.media_type
                 )
                 self.index.attachments.append(place)
-        except Exception:  # a damaged record raises any exception
+        except Exception:  # a damaged record may raise any exception
             return
         self.out.write(RECORD.pack(opcode, len(data)) + data)
 
     def _announce(self, opcode: int, data: bytes) -> None:
-        """Note a valid schema or channel, and write it if it is new."""
+        """Store a valid schema or channel, and write it if it is new."""
         item: Any = (Schema if opcode == Opcode.SCHEMA else Channel).read(_stream(data))
         known: dict = self.index.schemas if opcode == Opcode.SCHEMA else self.index.channels
         if opcode == Opcode.CHANNEL and item.schema_id and item.schema_id not in self.index.schemas:
@@ -170,7 +170,7 @@ class _Rescue:
         self._write_loose()
 
     def take_messages(self, content: bytes) -> None:
-        """Copy the records of a chunk, up to the last whole one."""
+        """Copy the records of a chunk, up to the last complete one."""
         for opcode, begin, end in records_in(content):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel, _, time_ns, _ = MESSAGE.unpack_from(content, begin)
@@ -230,7 +230,7 @@ class Repair:
     path: pathlib.Path | None  #: The folder of the repaired bag; None if the bag was intact.
     messages: int  #: Number of messages in it.
     mended: tuple[str, ...] = ()  #: Names of the repaired files.
-    lost: tuple[str, ...] = ()  #: Reason for each file of which nothing could be saved.
+    lost: tuple[str, ...] = ()  #: Reason for each file from which nothing could be recovered.
 
 
 def repair(path, output=None) -> Repair:
@@ -276,7 +276,9 @@ def _into(draft: pathlib.Path, storage: Storage, found: dict) -> tuple[int, tupl
                 target.unlink()
             lost.append(str(error))
     if not any(file.count for file in kept):
-        raise RecordingError("; ".join(lost) or f"{next(iter(found))}: nothing can be saved: no message is in it")
+        raise RecordingError(
+            "; ".join(lost) or f"{next(iter(found))}: nothing can be recovered: it contains no message"
+        )
     write_metadata(draft, information(kept, storage.name))
     return sum(file.count for file in kept), tuple(mended), tuple(lost)
 
@@ -286,5 +288,5 @@ def _opens(path: pathlib.Path) -> bool:
     try:
         with Reader(path) as reader:
             return reader.message_count == sum(connection.msgcount for connection in reader.connections)
-    except Exception:  # rosbags lets errors of sqlite, YAML, zstd and struct through
+    except Exception:  # rosbags may raise errors of sqlite, YAML, zstd and struct
         return False

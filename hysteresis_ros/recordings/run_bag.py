@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Writer of the samples of an axis as a bag with the topics, types and stamps of its nodes, in batches or all at once.
+"""Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all at once.
 
-In batches, the constant part of the messages, which is nearly everything, is written once; only stamps and numbers are
-filled in, for many samples at a time.
+In batches, the constant part of the messages (nearly all of them) is written once; only stamps and numbers are filled
+in, for many samples at a time.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ BLOCK_BYTES = 1024 * 1024
 #: Longest time that a sample waits for others to share its chunk, while samples arrive [s].
 CHUNK_TIME = 0.25
 
-#: Numbers of each joint in ``joint_states``: position, velocity, effort.
+#: Number of values of each joint in ``joint_states``: position, velocity, effort.
 NUMBERS = 3
 
 
 @dataclass(frozen=True)
 class AxisTopics:
-    """Names and properties of the topics of an axis that are not in its samples."""
+    """Names and properties of the topics of an axis, which its samples do not contain."""
 
     namespace: str = ""  #: Namespace of the axis.
     #: Names in ``joint_states``: one, two with a measured force, or four for a motor.
@@ -54,7 +54,9 @@ class AxisTopics:
     force: float = 0.0  #: Preload of an actuator [N], the effort of the joint.
     #: Whether the plant is simulated; for a device the true displacement is unknown, and its state has none.
     simulated: bool = True
-    durability: str = "volatile"  #: Of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
+    durability: str = (
+        "volatile"  #: Durability of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
+    )
 
     @property
     def prefix(self) -> str:
@@ -93,7 +95,7 @@ class SampleWriter:
     ):
         """Add the topics."""
         if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.kind.motor):
-            allowed = "an actuator has one joint, or two with that of its force, a motor at least one"
+            allowed = "an actuator has one joint (two with a force joint), a motor at least one"
             raise RecordingError(f"joints = {axis.joints}: {allowed}")
         self.bag = bag
         self.axis = axis
@@ -139,7 +141,7 @@ class SampleWriter:
         return self._frames[False].size + 16 * len(self.topics)
 
     def restart(self) -> None:
-        """Begin a new run, whose first sample has no velocity."""
+        """Begin a new run; its first sample has no velocity."""
         self._measured = np.nan
         self._started = False
 
@@ -167,7 +169,7 @@ class SampleWriter:
         self._since = time.monotonic()
 
     def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
-        """Put samples into frames; ``values`` has the groups of numbers of each topic, shape (numbers, n) each."""
+        """Write samples into frames; ``values`` has the groups of numbers of each topic, each of shape (numbers, n)."""
         begin = samples.start
         while begin < samples.stop:
             if not frames.count:
@@ -215,7 +217,7 @@ class SampleWriter:
             shape = NUMBERS * len(self.axis.joints), stamps.size
             joints = _table("joints", joints, shape, "positions, velocities and efforts of all joints")
         elif joints is not None:
-            raise RecordingError("joints: given for an actuator, whose joint is in the table; omit it")
+            raise RecordingError("joints: given for an actuator, whose joint is in the table; omit them")
         return stamps, table, joints, times
 
 
@@ -246,7 +248,7 @@ def write_recording(
     joint: str | None = None,
     start_time_ns: int = 0,
 ) -> None:
-    """Write a run as a bag like that of the nodes; that of a stage has the topics of all its axes."""
+    """Write a run as a bag like that of the nodes; the bag of a stage contains the topics of all its axes."""
     path = pathlib.Path(path)
     text = recording.configuration if configuration is None else configuration
     axes = {namespace: recording}

@@ -106,7 +106,7 @@ class Packed:
     lowest, highest : float
         Range [m], including the offset.
     period : int or None
-        Number of samples after which the output repeats bit for bit; None without such a number.
+        Number of samples after which the output repeats bit for bit; None if there is no such number.
     crest_factor : float or None
         Peak over root mean square, without the offset; None if unknown.
     """

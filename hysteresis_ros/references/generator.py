@@ -56,7 +56,8 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 MINIMUM, MAXIMUM, FADE_SAMPLES, SMOOTHED = range(4)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
-#: Values of RUNNING: the reference is held; waveform and moves run; moves run while the waveform waits for its start.
+#: Values of RUNNING: the reference is held; waveform and moves run; only moves run, and the waveform waits for its
+#: start.
 HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
 
 
@@ -370,7 +371,7 @@ class ReferenceGenerator(Chain):
 
     @property
     def start_tolerance(self) -> float:
-        """Largest distance of a first point at time 0 from the axis [m]."""
+        """Largest allowed distance between a first point at time 0 and the position of the axis [m]."""
         own = self.parameters
         return own.trajectory.start_tolerance or 0.01 * (own.maximum - own.minimum)
 

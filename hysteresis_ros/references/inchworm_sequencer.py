@@ -219,7 +219,7 @@ def decide(p, x):
 
 @kernel
 def begin_positioning(x):
-    """Begin fine positioning: from now on the slider is the controller's measurement, and the origin stays."""
+    """Begin fine positioning: from now on the controller measures the slider, and the origin is fixed."""
     x[at.SOURCE] = at.FOLLOWING
     x[at.ORIGIN] = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION]
     x[at.ANCHOR] = x[at.SLIDER]
@@ -288,7 +288,7 @@ def position(p, x):
 
 @kernel
 def held(p, x):
-    """A clamp has closed: evaluate the step, if there was one, and hold."""
+    """Handle a closed clamp: evaluate the step, if there was one, and hold."""
     if x[at.JUDGE] != 0.0:
         x[at.JUDGE] = 0.0
         account(p, x)
@@ -304,7 +304,7 @@ def open_phase(p, x):
     if must_stop(p, x):
         stop_here(p, x)
     elif phase == at.RELEASING_REAR:
-        # before the clamp opens, and slowly, to avoid ringing of the extender
+        # slowly before the clamp opens, to avoid ringing of the extender
         pretensioning(x, p[at.RELEASE_SAMPLES])
         wait = load_time(p, x)
         if x[at.TIMER] >= wait:

@@ -239,7 +239,7 @@ def pretension(p, x, target):
 
 @kernel
 def load_time(p, x):
-    """Return the number of samples of this transfer, during which both clamps stay closed."""
+    """Return the number of samples of the load transfer, during which both clamps stay closed."""
     return p[at.RELEASE_SAMPLES] if x[at.LOAD] != 0.0 else 0.0
 
 
@@ -259,7 +259,7 @@ def feel(x):
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by the mean deflection of the extender after the transfer; at first by all of it."""
+    """Correct the learned load by the mean deflection of the extender after the transfer, at first by all of it."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke

@@ -123,7 +123,7 @@ class Settling:
             Whether the plant has stopped the axis.
         """
         rests = setpoint == self._setpoint and abs(reference - self._reference) < self._step
-        within = abs(measured - reference) <= self._tolerance  # not so with NaN
+        within = abs(measured - reference) <= self._tolerance  # false for NaN
         self._setpoint, self._reference = setpoint, reference
         self._count = self._count + 1 if rests and within and not stopped else 0
         self.settled = self._count >= self._samples

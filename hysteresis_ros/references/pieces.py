@@ -30,7 +30,8 @@ import numpy as np
 LAWS = ("minimum_jerk", "parabolic")
 #: Instants that are closer than this fraction of the whole duration count as one.
 TOGETHER = 1e-12
-#: A term smaller than this fraction of the largest one is rounding, for instance of the cosine of a right angle.
+#: A term smaller than this fraction of the largest one is a rounding error, for instance of the cosine of a right
+#: angle.
 NOTHING = 1e-14
 #: Largest degree of a polynomial here.
 DEGREE = 5
@@ -44,7 +45,7 @@ def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
     coefficients : ndarray, shape (DEGREE + 1,)
         Coefficients of the ascending powers of the time.
     delay : float
-        How much later the new time begins.
+        Delay of the beginning of the new time.
     """
     moved = np.zeros_like(coefficients)
     rest = coefficients.copy()
@@ -216,7 +217,7 @@ def _critical(steep: np.ndarray, durations: np.ndarray) -> np.ndarray:
     found = np.zeros((count, max(2, steep.shape[1] - 1)))
     found[:, :2] = np.where(np.isfinite(roots), roots, 0.0)
     if high.size:
-        # the lines of a raster are alike, so each kind is computed once
+        # the lines of a raster are equal, so each kind is computed only once
         kinds, which = np.unique(scaled[high], axis=0, return_inverse=True)
         table = np.zeros((len(kinds), found.shape[1]))
         for row, kind in zip(table, kinds, strict=True):

@@ -260,7 +260,7 @@ def recipe(
     frequency : float, optional
         Frequency of triangles and decaying, line spacing of the multisine, lowest frequency of the chirp [Hz].
     amplitude : float
-        Factor on the default amplitude of the recipe, 0 … 1 (for recipes with a small amplitude up to 10).
+        Factor on the default amplitude of the recipe: 0 … 1, or up to 10 for recipes with a small amplitude.
     duration : float, optional
         Duration [s]. For ``triangles`` and ``decaying`` it follows from the frequency; a longer run holds the last
         value.
@@ -402,7 +402,7 @@ def parameter_value(row: ParameterRow, text: str, gain: float | None = None) -> 
     Raises
     ------
     ValueError
-        The text is not a value of the parameter; the message says what is allowed.
+        The text is not a value of the parameter; the message states what is allowed.
     """
     if row.type is str:
         # absolute, because nodes may run in another folder

@@ -79,8 +79,8 @@ class Clock:
     frame : ndarray, shape (N,)
         Number of the frame, from 0.
     line, pixel : ndarray, shape (N,)
-        Number of the line within the frame and of the pixel within the line, -1 between lines. Pixels count in the
-        direction of a trace: a retrace begins at the last one.
+        Number of the line within the frame and of the pixel within the line, -1 between lines. Pixels are numbered in
+        the direction of a trace, so a retrace begins at the last one.
     direction : ndarray, shape (N,)
         1: trace, -1: retrace, 0: between lines.
     """
@@ -584,14 +584,14 @@ def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
                 lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
                 upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
                 text = (
-                    f"the path with its turns is {excess:.4g} m out of range, allowed: "
+                    f"the path with its turns exceeds the range by {excess:.4g} m, allowed: "
                     f"{' and '.join(filter(None, (lower, upper)))}; make the scan smaller, or move its centre"
                 )
                 yield Problem(f"position of {AXES[axis]}", float(value), text, "m")
 
 
 def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:
-    """Yield by how much each limit of motion is exceeded."""
+    """Yield a text for each exceeded limit of motion, with the ratio."""
     for order, (name, unit) in enumerate(ORDERS[1:], start=1):
         allowed = limits.of_axes(name, scan.axes)
         for axis, peak, limit in zip(AXES, scan.peak(order), allowed, strict=False):

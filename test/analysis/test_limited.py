@@ -34,7 +34,7 @@ def test_most_of_a_run_at_a_slew_rate_is_said_first_with_its_share_and_time():
     said = limited_text(recording)
     assert said.startswith("the output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate")
     assert sampling_text(recording).startswith("The output was limited for 67 %")
-    assert "Judged at all 2000 samples" in sampling_text(recording)
+    assert "Evaluated at all 2000 samples" in sampling_text(recording)
 
 
 @pytest.mark.parametrize(("samples", "said"), [(0, False), (19, False), (20, False), (21, True), (101, True)])

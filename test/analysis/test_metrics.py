@@ -56,7 +56,7 @@ def test_a_run_at_its_limits_says_so():
     cut = np.where(time < 0.1, 1.0, 0.0)
     figures = compute_metrics(run(time, reference, reference, saturated=cut))
     assert figures["saturated_percent"] == pytest.approx(100.0 * np.mean(cut))
-    assert "Samples cut by the limits" in format_table(figures)
+    assert "Samples limited by range or slew rate" in format_table(figures)
     silent = compute_metrics(run(time, reference, reference))
     assert silent["saturated_percent"] is None and "does not contain" in silent["notes"]["saturated_percent"]
 

@@ -174,8 +174,8 @@ def test_a_node_that_waits_for_input_for_a_while_has_not_stopped_the_axis():
 
 def test_a_run_that_is_stopped_throughout_says_so():
     figures = compute_metrics(run(STEPS, STEPS - 1e-6, tripped=np.ones(1400)))
-    assert figures["rms_error_m"] is None and "not judged" in figures["notes"]["rms_error_m"]
-    assert "not judged" in format_table(figures) and json.dumps(figures, allow_nan=False)
+    assert figures["rms_error_m"] is None and "not evaluated" in figures["notes"]["rms_error_m"]
+    assert "not evaluated" in format_table(figures) and json.dumps(figures, allow_nan=False)
 
 
 def test_a_jump_to_the_first_reference_is_an_approach():
@@ -189,7 +189,7 @@ def test_a_jump_to_the_first_reference_is_an_approach():
 def test_text_leads_with_the_parts_and_what_judges_the_longest():
     lines = format_table(compute_metrics(stopped_run())).splitlines()
     assert lines[1].startswith("steps") and "overshoot 10 %" in lines[1] and "worst of 4 steps" in lines[1]
-    assert lines[2].startswith("shutdown") and "not judged" in lines[2]
+    assert lines[2].startswith("shutdown") and "not evaluated" in lines[2]
     assert lines[3].startswith("Overshoot")
     assert [name for name, *_ in leading([compute_metrics(run(TRIANGLE))])][:1] == ["rms_error_m"]
     figures = {"a": compute_metrics(stopped_run()), "b": compute_metrics(run(TRIANGLE))}

@@ -232,7 +232,7 @@ def test_trace_and_retrace_are_told_apart():
     assert retrace.label.startswith("retrace") and np.median(retrace.y) == pytest.approx(-10.0)
     assert all(np.all(np.diff(line.x) >= 0.0) for line in chart.lines) and "20 nm at most" in chart.note
     periods = run_charts.last_periods_chart(run)
-    assert [line.label for line in periods.lines] == ["the one before that", "the one before", "last"]
+    assert [line.label for line in periods.lines] == ["third to last", "second to last", "last"]
     assert periods.up == "error [nm]" and all(line.x[-1] < 200.0 for line in periods.lines)
 
 
@@ -261,7 +261,7 @@ def test_a_page_says_everything_without_scripts():
     words = Words(report.render_report(run, "A </script> title", figures))
     text = " ".join("".join(words.text).split())
     assert words.open == [] and "A </script> title" in text and "a remark" in text and "motion_controller" in text
-    assert "Judged at all 2000 samples, one every 1 ms; what happens between them is not in the recording." in text
+    assert "Evaluated at all 2000 samples, one every 1 ms; what happens between them is not in the recording." in text
     assert f"{figures['rms_error_m'] * 1e9:.4g}" in text and "last 2 periods" in text and "hysteresis_ros" in text
     for caption in (
         "Displacement",
@@ -278,7 +278,7 @@ def test_voltages_that_are_held_are_judged_between_them():
     run = scan()
     held = {**run.signals, "voltage": np.repeat(run["voltage"][::5], 5)}
     said = report.sampling_text(Recording.from_columns({"time": run.time, **held}))
-    assert said.endswith("5 for each voltage, so between the commands too.")
+    assert said.endswith("5 for each voltage, and thus also between the commands.")
 
 
 def test_a_recording_without_a_reference_has_a_page_too():

@@ -78,7 +78,7 @@ def test_the_page_reads_without_scripts_and_holds_the_sums_of_each_run(runs):
     data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.S).group(1))
     assert [one["name"] for one in data["runs"]] == ["slow", "fast"] and data["whole"] == [0.0, pytest.approx(1.998)]
     assert page.count("<img") == len(data["charts"]) == 8 and len(page.encode()) < 2_000_000
-    assert "slow: Judged at all 1000 samples" in page and "fast: Judged at all 2400 samples" in page
+    assert "slow: Evaluated at all 1000 samples" in page and "fast: Evaluated at all 2400 samples" in page
 
 
 def test_a_name_cannot_leave_the_script_that_holds_it(runs, monkeypatch):
@@ -92,7 +92,7 @@ def test_a_name_cannot_leave_the_script_that_holds_it(runs, monkeypatch):
 def test_configurations_are_told_by_what_differs(runs):
     (first, whole), (second, change) = configurations(runs)
     assert first == "Configuration of slow" and whole == "a: 1\nb: 2\n"
-    assert "what differs from slow" in second and "-b: 2\n+b: 3" in change and "\n a: 1" in change
+    assert "differences from slow" in second and "-b: 2\n+b: 3" in change and "\n a: 1" in change
     runs["fast"] = runs["slow"]
     assert configurations(runs)[1][1] == "the same as that of slow"
 

@@ -257,7 +257,7 @@ def bad(name):
         "single branch": (np.linspace(0.0, 100.0, 800), np.linspace(0.0, 1e-5, 800), header, "reverses"),
         "without units": (voltage, y, "t_s,control_V,gauge", "has no unit"),
         "wrong way round": (voltage, -y, header, "--negate"),
-        "two columns in V": (voltage, y, "t_s,left_V,right_V", "which column is the"),
+        "two columns in V": (voltage, y, "t_s,left_V,right_V", "the column of the"),
     }[name]
 
 

@@ -96,7 +96,7 @@ WRONG = {
     "no actuator's stroke": (("--stroke", "60m", *STAGE[2:]), "--stroke: 60 m: actuators have"),
     "no actuator's gain": (("--stroke", "90mm", "--voltage", "0:10V", *STAGE[4:]), "90 mm over 10 V are 0.009 m/V"),
     "no actuator's rate": ((*STAGE[:4], "--rate", "2000kHz"), "--rate: 2e+06 Hz: actuators have"),
-    "messages": ((*STAGE, "--plant", "external"), "take a sample rate of 300 Hz"),
+    "messages": ((*STAGE, "--plant", "external"), "use a sample rate of 300 Hz"),
     "driver": ((*STAGE, "--driver", "simulatd"), "did you mean simulated?"),
     "no driver there": ((*STAGE, "--driver", "./nothing.py"), "nothing.py does not exist"),
     "options alone": ((*STAGE, "--driver-option", "a=1"), "belongs to --driver"),

@@ -111,8 +111,8 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
     ("words", "message"),
     [
         ((), "10000 samples/s are too many for the messages between the nodes of a stage"),
-        (("--fused",), "a stage has no fused loop so far"),
-        (("--namespace", "x"), "run together: an axis is named for its faults only"),
+        (("--fused",), "a stage has no fused loop"),
+        (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
     ],
@@ -129,7 +129,7 @@ def test_up_refuses_what_a_stage_cannot_do(words, message):
         (("--drift", "0.1", "0"), "--drift is for a single axis"),
         (("--learned", "a.npz"), "--learned is for a single axis"),
         (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
-        (("--namespace", "x"), "run together: an axis is named for its faults only"),
+        (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1", "--namespace", "z"), "there is no axis 'z' in the stage: it has x, y"),
         (("--fault", "nonsense:0.1:0.1", "--namespace", "x"), "nonsense"),
     ],
@@ -145,7 +145,7 @@ def test_a_wrong_stage_is_refused_by_the_command(tmp_path):
     text = load_configuration("xy_scanner").text
     path.write_text(text.replace('axes: [x, "y"]', "axes: [x, x]"), encoding="utf-8")
     said = hysteresis("simulate", path, "-o", tmp_path / "never.npz", code=2)
-    assert "'x' is there twice" in said
+    assert "'x' is given twice" in said
 
 
 def test_a_run_of_a_stage_has_a_run_of_each_axis(run):
@@ -207,7 +207,7 @@ def test_setpoints_of_a_stage_go_by_the_names_of_its_axes():
 def test_a_recording_of_one_axis_has_no_axes():
     one = Recording(np.arange(3.0), {"voltage": np.zeros(3)})
     assert one.axes == ()
-    with pytest.raises(RecordingError, match="it is of a single axis"):
+    with pytest.raises(RecordingError, match="it is the recording of a single axis"):
         one.axis("x")
 
 
@@ -218,7 +218,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
     path, page = tmp_path / "run.npz", tmp_path / "run.html"
     said = hysteresis("simulate", "xy_scanner", *SCAN, "-o", path)
     assert "2400 samples at 10000 Hz (0.24 s), axes x, y" in said
-    assert "scan from 0.12 s on, between the samples too:" in said
+    assert "scan from 0.12 s on, including the time between samples:" in said
     assert "Coupling: RMS across a line, about its mean" in said and "Trace - retrace along the lines" in said
     answer = subprocess.run(
         [sys.executable, "-m", "hysteresis_ros.cli.main", "report", path, "--json", "-"], capture_output=True, text=True
@@ -243,7 +243,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),
-        (("width=20um",), "width=20um belongs to a scan: give --scan raster, say"),
+        (("width=20um",), "width=20um belongs to a scan: give one, for instance --scan raster"),
         ((*SCAN, "--reference", "sine", "--amplitude", "1um"), "--scan and --reference exclude each other"),
     ],
 )
@@ -259,7 +259,7 @@ def test_a_design_of_a_stage_prints_how_its_axes_interact():
     assert "disk margin of all at once  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
     assert "missing option '-o'" in hysteresis("design", "kim2009", "--controller", "pid", code=2)
     assert "missing option '-o'" in hysteresis("design", "xy_scanner", "--controller", "pid", code=2)
-    assert "the design is missing" in hysteresis("design", "xy_scanner", "-o", "never.yaml", code=2)
+    assert "nothing to design" in hysteresis("design", "xy_scanner", "-o", "never.yaml", code=2)
     assert "follows no scan" in hysteresis("design", "xy_scanner", "--learning", "inversion", "-o", "a.yaml", code=2)
 
 

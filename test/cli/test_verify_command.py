@@ -49,7 +49,7 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
     run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
     save_run(run, tmp_path / "run.csv")
     code, line = verify(tmp_path / "run.csv")
-    assert code == 2 and "holds no configuration" in line
+    assert code == 2 and "contains no configuration" in line
     run.metadata["source"] = "bag"
     save_run(run, tmp_path / "run.npz")
     code, line = verify(tmp_path / "run.npz")
@@ -93,6 +93,6 @@ def test_a_file_that_is_too_large_for_the_recording_has_to_be_the_same_on_the_di
     assert verify(path)[0] == 0
     scan.write_text(scan.read_text().replace("0.7", "0.8"))
     code, line = verify(path)
-    assert code == 2 and f"{scan}: the run was made with this file" in line
+    assert code == 2 and f"{scan}: the run used this file" in line
     scan.unlink()
     assert verify(path) == (code, line)

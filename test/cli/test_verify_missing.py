@@ -30,7 +30,7 @@ from hysteresis_ros.recordings.files import save_run
         ({}, {}, ""),
         ({"missing_samples": 0, "missing_changes": 0}, {}, ""),
         ({"missing_samples": 3}, {}, r"run differs from the offline twin (no signal; 3 samples missing)"),
-        ({"missing_changes": 2}, {}, "(no signal; 0 samples missing; 2 entries of the log of changes missing)"),
+        ({"missing_changes": 2}, {}, "(no signal; 0 samples missing; 2 entries of the change log missing)"),
         ({"missing_samples": 1}, {"command": 4}, "(command: 4 samples; 1 samples missing)"),
     ],
 )

@@ -164,7 +164,7 @@ def test_one_that_cannot_be_made_safe_either_is_said_to_be_so(library, kind):
     plant = kind(parameters(library, "fail_read=5", "fail_safe=1"))
     run(plant, [1.0] * 10)
     left = f"does not listen: the output is still at {written(library)[-1]:.6g} V"
-    assert plant.failure.endswith(left) and "; and it cannot be made safe: " in plant.failure
+    assert plant.failure.endswith(left) and "; the device cannot be made safe: " in plant.failure
     with pytest.raises(DriverError, match=f"{left}; take the voltage off at the device itself; switch it off"):
         plant.make_safe()
     assert left in plant.close()
@@ -392,7 +392,7 @@ def test_between_samples_it_is_told_its_voltage_again_and_nothing_else_moves(lib
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("keeps_time=1",), "the device insists on keeping the time; the package keeps the time"),
+        (("keeps_time=1",), "the device keeps the time itself; the package must keep the time"),
         (("unit=mm",), "the device reads 'mm' and outputs 'V'; calibration.sensor.unit is 'm' and"),
         (("joints=2",), "the device has 2 joints; an axis has 1"),
         (("depth=2",), "cannot be opened: liblisted.so: does not know an option; check the device"),

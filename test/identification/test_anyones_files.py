@@ -205,7 +205,7 @@ def test_a_gap_that_is_bridged_is_warned_of_with_its_length():
     kept[300:600] = False
     data = resample(IdentificationData(TIME[kept], VOLTAGE[kept], DISPLACEMENT[kept]))
     assert "1 gaps (300 samples) interpolated linearly, the longest 1.505 s at 1.495 s" in data.warnings[0]
-    assert "longest part without one: --range 300:700" in data.warnings[0]
+    assert "longest part without a gap: --range 300:700" in data.warnings[0]
     assert resample(IdentificationData(TIME, VOLTAGE, DISPLACEMENT)).warnings == ()
 
 
@@ -256,7 +256,7 @@ def test_stamps_that_jitter_are_told_from_samples_that_do():
 def test_stamps_out_of_order_are_put_on_a_grid(tmp_path):
     jitter = np.random.default_rng(5).uniform(-4e-3, 4e-3, TIME.size) * (TIME > 0.01) * (TIME < 4.98)
     reading = read_data(table(tmp_path / "a.csv", lines(time=TIME + jitter)))
-    assert "time goes back" in reading.report.warnings[0] and "taken as uniform" in reading.report.warnings[0]
+    assert "time goes back" in reading.report.warnings[0] and "assumed to be uniform" in reading.report.warnings[0]
     agrees(reading.data)
 
 

@@ -96,7 +96,7 @@ def test_what_else_moves_the_output_is_warned_of_with_its_share():
     found, quiet = check_response(chain, data), check_response(chain, alone)
     part = np.var(alone.output) / np.var(data.output)
     assert found.foreign == pytest.approx(1.0 - part, abs=0.12)
-    assert any("something else also moves the output" in text for text in found.warnings)
+    assert any("other sources (inputs, vibration, noise) also move the output" in text for text in found.warnings)
     assert quiet.foreign < 0.12  # what leaks from a sharp resonance
     assert not any("something else" in text for text in quiet.warnings)
 

@@ -170,7 +170,7 @@ def test_hammerstein_beats_the_linear_model():
     ("voltage", "displacement", "message"),
     [
         (np.linspace(-1.0, 1.0, 300), np.linspace(-1.0, 1.0, 300), "rising branch.*whole loop"),
-        (np.concatenate([CYCLE[:300], 2.0 * CYCLE[300:]]), CYCLE, "no rising branch runs from"),
+        (np.concatenate([CYCLE[:300], 2.0 * CYCLE[300:]]), CYCLE, "no rising branch extends from"),
         (MAJOR, -truth(MAJOR), "output falls while the input rises"),
         (MAJOR[:10], MAJOR[:10], "too short"),
     ],

@@ -189,7 +189,7 @@ def test_a_shape_is_kept():
         (Experiment("noise", low=0.4, period=1.0), "a segment of 1 s resolves nothing below 1 Hz"),
         (Experiment("stepped", low=1.0, duration=20.0), "a block of 0.1 s resolves nothing below 10 Hz"),
         (Experiment(low=90.0, high=80.0), "must be below --high 80 Hz"),
-        (Experiment(low=10.0, high=12.0, period=1.0), "holds 1 lines"),
+        (Experiment(low=10.0, high=12.0, period=1.0), "contains 1 lines"),
         (Experiment(period=1.0, duration=1.0), "exclude each other"),
         (Experiment(duration=1e-3), "--duration 0.001 s: must be at least 0.008 s"),
         (Experiment(periods=1), "--periods 1: must be at least 2"),
@@ -208,7 +208,7 @@ def test_too_weak_an_excitation_is_refused_with_its_ratio(kind):
     with pytest.raises(IdentificationError, match=r"signal-to-noise ratio of the response -?\d+\.\d dB.*at least 6 dB"):
         found.require_excited()
     analyse(plan, 1.0 / RATE, u, plant(u, 0.01, 1)).require_excited()
-    with pytest.raises(IdentificationError, match="it was cut off"):
+    with pytest.raises(IdentificationError, match="the recording was cut off"):
         analyse(plan, 1.0 / RATE, u[:-1], u[:-1])
 
 
@@ -232,7 +232,7 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
     late[1500:1505] = late[1500]  # held, because the next ones were late
     assert plan_of_recording(late, 1.0 / RATE).samples == (400,)
     assert plan_of_recording(u, 1.0 / RATE, 0.2, "noise").samples == (200, u.size)
-    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "does not repeat")):
+    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "is not periodic")):
         with pytest.raises(IdentificationError, match=said):
             plan_of_recording(noise, 1.0 / RATE, *asked)
     with pytest.raises(IdentificationError, match="made by hysteresis frf"):

@@ -91,8 +91,8 @@ def test_own_recordings_and_arrays_are_read_alike(tmp_path):
         ({"input": "drive"}, ["'drive' has no unit", "drive:um"]),
         ({"input": "drive:furlong"}, ["unknown unit 'furlong'"]),
         ({"input": "nothing:V"}, ["no column 'nothing'", "gauge_um"]),
-        ({"input": "drive:V", "output": "gauge_um:V"}, ["'um' by its header", "not in 'V'"]),
-        ({}, ["which column is the input", "name:unit"]),
+        ({"input": "drive:V", "output": "gauge_um:V"}, ["unit 'um' in its header", "not 'V'"]),
+        ({}, ["the column of the input", "name:unit"]),
         ({"input": "drive:V", "output": "gauge_um", "time": "gauge_um"}, ["must be in s"]),
     ],
 )
@@ -109,7 +109,7 @@ def test_missing_files_and_times_are_named(tmp_path):
     path = write(tmp_path / "a.csv", "drive,gauge_um", VOLTAGE, 1e6 * DISPLACEMENT)
     with pytest.raises(RecordingError, match="sample time"):
         load_data(path, input="drive:V")
-    with pytest.raises(DataError, match="unit-less"):
+    with pytest.raises(DataError, match="data without units"):
         sine(output_unit="")
 
 

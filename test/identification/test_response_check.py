@@ -82,7 +82,7 @@ def test_a_resonance_that_the_model_lacks_rings_and_is_named():
     assert missed.ringing and missed.ringing[0] == pytest.approx(280.0, abs=8.0)
     assert not missed.fit_for_feedback and missed.unfit_at == pytest.approx(280.0, rel=0.15)
     assert f"the residual rings at {missed.ringing[0]:.4g} Hz" in missed.warnings
-    assert missed.certain < 0.5 * missed.believed and "% only" in missed.reason
+    assert missed.certain < 0.5 * missed.believed and "known only to" in missed.reason
     # the loop that the model alone would allow is unstable on the plant, the one that is certain is not
     for crossover, stable in ((missed.believed, False), (missed.certain, True)):
         plant, controller = plant_state_space(MODE.dynamics(STEP)), integral_controller(crossover, STEP)
@@ -130,7 +130,7 @@ def slow(tmp_path_factory):
 def test_what_slow_triangles_do_not_show_is_said(slow):
     folder, result = slow
     assert result.exit_code in (0, 4)
-    assert "Hz are unknown, the voltage has hardly any content there: a design is limited to" in result.stdout
+    assert "Hz are unknown (the voltage contains hardly any power there): a design is limited to" in result.stdout
     assert "known_to:" in (folder / "axis.yaml").read_text(encoding="utf-8")
 
 

@@ -93,7 +93,7 @@ def test_columns_are_guessed_by_name_and_it_is_said(tmp_path):
     path = tmp_path / "table.csv"
     np.savetxt(path, table, delimiter=",", header="t_s,control_V,monitor_V,gauge_um", comments="")
     reading = read_data(path)
-    assert reading.guessed[0].startswith("input is the column 'control_V'")
+    assert reading.guessed[0].startswith("assumed input: column 'control_V'")
     assert read_data(reading) is reading
     chosen = read_data(path, Columns(input="monitor_V:V", range=(100, 900), resample=0.01, negate=True))
     assert len(chosen.data) == 400 and chosen.data.input_name == "monitor_V" and chosen.data.output.max() <= 0.0

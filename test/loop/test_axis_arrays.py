@@ -238,11 +238,14 @@ def test_wrong_values_of_the_axes_are_refused_by_their_names(each, message):
 @pytest.mark.parametrize(
     "each, message",
     [
-        ({"motion_controller.type": ["sliding_mode", "open_loop"]}, "axis 1: motion_controller: another structure"),
-        ({"reference_generator.waveform.type": ["steps", "hold"]}, "axis 1: reference_generator: another structure"),
+        ({"motion_controller.type": ["sliding_mode", "open_loop"]}, "axis 1: motion_controller: the structure differs"),
+        (
+            {"reference_generator.waveform.type": ["steps", "hold"]},
+            "reference_generator: the structure differs",
+        ),
         (
             {"hysteresis_compensator.inverse.type": ["exact", "none"]},
-            "axis 1: hysteresis_compensator: another structure",
+            "axis 1: hysteresis_compensator: the structure differs",
         ),
     ],
 )

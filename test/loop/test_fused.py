@@ -75,7 +75,7 @@ def test_it_goes_on_where_it_left():
     assert not loop.running and loop.axis.sample == loop.sample == first.first + len(first.times)
     loop.set(setpoint=2e-6)
     loop.start()
-    with pytest.raises(RuntimeError, match="runs already"):
+    with pytest.raises(RuntimeError, match="is already running"):
         loop.start()
     until(lambda: loop.sample > first.first + len(first.times) + 2)
     loop.leave()

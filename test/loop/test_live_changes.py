@@ -232,7 +232,7 @@ def test_the_log_of_a_recording_is_read_as_changes():
     ],
 )
 def test_an_entry_that_is_no_change_is_refused(wrong):
-    with pytest.raises(RecordingError, match="not an entry of a log of changes"):
+    with pytest.raises(RecordingError, match="not an entry of a change log"):
         changes_of(recorded(wrong))
 
 

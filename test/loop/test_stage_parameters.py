@@ -58,7 +58,7 @@ def test_a_stage_may_lie_in_a_namespace():
 
 def test_a_file_without_stage_has_none():
     assert load_configuration("kim2009").stage is None
-    with pytest.raises(ConfigurationError, match="has no section '/stage' that couples its axes"):
+    with pytest.raises(ConfigurationError, match="has no section '/stage', which couples its axes"):
         StageParameters.from_configuration(load_configuration("kim2009"))
 
 
@@ -78,9 +78,9 @@ def test_two_stages_in_a_file_are_refused():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"axes": ["x", "x"]}, "/stage: axes = ('x', 'x'): 'x' is there twice: give each axis a name of its own"),
+        ({"axes": ["x", "x"]}, "/stage: axes = ('x', 'x'): 'x' is given twice: give each axis its own name"),
         ({"axes": []}, "/stage: axes = (): must name 1 … 16 axes"),
-        ({"axes": ["x", "a b"]}, "'a b' is no name of a namespace"),
+        ({"axes": ["x", "a b"]}, "'a b' is not a valid namespace"),
         ({"axes": ["x", "z"]}, "the stage has no sections of its axis /z"),
         ({"axes": ["x"]}, "structure.inputs = 2: must be 1: each of the axes x has an actuator"),
         ({"structure__A": [0.5]}, "structure.A = (0.5,): must be 16 numbers, as B has 4 rows"),
@@ -152,7 +152,7 @@ def _full(blocks) -> np.ndarray:
             "/y/plant_simulator: real_time_factor = 0.5: must equal that of /x, 1.0",
         ),
         ("y__plant_simulator", {"realtime__cpu": 1}, "/y/plant_simulator: realtime.cpu = 1: must equal that of /x, -1"),
-        ("y__*", {"joint": "x"}, "/y/plant_simulator: joint = 'x': is the joint of /x already"),
+        ("y__*", {"joint": "x"}, "/y/plant_simulator: joint = 'x': is already the joint of /x"),
         (
             "plant_simulator",
             {"dynamics__A": [0.5], "dynamics__B": [0.5], "dynamics__C": [1.0]},
@@ -161,7 +161,7 @@ def _full(blocks) -> np.ndarray:
         (
             "x__plant_simulator",
             {"force_sensor__stack_stiffness": 1e7, "force_sensor__flexure_stiffness": 1e6},
-            "a stage has no force sensors so far",
+            "a stage has no force sensors",
         ),
         ("x__plant_simulator", {"limits__minimum": 200.0}, "/x/plant_simulator: limits.minimum = 200.0: must be below"),
         ("y__reference_generator", {"initial_setpoint": 1e-3}, "/y/reference_generator: initial_setpoint = 0.001"),
@@ -178,7 +178,7 @@ def test_hysteresis_stands_in_one_place():
 
 def test_axes_of_the_file_are_axes_of_the_stage():
     text = configured().text + "\n/z/plant_simulator:\n  ros__parameters:\n    joint: z\n"
-    with pytest.raises(ConfigurationError, match="/z is no axis of the stage: name it in /stage axes"):
+    with pytest.raises(ConfigurationError, match="/z is not an axis of the stage: add it to /stage axes"):
         StageParameters.from_configuration(parse_configuration(text, "the text"))
 
 

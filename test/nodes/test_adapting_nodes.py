@@ -41,7 +41,7 @@ def test_services_steer_it_a_file_keeps_it_and_the_log_repeats_it(inside, observ
     inside.spin()
     compensator = run.compensator
     until(lambda: compensator.sample > 900, what="the beginning")
-    assert observer.trigger(f"{NODE}/freeze").message == "the weights stay as they are"
+    assert observer.trigger(f"{NODE}/freeze").message == "adaptation off: the weights are kept"
     until(lambda: (diagnostics(heard, NODE) or [0, ""])[1] == "adaptation frozen: by a service", what="diagnostics")
     kept = compensator.part.adaptation.factors
     assert observer.trigger(f"{NODE}/save").message == f"{saved} written"

@@ -97,7 +97,7 @@ def test_who_has_not_told_a_name_is_no_node_of_that_name():
     assert named(SimpleNamespace(node_namespace="/", node_name="stage")) == "/stage"
     assert named(SimpleNamespace(node_namespace="/left", node_name="stage")) == "/left/stage"
     unknown = SimpleNamespace(node_namespace="_NODE_NAMESPACE_UNKNOWN_", node_name="_NODE_NAME_UNKNOWN_")
-    assert named(unknown) == "somebody who has not told a name"
+    assert named(unknown) == "a node without a known name"
 
 
 def test_what_does_not_fit_and_what_to_do():

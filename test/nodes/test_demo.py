@@ -66,7 +66,7 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     assert np.ptp(without["reference"]) == pytest.approx(stroke, rel=1e-3)
     size = processes.time.size
     if inverse["skipped"][:size].any():
-        assert "different samples here" in answer.stdout
+        assert "the samples differ" in answer.stdout
     else:
         assert np.array_equal(processes["displacement"], inverse["displacement"][:size])
         assert f"the same {size} samples" in answer.stdout

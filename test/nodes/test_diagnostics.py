@@ -72,7 +72,7 @@ def test_what_has_not_come_yet_is_an_error_only_after_the_others_had_time(axis):
         assert said(node)[0] == WARN, "the others are only coming"
         node.active_since = time.monotonic() - START_UP
         assert said(node)[0] == ERROR
-    assert said(axis[1])[1] == "no command has come yet"
+    assert said(axis[1])[1] == "no command has arrived yet"
     assert said(axis[2])[1] == "no measurement of 'extender' has arrived yet"
 
 
@@ -125,7 +125,7 @@ def test_levels_of_a_plant():
 
     ok, warn, error = (level[0] for level in (OK, WARN, ERROR))
     assert judged() == (ok, "")
-    assert judged(inputs=silent) == (warn, "no voltage has come yet: nobody drives the axis")
+    assert judged(inputs=silent) == (warn, "no voltage received yet: no node drives the axis")
     assert judged(late=3) == (warn, "3 samples late")
     assert judged(saturated=True) == (warn, "voltage saturated")
     assert judged(complaint="outside of the calibration")[0] == warn
@@ -145,7 +145,7 @@ def test_an_overtravel_names_late_samples_first_where_there_were_some():
 
     part, runner = Part(), Runner()
     part.overtravelled = True
-    assert "where an unstable loop or a wrong sensor gets" in explain_trip(part, runner)
+    assert "which an unstable loop or a wrong sensor can cause" in explain_trip(part, runner)
     runner.late_samples = 7
     words = explain_trip(part, runner)
     assert words.index("after 7 late samples") < words.index("gains") and "only" not in words

@@ -165,4 +165,4 @@ def test_what_cannot_be_is_refused(processes, axis, options, words):
     up = processes.command("up", axis, "--plant", "external", *options)
     assert up.wait() == 2 and words in up.output and "Traceback" not in up.output
     node = processes.node("plant_simulator", axis, "-p", "external_plant:=true")
-    assert node.wait() == 2 and "a node of your own stands in this one's place" in node.output
+    assert node.wait() == 2 and "your own node replaces this one" in node.output

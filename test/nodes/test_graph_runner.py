@@ -101,7 +101,7 @@ def test_both_ways_write_the_same_json_but_for_the_way(ros, monkeypatch):
 def test_an_error_names_the_run(monkeypatch):
     class Broken:
         def __init__(self, *arguments, **options):
-            raise GraphError("/plant_simulator was killed by SIGKILL; the rest was stopped", 1)
+            raise GraphError("/plant_simulator was killed by SIGKILL; the other nodes were stopped", 1)
 
     monkeypatch.setattr(graph_runner, "require_ros", lambda: None)
     monkeypatch.setattr(graph_runner, "Graph", Broken)
@@ -158,7 +158,7 @@ def test_nobody_joins_a_graph_of_its_own_and_no_user_has_such_a_domain(monkeypat
         ports = pathlib.Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()
         assert 7400 + 250 * claimed.number > int(ports[1])
         monkeypatch.delenv(OWN, raising=False)
-        with pytest.raises(HysteresisError, match=f"ROS domain {claimed.number} is that of a demonstration"):
+        with pytest.raises(HysteresisError, match=f"ROS domain {claimed.number} is in use by a demonstration"):
             require_admission(claimed.number)
         require_admission(7)
         monkeypatch.setenv(OWN, claimed.environment[OWN])

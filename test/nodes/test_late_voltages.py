@@ -109,7 +109,7 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
         "at 100 Hz",
         "which holds",
         "lower sample_rate or real_time_factor",
-        "run it composed",
+        "run the nodes composed",
     ):
         assert words in text, text
     assert "in lockstep" in text and "~/start" in text and "late_limit" in text

@@ -257,7 +257,7 @@ def test_node_that_is_killed_brings_the_others_down(processes, observer, tmp_pat
     victim = next(c for c in children if "hysteresis_ros.nodes.motion_controller" in c.cmdline())
     victim.kill()
     assert run.wait() == 1
-    assert "/motion_controller was killed by SIGKILL; the rest was stopped" in run.output
+    assert "/motion_controller was killed by SIGKILL; the other nodes were stopped" in run.output
     assert not psutil.wait_procs(children, timeout=LEAVE)[1]
     assert is_safe(voltages[-1].data)
 

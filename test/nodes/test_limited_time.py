@@ -126,4 +126,4 @@ def test_a_run_that_nobody_recorded_says_at_its_end_that_it_was_cut(processes, t
     words = ["--reference", "triangle", "--frequency", "10", "--amplitude", "3e-6m", "--duration", "3"]
     up = processes.command("up", path, "--params-file", str(overlay), how, *words)
     assert up.wait(300.0) == 0, up.output  # fused may be compiled first
-    assert ("output limited for" in up.output and "what was asked did not leave" in up.output) == cut, up.output
+    assert ("output limited for" in up.output and "the actuator did not receive" in up.output) == cut, up.output

@@ -312,7 +312,7 @@ def test_services_answer_what_has_happened_also_between_two_samples(graph):
     assert trigger("/hysteresis_compensator/stop").message == "stopped: the voltage goes to safe_voltage = 0 V"
     until(lambda: abs(graph.voltage()) < 1e-9, what="the safe voltage")
     assert trigger("/hysteresis_compensator/stop").message == "stopped"
-    assert trigger("/hysteresis_compensator/reset").message == "reset; stopped: ~/start lets it go on"
+    assert trigger("/hysteresis_compensator/reset").message == "reset; stopped: call ~/start to resume"
     assert trigger("/hysteresis_compensator/start").message == "running"
     graph.until_at(SETPOINT)
     assert trigger("/motion_controller/stop").message == "stopped: the command goes to safe_command = 0 m"
@@ -320,7 +320,7 @@ def test_services_answer_what_has_happened_also_between_two_samples(graph):
     assert trigger("/motion_controller/start").message == "running"
     graph.until_at(SETPOINT)
     stopped = trigger("/plant_simulator/stop")
-    assert stopped.success and stopped.message == "stopped: no samples are made, and the voltage stays at 60 V"
+    assert stopped.success and stopped.message == "stopped: no samples are computed, and the voltage stays at 60 V"
     assert trigger("/plant_simulator/start").message == "running"
     graph.more(3)
 

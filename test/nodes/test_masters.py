@@ -182,7 +182,7 @@ def test_both_are_named_as_long_as_there_are_two(led):
     words = "/voltage is accepted from /compensator and refused from /stranger: stop one of them"
     assert words in led.masters.complaint() and words in led.node.warned[0]
     led.node.names = {OURS: "_NODE_NAME_UNKNOWN_", THEIRS: "_NODE_NAME_UNKNOWN_"}
-    assert "/voltage is published by somebody who has not told a name and somebody" in led.masters.complaint()
+    assert "/voltage is published by a node without a known name and a node" in led.masters.complaint()
     led.node.names = {OURS: "compensator", THEIRS: "compensator"}  # killed and started again
     assert led.masters.complaint() == ""
     led.node.publishers = 1

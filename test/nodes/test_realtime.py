@@ -395,7 +395,7 @@ def test_services_answer_in_every_state(inside, observer):
         until(lambda: compensator.sample > 20 and plant.sample > 20, what="the loop to run")
         for name in names:
             assert observer.trigger(f"{name}/stop").message.startswith("stopped")
-            assert observer.trigger(f"{name}/reset").message == "reset; stopped: ~/start lets it go on"
+            assert observer.trigger(f"{name}/reset").message == "reset; stopped: call ~/start to resume"
             assert observer.trigger(f"{name}/start").message == "running"
         until(lambda: compensator.sample > 20 and plant.sample > 20, what="the loop to run again")
         for name in names:

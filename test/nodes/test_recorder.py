@@ -231,11 +231,11 @@ def test_a_killed_recorder_ends_a_run_in_lockstep_only(tmp_path, mode):
             recorder.process.send_signal(signal.SIGKILL)
             recorder.process.wait()
             if mode == "lockstep":
-                with pytest.raises(GraphError, match="/recorder was killed by SIGKILL; the rest was stopped"):
+                with pytest.raises(GraphError, match="/recorder was killed by SIGKILL; the other nodes were stopped"):
                     graph.poll()
             else:
                 assert graph.poll() and graph.poll()
-                assert said == ["/recorder was killed by SIGKILL: nothing is recorded any more, the axis goes on"]
+                assert said == ["/recorder was killed by SIGKILL: the recording has ended, the axis continues"]
                 assert graph.lost == [recorder]
         finally:
             graph.stop()

@@ -90,9 +90,9 @@ def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys)
     [
         ({"mode": 0.0, "phase": 1.0, "error": 0.0}, ""),
         ({"mode": 3.0}, "is stopped: `hysteresis call /x/inchworm_sequencer start`"),
-        ({"mode": 4.0}, "`hysteresis call /x/plant_simulator start` lets it go on"),
+        ({"mode": 4.0}, "`hysteresis call /x/plant_simulator start` resumes it"),
         ({"mode": 0.0, "phase": 1.0, "error": 1.0}, ""),
-        ({"mode": 0.0, "phase": 1.0, "error": 4.0}, "stands with the error slip: `hysteresis call /x/inch"),
+        ({"mode": 0.0, "phase": 1.0, "error": 4.0}, "has stopped with the error slip: `hysteresis call /x/inch"),
         ({"mode": 0.0, "phase": 9.0, "error": 0.0}, "has let the slider go"),
     ],
 )
@@ -109,7 +109,7 @@ def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
             status(nobody, as_json=False)
     with pytest.raises(AbsentError, match=r"no node /left/motion_controler .* did you mean /left/motion_controller"):
         get(hasty, "motion_controler", [])
-    with pytest.raises(AbsentError, match=r"nobody publishes /left/jont_states .* did you mean /left/joint_states"):
+    with pytest.raises(AbsentError, match=r"/left/jont_states has no publisher .* did you mean /left/joint_states"):
         echo(hasty, "jont_states", 1)
     # a plant that stands still: the subscription is there, and no sample comes
     call(client, "plant_simulator", "deactivate")
@@ -118,7 +118,7 @@ def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
         client.timeout = 2.0
         with pytest.raises(HysteresisError, match="/left/plant_simulator is inactive"):
             setpoint(client, 2e-6)
-        with pytest.raises(AbsentError, match="nothing came on /left/joint_states for 2 s; .* /left/plant"):
+        with pytest.raises(AbsentError, match="no message arrived on /left/joint_states for 2 s; .* /left/plant"):
             echo(client, "joint_states", 1)
     finally:
         client.timeout = patient
@@ -220,7 +220,7 @@ def test_echo_ends_when_its_publisher_leaves(axis, capsys):
         heard.join(20.0)
         assert not heard.is_alive()
     publisher_node.destroy_node()
-    assert "nobody publishes /left/passing any more" in capsys.readouterr().out
+    assert "/left/passing has no publisher any more" in capsys.readouterr().out
 
 
 def test_commands_end_with_a_line_and_their_exit_code(processes):
@@ -228,7 +228,7 @@ def test_commands_end_with_a_line_and_their_exit_code(processes):
     waiting = processes.command("echo", "joint_states", "--timeout", "100")
     alone = processes.command("setpoint", "1um", "--timeout", "0.5")
     assert alone.wait() == 1, alone.output
-    assert "no /reference_generator or /inchworm_sequencer within 0.5 s; there is nobody in the ROS" in alone.output
+    assert "no /reference_generator or /inchworm_sequencer within 0.5 s; no node is in the ROS" in alone.output
     code, _ = waiting.leave(signal.SIGINT)
     assert code == 130 and waiting.output == "hysteresis: interrupted\n"
 

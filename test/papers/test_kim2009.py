@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Kim, Kim & Park 2009 come out as stated, and the honest rows say what does not."""
+"""The experiments of Kim, Kim & Park 2009 come out as stated; rows under realistic conditions show what does not."""
 
 from __future__ import annotations
 

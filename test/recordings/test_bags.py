@@ -349,7 +349,7 @@ def test_of_several_runs_the_longest_is_shown(tmp_path):
     run = read_recording(tmp_path / "bag")
     assert len(run) == 40
     assert run["reference"].tolist() == [2e-6 * k for k in range(40)]
-    assert any("went back 1 times" in note for note in run.notes)
+    assert any("decreased 1 times" in note for note in run.notes)
 
 
 def test_a_wrong_joint_is_named(tmp_path):
@@ -421,7 +421,7 @@ def test_writer_refuses_what_it_cannot_do(tmp_path):
             bag.write_string("/voltage", "a", 0)
         with pytest.raises(RecordingError, match="is not known"):
             bag.write("/other", "my_msgs/msg/Unknown", b"", 0)
-    with pytest.raises(RecordingError, match="closed already"):
+    with pytest.raises(RecordingError, match="already closed"):
         bag.write_float64("/voltage", 1.0, 0)
     with pytest.raises(RecordingError, match="exists already"):
         BagWriter(tmp_path / "bag")

@@ -291,7 +291,7 @@ def test_a_closed_bag_takes_no_samples(tmp_path):
     bag = BagWriter(tmp_path / "bag")
     writer = SampleWriter(bag, ACTUATOR, block_bytes=1)
     bag.close()
-    with pytest.raises(RecordingError, match="closed already"):
+    with pytest.raises(RecordingError, match="already closed"):
         writer.write(stamps, table)
-    with pytest.raises(RecordingError, match="closed already"):
+    with pytest.raises(RecordingError, match="already closed"):
         SampleWriter(bag, AxisTopics(namespace="other"))

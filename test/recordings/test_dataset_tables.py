@@ -76,7 +76,7 @@ def test_micrometres_and_milliseconds_become_si(tmp_path):
         ("displacement [m]\n1\n", "no column 'time'"),
         ("time [s],voltage [m]\n0,1\n", "must be in 'V'"),
         ("time [s],voltage [V]\n0,abc\n", "not a table of numbers"),
-        ("time [s],voltage [V]\n0\n", "rows have 1 numbers and the header 2"),
+        ("time [s],voltage [V]\n0\n", "rows have 1 numbers, but the header has 2"),
         ("time [s],voltage [V]\n0,1\n0,2\n", "time must increase strictly"),
         ("time [s],voltage [V],voltage [V]\n0,1,2\n", "more than once"),
         ("time [s],voltage [V]\nnan,1\n", "not finite"),
@@ -124,7 +124,7 @@ def test_a_failed_write_leaves_no_file(tmp_path):
     [
         ((np.arange(3.0), {"voltage": np.zeros(2)}), "2 samples and time has 3"),
         ((np.arange(3.0), {"voltage": np.zeros((3, 1))}), "one-dimensional"),
-        ((np.arange(3.0), {"voltage": ["a", "b", "c"]}), "does not hold numbers"),
+        ((np.arange(3.0), {"voltage": ["a", "b", "c"]}), "does not contain numbers"),
         ((np.arange(3.0), {"current": np.zeros(3)}), "has no unit"),
         ((np.arange(3.0), {"voltage": np.zeros(3)}, {"voltage": "mV"}), "must be in 'V'"),
         ((np.arange(3.0), {"voltage": np.zeros(3)}, {"force": "N"}), "not a signal of the recording"),

@@ -117,7 +117,7 @@ def test_a_bag_cut_anywhere_is_whole_again_for_every_reader(source, tmp_path_fac
     try:
         done = repair(cut)
     except RecordingError as error:
-        assert "nothing can be saved" in str(error) or "not a readable bag" in str(error)
+        assert "nothing can be recovered" in str(error) or "not a readable bag" in str(error)
         assert not ours
         assert sorted(place.iterdir()) == [cut]
         return
@@ -204,12 +204,12 @@ def refusal(*words):
 def test_wrong_input_ends_in_a_line_and_leaves_nothing(tmp_path):
     assert "no such file or folder" in refusal(tmp_path / "absent")
     (tmp_path / "garbage.mcap").write_bytes(b"\x00" * 100)
-    assert "not an MCAP file; nothing can be saved" in refusal(tmp_path / "garbage.mcap")
+    assert "not an MCAP file; nothing can be recovered" in refusal(tmp_path / "garbage.mcap")
     (tmp_path / "garbage.db3").write_bytes(b"\x00" * 100)
     assert "not a readable bag" in refusal(tmp_path / "garbage.db3")
     for size in (0, 1, 12):
         (tmp_path / "short.mcap").write_bytes(b"\x89MCAP0\r\n\x01\x00\x00\x00"[:size])
-        assert "nothing can be saved" in refusal(tmp_path / "short.mcap")
+        assert "nothing can be recovered" in refusal(tmp_path / "short.mcap")
     (tmp_path / "folder").mkdir()
     assert "not a bag" in refusal(tmp_path / "folder")
     (tmp_path / "run.csv").write_text("time\n")

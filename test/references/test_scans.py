@@ -212,12 +212,12 @@ def test_the_range_names_axis_excess_and_what_is_allowed():
     check_limits(scan, ScanLimits(low=(0.0, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(
         ParameterError,
-        match="position of x = 3.7.* m: the path with its turns is 6.25e-06 m out of range, allowed: ≥ 1e-05",
+        match="position of x = 3.7.* m: the path with its turns exceeds the range by 6.25e-06 m, allowed: ≥ 1e-05",
     ):
         check_limits(scan, ScanLimits(low=(1e-5, 0.0), high=(100e-6, 100e-6)))
     with pytest.raises(ParameterError, match="position of y") as refused:
         check_limits(scan, ScanLimits(high=(100e-6, 65e-6)))
-    assert len(refused.value.problems) == 1 and "5e-06 m out of range" in str(refused.value)
+    assert len(refused.value.problems) == 1 and "exceeds the range by 5e-06 m" in str(refused.value)
     with pytest.raises(ParameterError, match="has 3 values for 2 axes"):
         check_limits(scan, ScanLimits(velocity=(1.0, 1.0, 1.0)))
     with pytest.raises(ParameterError, match="acceleration jumps.*minimum_jerk"):

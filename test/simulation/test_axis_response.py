@@ -144,7 +144,7 @@ def test_files_come_back_and_tables_have_units(tmp_path):
     assert "sensitivity_peak:" in (tmp_path / "response.yaml").read_text()
     with pytest.raises(RecordingError, match="write .npz, .csv or .yaml"):
         save_response(tmp_path / "response.txt", found.plant, {}, {})
-    with pytest.raises(RecordingError, match="holds no frequency response"):
+    with pytest.raises(RecordingError, match="contains no frequency response"):
         load_response(tmp_path / "excitation.npz")
 
 
@@ -211,5 +211,5 @@ def test_recordings_and_axes_that_have_none_are_refused(tmp_path):
     result = hysteresis("frf", path)
     assert result.exit_code == 2 and "the excitation is too weak: signal-to-noise ratio" in result.output
     result = hysteresis("frf", path, "--amplitude", "1V")
-    assert result.exit_code == 2 and "is a recording, whose excitation is over" in result.output
+    assert result.exit_code == 2 and "is a recording, whose excitation cannot be changed" in result.output
     assert measured_loop_parts(single_axis(axis_file()))[0].D.shape == (1, 2)

@@ -53,7 +53,7 @@ def test_what_is_within_reach_is_reached_at_rest_and_what_is_refused_is_not():
         top = low + part * (high - low)
         changed = {"reference_generator": {**held, "waveform__offset": top}}
         if not reached:
-            with pytest.raises(ParameterError, match=r"reference_generator: waveform\.offset = .* out of reach"):
+            with pytest.raises(ParameterError, match=r"reference_generator: waveform\.offset = .* out of range"):
                 axis("picma_stage", **changed)
             continue
         run = simulate(axis("picma_stage", **changed), duration=3.0)

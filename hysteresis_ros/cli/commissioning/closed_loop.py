@@ -288,13 +288,13 @@ def _measured_response(situation: Situation, recording: Recording) -> AxisRespon
 
 
 def measured_plant(situation: Situation) -> MeasuredPlant | None:
-    """Return the ratio of the plant measured in closed loop to its model; None without a usable response."""
+    """Return the ratio of the plant measured in closed loop to its model; None if there is no usable response."""
     try:
         found = _measured_response(situation, situation.folder.recording("response"))
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # what is between plant and loop is the same in both
+    # the elements between plant and loop are the same in both
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
@@ -362,8 +362,8 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
     for reason, samples in (
         ("late samples", skipped),
         ("the response of the axis to late samples", at_or_after(skipped, answers)),
-        ("commands cut by the limits", shortfall),
-        ("the recovery from cut commands", at_or_after(shortfall, lasts)),
+        ("commands limited by range or slew rate", shortfall),
+        ("the recovery from limited commands", at_or_after(shortfall, lasts)),
         ("missing measurements", unseen),
     ):
         found[reason] = samples & ~known
@@ -438,7 +438,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     simulated = simulate(_learning_axis(situation, configuration))
     runs = {"measured": _period_errors(situation, recording), "predicted": _period_errors(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
-    # a folder written by an earlier version contains only the error against the delayed reference
+    # folders of earlier versions contain only the error against the delayed reference
     before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [

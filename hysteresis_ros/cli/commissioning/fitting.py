@@ -151,7 +151,7 @@ def _other_file(situation: Situation, name: str):
 
 
 def _loops(found: Identified) -> list[Picture]:
-    # before it the history is unknown
+    # before this sample the history is unknown
     known = slice(found.validation.skipped, None)
     voltage, measured, modelled = found.data.input[known], found.data.output[known], found.predicted[known]
     both = [line("measured", voltage, MICRO * measured), line("model", voltage, MICRO * modelled)]
@@ -214,7 +214,7 @@ def design_stage(situation: Situation) -> Outcome:
             reasons.setdefault(" ".join(str(error).replace(f"{name} ", "it ").split()), []).append(words)
     left_out = [f"{', '.join(those)}: {reason}" for reason, those in reasons.items()]
     if not tried:
-        raise CommissioningError(f"no controller keeps its margins on this model; {left_out[0]}")
+        raise CommissioningError(f"no controller meets its required margins with this model; {left_out[0]}")
     tried.sort(key=lambda one: one.error)
     best = tried[0]
     write_file(situation.folder.path / COMMISSIONED, best.text)
@@ -238,7 +238,7 @@ def design_stage(situation: Situation) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A design, the file of its axis, and its scan on the worst plant."""
+    """A tried design, with the file of its axis and its scan on the worst plant."""
 
     words: str
     design: AxisDesign
@@ -270,7 +270,7 @@ def _tried(
     axes |= {name: _with_plant(own, values) for name, values in plants.items()}
     errors = {name: scan_error(situation, one, predicted_scan(situation, one)) for name, one in axes.items()}
     if not all(np.isfinite(error) for error in errors.values()):
-        raise CommissioningError("it does not follow the scan in the simulation")
+        raise CommissioningError("the simulated axis does not follow the scan")
     worst = max(errors, key=lambda name: errors[name])
     return _Tried(words, result, axes[worst].text, worst, errors[worst])
 

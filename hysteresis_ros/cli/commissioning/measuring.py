@@ -133,7 +133,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
         f"at {situation.safe:g} V"
     ]
     if noise == 0.0:
-        lines.append("all readings are equal: noise below the resolution, or a sensor that does not see the stage")
+        lines.append("all readings are equal: noise below the resolution, or a sensor that does not measure the stage")
     picture = Picture(
         "Sensor at rest", "time [s]", "measured − mean [nm]", [line("measured", time, 1e9 * (measured - zero))]
     )
@@ -142,7 +142,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_gain(situation: Situation, recording: Recording) -> Outcome:
-    """Check the response to a small step: whether there is one, its sign, its size, and whether it settles."""
+    """Check the response to a small step: its presence, sign and size, and whether it settles."""
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
     step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)

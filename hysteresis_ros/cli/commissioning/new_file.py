@@ -141,7 +141,7 @@ def new_text(axis: NewAxis) -> str:
         reason=first.reason,
         ramp=f"{4.0 * velocity / acceleration:.{DIGITS}g}",
         joint=_scalar(axis.joint),
-        external="    external_plant: true              # a node of your own publishes joint_states\n"
+        external="    external_plant: true              # your own node publishes joint_states\n"
         if axis.external
         else "",
         driver=_driver_lines(axis),

@@ -26,11 +26,10 @@ Discretisation: exact for signals that are straight lines between the samples (f
 (trapezoidal rule; N = 0: no filter, a = 0). The first sample does not act as a step: I starts at the value that
 continues the command, D at zero.
 
-Anti-windup uses the achieved command. The excess is the part of the last command that was cut by the controller's own
-limits or by the compensator, which reports the achieved command in ``x[APPLIED]``. *clamping* stops the integral while
-it would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an approximate inverse
-(Picard steps) command and achieved command differ even without saturation, so differences below a threshold do not
-count.
+Anti-windup uses the achieved command. The excess is the part of the last command beyond the controller's own limits or
+those of the compensator, which reports the achieved command in ``x[APPLIED]``. *clamping* stops the integral while it
+would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an approximate inverse (Picard
+steps) command and achieved command differ even without saturation, so differences below a threshold do not count.
 
 With the zeros of the discrete PID on the slowest poles of the model, the loop transfer function is g/(z − 1) times the
 rest of the model, and the response to the reference is close to a first-order lag whose bandwidth increases with g:

@@ -430,7 +430,7 @@ class GcsLink:
             self._socket.close()
 
 
-#: Number of recent voltages; when the output is checked it may still be at any of them.
+#: Number of stored recent voltages; a checked output may still have any of them.
 RECENT = 4
 #: Points of a wave per command, and polling interval for its end [s].
 POINTS, PATIENCE = 40, 0.02

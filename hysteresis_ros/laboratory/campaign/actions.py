@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The actions of fault cases, by their names in the catalogue: on processes, machine and measurement, and by people."""
+"""The actions of fault cases, by their names in the catalogue: on processes, machine and measurement, and by users."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
     rig.group.send(mishap.victim, signal.SIGKILL)
     time.sleep(rig.bounds.timeouts[mishap.safe] + SLACK)
     if not witness.until(lambda: witness.tripped == PARTNER_LOST, patience):
-        rig.broken.append(f"the axis is not latched {patience:.2g} s after its voltage had to be safe")
+        rig.broken.append(f"the axis is not latched {patience:.2g} s after the time at which its voltage must be safe")
     _again(rig, (mishap.victim,))
     time.sleep(SLACK)
     if witness.tripped != PARTNER_LOST:
@@ -335,7 +335,7 @@ def _numbers(rig: Rig, node: str) -> dict[str, float]:
 
 
 def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
-    """Set parameters together; return whether they were accepted, None without an answer."""
+    """Set parameters together; return whether they were accepted; None if there was no answer."""
     request = SetParametersAtomically.Request()
     request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     answer = rig.witness.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
@@ -359,7 +359,7 @@ def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
         rig.broken.append(f"{unanswered} of {int(amount)} calls were not answered")
 
 
-#: The actions by name; each is called with the rig, the fault case and the amount.
+#: The actions by name; each is called with the fixture, the fault case and the amount.
 ACTIONS = {
     "kill": kill,
     "lose": lose,

@@ -32,7 +32,7 @@ BEYOND = 0.1
 REACHED = 0.02
 #: Fraction of the range within which a voltage counts as safe.
 SAFE = 0.01
-#: Additional time for a busy machine [s].
+#: Additional time that a busy machine may need [s].
 SLACK = 0.5
 
 
@@ -47,11 +47,11 @@ class Bounds:
     sample_time: float  #: Sample time, in the time of the stamps [s].
     low: float  #: low, high: Setpoints [m].
     high: float
-    stroke: float  #: From the lowest to the highest reference [m].
+    stroke: float  #: Range from the lowest to the highest reference [m].
     #: Times by :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], including the return to the safe
     #: voltage.
     timeouts: dict[str, float]
-    #: Largest distance of the displacement from the range between rest and setpoints, as a part of the stroke.
+    #: Largest distance of the displacement from the range between rest and setpoints, as a fraction of the stroke.
     beyond: float
 
 
@@ -180,7 +180,7 @@ class Figures:
     lowest: float  #: lowest, highest: Output voltages of the plant [V].
     highest: float
     step: float  #: Ratio of the largest change of the voltage between two samples to the allowed one.
-    #: Largest distance of the displacement from the range between rest and setpoints, as a part of the stroke.
+    #: Largest distance of the displacement from the range between rest and setpoints, as a fraction of the stroke.
     beyond: float
     #: Time from the beginning until the voltage was and stayed safe [s]; NaN if not required, infinite if it was not.
     safe: float
@@ -224,7 +224,7 @@ def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
     samples = trace.samples
     voltage = samples.voltage if samples.time.size else np.array([math.nan])
     low, high = trace.asked
-    places = samples.displacement[np.isfinite(samples.displacement)]  # unknown for a device
+    places = samples.displacement[np.isfinite(samples.displacement)]  # the true displacement of a device is unknown
     excess = np.maximum(places - high, low - places)
     beyond = float(np.max(excess, initial=0.0)) / bounds.stroke
     safe = math.nan
@@ -258,7 +258,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
     if mishap.bounded and not figures.beyond <= bounds.beyond:
         yield f"the displacement exceeds the setpoints by {100.0 * figures.beyond:.2g} % of the stroke"
     if mishap.safe and not figures.safe <= bounds.timeouts[mishap.safe]:
-        yield f"safe after {figures.safe:.3g} s, {bounds.timeouts[mishap.safe]:.3g} s are allowed"
+        yield f"safe after {figures.safe:.3g} s, allowed are {bounds.timeouts[mishap.safe]:.3g} s"
     if not math.isfinite(figures.recovery):
         yield "the axis does not follow setpoints again"
 

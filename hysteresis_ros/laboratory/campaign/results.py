@@ -118,12 +118,12 @@ with your axis, whose plant is then simulated: `hysteresis faults my_axis.yaml -
 
 Required of every case: {always}.
 
-A cell says whether this and the second column held in that way of running, with the worst figures: the output voltages
-of the plant; the largest step of the voltage between two samples over the allowed one; the displacement beyond the
-range between rest and setpoints, as a part of the stroke, from 5 % on (a tenth is allowed, plus the movement that the
-slew rate allows while voltages are late and the plant has not yet tripped); if the voltage must become safe, the time
-until it was; and the time from the end of the fault until the axis reached a new setpoint, including that move. Fused,
-every sample of the recording counts; composed and as processes, every message of the plant.
+A cell shows whether this and the requirement of the second column were met in this way of running, with the worst
+figures: the output voltages of the plant; the largest step of the voltage between two samples over the allowed one; the
+displacement beyond the range between rest and setpoints, as a fraction of the stroke, from 5 % on (a tenth is allowed,
+plus the movement that the slew rate allows while voltages are late and the plant has not yet tripped); if the voltage
+must become safe, the time until it was; and the time from the end of the fault until the axis reached a new setpoint,
+including that move. Fused, every sample of the recording counts; composed and as processes, every message of the plant.
 """
 
 

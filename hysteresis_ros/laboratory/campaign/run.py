@@ -92,7 +92,7 @@ class _Series:
                 raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
 
     def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
-        """Return the record of a case whose axis does not run."""
+        """Return the record of a case whose axis could not be started."""
         now = time.time()
         none = Samples.of(())
         trace = Trace(

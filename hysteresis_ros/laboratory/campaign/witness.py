@@ -88,7 +88,7 @@ class Witness:
             if status.name.startswith(f"{self.namespace}/"):
                 level, who = int.from_bytes(status.level, "big"), status.name.split("/")[-1].split(":")[0]
                 self.said.append((time.time(), level, f"{who}: {status.message}"))
-                # before its start and after its end a node has no samples
+                # a node has no samples before its start and after its end
                 for value in status.values if who == "plant_simulator" else ():
                     if value.key == "samples":
                         self._counted = time.time(), int(value.value)

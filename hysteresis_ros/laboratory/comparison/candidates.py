@@ -107,7 +107,7 @@ MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.
 
 @dataclass(frozen=True)
 class Known:
-    """What a design may know of an axis: a configuration whose plant consists of its two models."""
+    """Data of an axis that a design may use: a configuration whose plant consists of the axis' two models."""
 
     configuration: Configuration  #: One axis.
 
@@ -131,7 +131,7 @@ class Known:
 
 
 def known(configuration: Configuration, bits: int) -> Known:
-    """Return what a design may know of the axis of a configuration; it does not depend on the plant."""
+    """Return the data of an axis that a design may use; they do not depend on the plant."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
     return Known(parse_configuration(text, configuration.source))
@@ -146,11 +146,11 @@ class Candidate:
     #: motion_controller, hysteresis_compensator: Parameters that differ from the configuration.
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
-    refused: str = ""  #: Why the candidate cannot be designed; empty if it can.
+    refused: str = ""  #: Reason why the candidate cannot be designed; empty if it can.
     margins: Margins | None = None  #: Margins of its loop with its own model.
     #: Unmet requirements of its loop, with its model or with gain and times off by the mismatch; empty if all are met.
     marked: str = ""
-    learning: str = ""  #: Design of the learning from period to period; empty: no learning.
+    learning: str = ""  #: Kind of learning from period to period; empty: no learning.
 
 
 def names(axis: AxisParameters) -> list[tuple[str, str]]:
@@ -241,8 +241,8 @@ class Given:
             "kalman.form": "current",
             "kalman.gain": "riccati",
             "kalman.r": float(noise**2),
-            # without an estimated disturbance the filter must trust the measurement, or it does not correct the
-            # mismatch
+            # without an estimated disturbance, the filter corrects the mismatch only if it weights the measurement
+            # strongly
             "kalman.q": ((10.0 if disturbance == "none" else 0.1) * change) ** 2,
             "kalman.Q": (),
             "kalman.disturbance": disturbance,

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis compare``: every controller and compensator, ranked under honest conditions."""
+"""``hysteresis compare``: every controller and compensator, ranked under realistic conditions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SILENCE = 10.0
 @click.option("--robust", is_flag=True, help="Design sliding modes for the worst of the plants around the model.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
-@click.option("--namespace", help="Which axis of the configuration, when it describes several.")
+@click.option("--namespace", help="Axis to use, if the configuration describes several.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
 @click.option("--best", is_flag=True, help="-o F.yaml writes CONFIG with the best combination.")

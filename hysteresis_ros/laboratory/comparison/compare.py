@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Comparison of all controllers and compensators under the same honest conditions, to choose one for an axis.
+"""Comparison of all controllers and compensators under the same realistic conditions, to choose one for an axis.
 
 There are two tables: random plants around the configured one, for which every candidate is designed from the models in
 the configuration; and plants of other classes than any model, for which every candidate is designed from the default
@@ -184,8 +184,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
         f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
         "reference); undelayed: against the reference itself, on the worst plant",
-        f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the "
-        "period of each reference; all others after 2 s",
+        f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the period "
+        "of each reference; all others from 2 s on",
         "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
         "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
         "marked rows do not meet the margins required of every design, with their own model, or M_s 3 with "
@@ -310,7 +310,7 @@ def compare(
     conditions.require_slow(axis.plant_simulator.sample_rate)
     if only is not None and conditions.draws:
         _require_known(only, names(axis))
-    # the longest work first
+    # the longest jobs first
     jobs = [Job(_rows_on_other, (conditions.seed + i, conditions, only)) for i in range(conditions.others)]
     if conditions.draws:
         trial = trial_around(configuration, conditions)

@@ -59,13 +59,15 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate: its results, or why it was refused."""
+    """One candidate: its results, or the reason why it was refused."""
 
     controller: str  #: controller, compensator: Names in the table.
     compensator: str
-    results: dict[str, Result] = field(default_factory=dict)  #: By name of the task; empty for a refused candidate.
+    results: dict[str, Result] = field(
+        default_factory=dict
+    )  #: Results by name of the task; empty for a refused candidate.
     delays: tuple[float, ...] = ()  #: Constant delay of the evaluation [s], one for each design.
-    refused: str = ""  #: Why there are no results.
+    refused: str = ""  #: Reason why there are no results.
     marked: str = ""  #: Unmet margins on its own model; the candidate is run and shown, but not ranked.
     #: By name of the task: smallest ratio of the benchmark's error to the error of this row, over the plants.
     better: dict[str, float] = field(default_factory=dict)
@@ -232,7 +234,7 @@ def _tuned(trial: Trial) -> PidParameters:
             if followed(gains(values, GAIN_MARGIN)).unstable or followed(gains(values), late).unstable:
                 return np.inf
             runs = {task: [followed(gains(values), task=task)] for task in trial.tasks}
-        except ParameterError:  # not feasible for a PI on any plant
+        except ParameterError:  # no PI meets this on any plant
             return np.inf
         results = judged(runs, best_delay(runs, trial.conditions.longest_delay), trial.stroke)
         return float(np.mean([np.log(result.worst) for result in results.values()]))

@@ -85,7 +85,7 @@ def write_ranking_page(path, title: str, *, tables, **contents) -> None:
     write_page(path, render_page("ranking.html.j2", title=title, tables=drawn, **contents))
 
 
-TITLE = "Controllers and compensators under honest conditions"
+TITLE = "Controllers and compensators under realistic conditions"
 RANKING = "Ranked by the geometric mean over the references of the RMS error on the worst plant."
 #: Columns of a task: heading, unit, and function of the row and its result.
 ERRORS = (

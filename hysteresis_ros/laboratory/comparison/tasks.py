@@ -108,7 +108,7 @@ class Task:
     frequency: float  #: [Hz]
     low: float  #: low, high: Ends [m].
     high: float
-    periods: int = SETTLING_PERIODS  #: Fewest periods before the first evaluated sample.
+    periods: int = SETTLING_PERIODS  #: Least number of periods before the first evaluated sample.
 
     @property
     def settling(self) -> float:
@@ -262,9 +262,10 @@ DELAYS = 41
 #: A stable loop becomes periodic. This is the largest RMS difference between two periods, as a fraction of the
 #: reference; the noise of a stable loop is far below.
 LOST = 0.1
-#: A limit cycle may lock to the period of the reference; it shows by at least this fraction of the time at the limits.
+#: A limit cycle may lock to the period of the reference; it is detected when the voltage is at its limits for at least
+#: this fraction of the time.
 AT_LIMITS = 0.25
-#: Points of the first search for the delay.
+#: Number of points of the first search for the delay.
 THIN = 4000
 
 
@@ -274,7 +275,7 @@ class Followed(NamedTuple):
     time: np.ndarray  #: shape (N,); Evaluated times [s].
     displacement: np.ndarray  #: shape (N,); True displacement [m].
     effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
-    chattering: float  #: ``chattering_m`` of the command [m rms], as there.
+    chattering: float  #: ``chattering_m`` of the command [m rms], as in the same function.
     saturated: float  #: Fraction of the evaluated samples at which the voltage is at a limit.
     #: Whether the plant tripped, was not periodic, or alternated between the limits.
     unstable: bool
@@ -290,7 +291,7 @@ class Followed(NamedTuple):
     @property
     def thin(self) -> Followed:
         """The same run, evaluated at fewer points."""
-        stride = max(len(self.time) // THIN, 1) | 1  # odd, so that every point within a sample occurs
+        stride = max(len(self.time) // THIN, 1) | 1  # an odd step, so that every point within a sample occurs
         return self._replace(time=self.time[::stride], displacement=self.displacement[::stride])
 
 
@@ -323,10 +324,10 @@ class Result:
     """One candidate on one task, over all plants."""
 
     #: rms, maximum: shape (plants,); RMS and largest error against the reference delayed by the row's own constant
-    #: delay, as parts of the stroke.
+    #: delay, as fractions of the stroke.
     rms: np.ndarray
     maximum: np.ndarray
-    undelayed: np.ndarray  #: shape (plants,); RMS error against the reference itself, as parts of the stroke.
+    undelayed: np.ndarray  #: shape (plants,); RMS error against the reference itself, as fractions of the stroke.
     effort: np.ndarray  #: shape (plants,); RMS rate of the voltage [V/s].
     chattering: np.ndarray  #: shape (plants,); Chattering of the command [m rms].
     saturated: float  #: Fraction of the evaluated samples at a limit, the largest over the plants.
@@ -343,7 +344,7 @@ def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
     best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)
-    # the mean square of one run is nearly a parabola; the largest of several, and its logarithm, are not
+    # the mean square of one run is nearly a parabola; the maximum over several runs, and its logarithm, are not
     around, fine = delays[best - 1 : best + 2], np.linspace(delays[best - 1], delays[best + 1], DELAYS)
     close = {
         task: np.array([_parabola(around, run.mean_squares(task, around), fine) for run in found])

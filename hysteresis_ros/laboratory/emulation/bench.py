@@ -189,7 +189,7 @@ class EmulatedPlant:
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
         self._actuator = Actuator(parameters, cycle)
-        self._actuator.advance(self._actuator.measure())  # compiles now instead of at the first query
+        self._actuator.advance(self._actuator.measure())  # the first sample compiles now, not at the first query
         self._actuator.reset()
         self.cycle, self._clock = cycle, clock
         self.limits, self.gain = parameters.limits, self._actuator.hysteresis.gain

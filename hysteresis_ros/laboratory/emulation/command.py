@@ -50,7 +50,7 @@ def _command(declared: HardwareDriver, device: EmulatedDevice) -> click.Command:
 
     options: list[click.Parameter] = [
         *map(_option, device.parameters.table()),
-        click.Option(["--plant"], metavar="CONFIG", help="Take the plant of this axis; an assumed stage by default."),
+        click.Option(["--plant"], metavar="CONFIG", help="Use the plant of this axis; by default an assumed stage."),
         click.Option(["--fault", "faults"], multiple=True, metavar="NAME:START:DURATION[:VALUE]", help=_FAULT_HELP),
     ]
     return click.Command(declared.name, callback=run, params=options, help=f"Emulate {declared.title}.")

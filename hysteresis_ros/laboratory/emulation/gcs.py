@@ -137,7 +137,7 @@ def require_free(controller: Controller) -> None:
 
 #: Points of a table, and number of tables.
 LONGEST_WAVE, TABLES = 65536, 8
-#: Numbers after each type: length of the segment, amplitude, offset, length of the curve, start, and numbers of its
+#: Parameters of each type: length of the segment, amplitude, offset, length of the curve, start, and parameters of the
 #: shape; for single points: the first point, their number, and the points.
 SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}
 

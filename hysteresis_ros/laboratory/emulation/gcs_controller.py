@@ -80,7 +80,7 @@ class Recorder:
         self.running = any(option for _, option in self.configuration)
 
     def record(self, axis: str, signals: dict[int, float]) -> None:
-        """Take a sample of an axis."""
+        """Record a sample of an axis."""
         if self._seen[axis] % self.rate == 0:
             for (name, option), table in zip(self.configuration, self.tables, strict=True):
                 if name == axis and option and len(table) < self.points:
@@ -112,8 +112,8 @@ class Recorder:
         return lines + [" ".join(f"{column[row]:.7g}" for column in columns) for row in range(length)]
 
 
-#: Assumed: largest velocity of the servo [m/s], its window [m], and the time within the window after which it has
-#: arrived [s].
+#: Assumed: largest velocity of the servo [m/s], its on-target window [m], and the time within the window after which it
+#: is on target [s].
 VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
 
 

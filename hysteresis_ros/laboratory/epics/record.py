@@ -238,9 +238,7 @@ class MotorRecord:
         self._go(user, now)
 
     def _put_dval(self, dial: float, now: float) -> None:
-        if (
-            self.fields["SET"] == "Use"
-        ):  # otherwise the write changes the record's zero, which is not the zero of the axis
+        if self.fields["SET"] == "Use":  # otherwise the write changes only the record's zero, not the zero of the axis
             self._go(self._user(dial), now)
 
     def _put_rlv(self, distance: float, now: float) -> None:
@@ -374,7 +372,7 @@ class MotorRecord:
         if seen.setpoint == target:
             self._taken = True
         elif self._taken or now - self._begun > TAKEN:
-            self._end(MISSED)  # the axis got another setpoint, or did not accept this one
+            self._end(MISSED)  # the axis received another setpoint, or did not accept this one
             return
         if seen.alarm != Alarm() or now - self._begun > self._allowed:
             self._end(MISSED)

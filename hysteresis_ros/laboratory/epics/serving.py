@@ -65,7 +65,7 @@ def serve(
     """Serve motor records until a request to exit or the end of the server; return its exit code."""
     require_ros()
     require_caproto()
-    # clients find an axis only when it can move
+    # an axis is served only when it can move
     served = {"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses), "wait": bool(axes)}
     request = json.dumps(served)
     with contextlib.ExitStack() as stack:

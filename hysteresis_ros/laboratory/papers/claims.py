@@ -199,7 +199,7 @@ class Claim:
     quantity: str  #: Measured quantity, with its conditions.
     measured: float  #: Reproduced value.
     unit: str  #: One of :data:`SHOWN`.
-    #: The paper's value, as text if it gives no number; None without a statement.
+    #: The paper's value, as text if it gives no number; None if the paper states none.
     paper: float | str | None = None
     low: float | None = None  #: low, high: Inclusive range of the claim; both None: a row for information.
     high: float | None = None
@@ -219,7 +219,7 @@ class Claim:
 
     @property
     def holds(self) -> bool | None:
-        """Whether ``measured`` is within the tolerance; None without one."""
+        """Whether ``measured`` is within the tolerance; None if there is no tolerance."""
         if self.low is None and self.high is None:
             return None
         above = self.low is None or self.measured >= self.low
@@ -359,7 +359,7 @@ def format_claims(reproduction: Reproduction) -> str:
         lines += [heading, *(line(rows[claim.id]) for claim in claims), ""]
     lines.append(reproduction.summary())
     if any(claim.derived for claim in reproduction.claims):
-        lines.append("* worked out for the assumed plant; the paper itself prints no such number")
+        lines.append("* calculated for the assumed plant; the paper itself prints no such number")
     lines += ["", "Remarks", *(f"- {remark}" for remark in reproduction.remarks())]
     lines += ["", "Assumptions", *(f"{i}  {text}" for i, text in enumerate(reproduction.assumptions, 1))]
     return "\n".join(lines)

@@ -73,7 +73,7 @@ def run(configuration: Configuration, duration: float) -> Recording:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """Figures of a run of steps between 0 and one level, of the worst step."""
+    """Figures of the worst step of a run with steps between 0 and one level."""
 
     #: 2 % settling time [s], around the value finally reached; the length of the hold if a step does not settle.
     settling: float
@@ -92,7 +92,7 @@ def step_figures(run: Recording) -> StepFigures:
     back = [abs(answer.final) for answer in responses if answer.size < 0.0]
     up = [abs(answer.steady_state_error) for answer in responses if answer.size > 0.0]
     if not back or not up:
-        raise RecordingError("the reference of the run does not step up and back to zero: nothing to judge")
+        raise RecordingError("the reference of the run does not step up and back to zero, so it cannot be evaluated")
     times, vibrations = [], []
     for hold, answer in zip(holds, responses, strict=True):
         length = (hold.stop - hold.start) * run.sample_time

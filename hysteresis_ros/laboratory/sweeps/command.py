@@ -76,7 +76,7 @@ REFUSED = 2
 @click.option("--duration", type=Quantity("s"), help="Length of each run [s]; the configuration's own by default.")
 @params_file_option
 @reference_options
-@click.option("--namespace", help="Which axis of the configuration, when it describes several.")
+@click.option("--namespace", help="Axis to use, if the configuration describes several.")
 def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, outputs, json_path, **others):
     """Run CONFIG offline many times with varied parameters, and summarise the metrics.
 
@@ -132,7 +132,7 @@ def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, 
 
 
 def _sorted(outputs):
-    """Return the file of the results and that of the page, None without one."""
+    """Return the paths of the results and of the page, each None if not given."""
     from hysteresis_ros.errors import ConfigurationError
 
     pages = [path for path in outputs if path.suffix.lower() in (".html", ".htm")]

@@ -47,7 +47,7 @@ def share_figure(column: Column, ends: Sequence[float]):
     known = np.sort(column.shown[np.isfinite(column.values)])
     share = (
         100.0 * np.arange(1, known.size + 1) / len(column.values)
-    )  # the share is of all runs, also those without a value
+    )  # the fraction refers to all runs, including those without a value
     axis.step(known, share, where="post", color=_COLOURS[0], linewidth=1.4)
     for end in ends:
         axis.axvline(end * column.factor, **_BOUND)
@@ -119,7 +119,7 @@ def influence_figure(found: Mapping[str, tuple[Sequence[str], dict[str, np.ndarr
             axis.barh(place, columns[name] / scale, xerr=error, **style)
         axis.set_yticks(places, labels, fontsize=8)
         axis.set_title(metric, fontsize=10, loc="left")
-        axis.set_xlabel("part of the variance" if variance else "effect, as a part of the largest mean", fontsize=9)
+        axis.set_xlabel("part of the variance" if variance else "effect, as a fraction of the largest mean", fontsize=9)
         axis.legend(frameon=False, fontsize=8)
     return figure
 

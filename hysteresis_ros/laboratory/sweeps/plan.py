@@ -13,10 +13,10 @@ Levels: ``1um:5um:lin10`` (evenly spaced), ``0.1:2:log20`` (in a constant ratio)
 Distributions: ``±5%`` and ``±2nm`` (uniform around the configured value), ``uniform(A,B)``, ``loguniform(A,B)``,
 ``normal(MEAN,DEVIATION)`` and ``normal(±5%)`` (around the configured value; 5 % is the standard deviation).
 
-Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. So all levels have
-the same draws, and a longer sweep begins with the runs of a shorter one. Draw j of D distributions consists of the
-numbers j D … (j + 1) D - 1 of the PCG64 generator of the seed. So a point depends only on seed and run number, not on
-the process that computes it.
+Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. All levels
+therefore have the same draws, and a longer sweep begins with the runs of a shorter one. Draw j of D distributions
+consists of the numbers j D … (j + 1) D - 1 of the PCG64 generator of the seed. A point therefore depends only on seed
+and run number, not on the process that computes it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: What a number does to the configured value.
+#: Effect of a number on the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
@@ -616,7 +616,7 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
     value = present[place] if place is not None else present
     if over.does == FACTOR and not np.any(value):
         raise refused(
-            target, words, "is configured as 0, so a relative change has no effect: give ± with a unit, or values"
+            target, words, "is configured as 0, so a relative change has no effect: give a width with a unit, or values"
         )
 
 

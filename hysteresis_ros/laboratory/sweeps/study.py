@@ -45,7 +45,7 @@ from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParam
 
 #: Metric: number of moves that did not arrive.
 NOT_ARRIVED = "not_arrived"
-#: Figures of moves: function that selects the move that counts, and label.
+#: Figures of moves: function that selects the move to report, and label.
 _WORST: dict[str, tuple[Callable, str]] = {
     "final_error_rms_m": (max, "Final error, worst move"),
     "final_error_max_m": (max, "Final error, largest, worst move"),
@@ -53,7 +53,7 @@ _WORST: dict[str, tuple[Callable, str]] = {
     "overshoot_m": (max, "Overshoot, worst move"),
     "walking_speed_m_s": (min, "Speed of walking, slowest move"),
 }
-#: Figures that a motor that did not arrive does not have.
+#: Figures that are undefined for a motor that did not arrive.
 _OF_ARRIVALS = ("final_error_rms_m", "final_error_max_m", "time_s")
 #: Figures of the configuration and of clocks, which do not depend on a run.
 _OF_GAITS = ("gait_speed_m_s", "stroke_m", "period_s", "clamp_threshold_v")
@@ -190,7 +190,7 @@ class Runs(NamedTuple):
 
     first: int  #: Number of the first run.
     rows: list[list[float]]  #: Metrics of each run, and whether its axis tripped.
-    refused: dict[int, str]  #: Number of each run whose axis cannot be built, and why.
+    refused: dict[int, str]  #: Numbers of the runs whose axis cannot be built, with reasons.
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@
 
 """Summary of a sweep: yield, sensitivities and figures, as text and as JSON.
 
-The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it contains all shares for which the
-observation is not too unlikely, and covers any true share with at least the stated confidence.
+The interval of a yield is that of Clopper and Pearson (Biometrika 26, 1934): it contains all fractions for which the
+observation is sufficiently likely, and covers the true fraction with at least the stated confidence.
 
 SALib computes the sensitivities (Herman and Usher, J. Open Source Software 2 (9), 2017) from runs that are planned for
 them: Saltelli's points for Sobol, trajectories for Morris.
@@ -70,11 +70,11 @@ class Bound:
 
 @dataclass(frozen=True)
 class Yield:
-    """Yield: the share of the runs that meet all bounds."""
+    """Yield: the fraction of the runs that meet all bounds."""
 
     good: int  #: good, runs: Number of runs that meet the bounds, and of all runs.
     runs: int
-    low: float  #: low, high: Interval of the share.
+    low: float  #: low, high: Interval of the fraction.
     high: float
 
     @property
@@ -115,7 +115,7 @@ def _value(metric: str, text: str) -> float:
 
 
 def interval(good: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the interval of a share."""
+    """Return the interval of a fraction."""
     missed = 0.5 * (1.0 - confidence)
     low = float(scipy.special.betaincinv(good, runs - good + 1, missed)) if good else 0.0
     high = float(scipy.special.betaincinv(good + 1, runs - good, 1.0 - missed)) if good < runs else 1.0
@@ -148,7 +148,7 @@ class Sensitivity:
     #: shape (variations,); For Sobol ``first`` and ``total``, fractions of the variance; for Morris ``mean`` (of the
     #: absolute effects) and ``deviation``, in SI. ``…_interval`` is half the width of each confidence interval.
     columns: dict[str, np.ndarray]
-    why: str = ""  #: Why there is no sensitivity.
+    why: str = ""  #: Reason why there is no sensitivity.
 
 
 def require_library() -> None:
@@ -168,7 +168,7 @@ def sensitivity(plan: Plan, metric: str, values: np.ndarray, confidence: float =
     if not np.ptp(values) > 0.0:
         return Sensitivity(metric, labels, {}, "the same in all runs")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of pandas, which SALib uses
+        warnings.simplefilter("ignore")  # warnings of pandas, which SALib uses
         columns = _sobol(plan, values, confidence) if plan.design == SOBOL else _morris(plan, values, confidence)
     return Sensitivity(metric, labels, {name: np.asarray(found, dtype=float) for name, found in columns.items()})
 
@@ -222,7 +222,7 @@ class Summary:
 
     @property
     def yield_(self) -> Yield:
-        """Share of all runs that meet all bounds."""
+        """Fraction of all runs that meet all bounds."""
         return yield_of(self.met, self.confidence)
 
     @property

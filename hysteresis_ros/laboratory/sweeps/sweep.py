@@ -137,7 +137,7 @@ class Results:
     parameters: dict[str, np.ndarray]  #: shape (runs,); Varied values of each run, by labels.
     metrics: dict[str, np.ndarray]  #: shape (runs,); Metrics in SI; NaN without meaning.
     tripped: np.ndarray  #: shape (runs,); Whether the axis tripped.
-    refused: np.ndarray  #: shape (runs,); Why an axis could not be built; empty if it could.
+    refused: np.ndarray  #: shape (runs,); Reason why an axis could not be built; empty if it could.
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -214,7 +214,7 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
 #: Number of workers above which jobs get longer, so that distributing them keeps up.
 CROWD = 64
-#: Number of samples below which parallel processes do not pay off.
+#: Number of samples below which parallel processes are not faster.
 FEW = 3_000_000
 
 

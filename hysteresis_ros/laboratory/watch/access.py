@@ -137,7 +137,7 @@ class Control:
 #: Services of an inchworm motor that a page may call.
 SERVICES = ("home", "release", "learn", "freeze", "forget")
 
-#: Longest text of a marker, maximum number of parameters in one request, longest value.
+#: Longest text of a marker, largest number of parameters in one request, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
 #: Allowed windows of time [s] and columns of the screen.
 WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)

@@ -107,7 +107,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters in use; of models and laws only the parameters of the selected one are."""
+    """Yield the names of the parameters in use; for models and laws, only those of the selected one."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:
@@ -117,7 +117,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Return whether a parameter has no effect: its law is not selected, or its block is absent."""
+    """Return whether a parameter has no effect because its law is not selected or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True

@@ -135,7 +135,7 @@ class Client:
         """Return a text with the present nodes, and the one whose name is similar to ``wanted``."""
         found = self.nodes()
         if not found:
-            return f"there is nobody in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: does an axis run?"
+            return f"no node is in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: is an axis running?"
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
     def make_client(self, kind, service: str):

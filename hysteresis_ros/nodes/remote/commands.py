@@ -103,7 +103,7 @@ def _change(client: Client, full: str, action: str) -> None:
         done = client.ask(ChangeState, f"{full}/change_state", request).success
         if not done:
             client.until(lambda: said, WORDS)
-            why = "; ".join(said) or "its log says why"
+            why = "; ".join(said) or "see its log"
             raise HysteresisError(f"{full} is {before} and refuses to {action}: {why}")
     finally:
         client.node.destroy_subscription(ear)
@@ -172,7 +172,7 @@ def survey(client: Client) -> list[AxisStatus]:
         client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
 
     def there() -> dict[str, list[str]]:
-        """Return the nodes of each axis: those found by discovery, and those from which messages have arrived."""
+        """Return the nodes of each axis: nodes found by discovery, and senders of messages that have arrived."""
         named_or_heard = sorted({*client.nodes(), *reports})
         return {
             space: names
@@ -292,7 +292,7 @@ def _lines(axis: AxisStatus):
         if node.message.startswith(LIMITED):
             yield f"  {node.message} of {node.name.rsplit('/', 1)[-1]}"
     if axis.plant:
-        yield f"  {axis.plant} publishes joint_states in the place of plant_simulator"
+        yield f"  {axis.plant} publishes joint_states instead of plant_simulator"
     if axis.spin[0]:
         ahead, part = axis.spin
         yield f"  the loop looks at the clock from {ahead:.3g} µs before each deadline: {part:.2g} % of a core"
@@ -342,7 +342,7 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them, or none when one is refused."""
+    """Set parameters of a node: all of them, or none when one is refused."""
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # takes half a second, and no other command needs it
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
@@ -401,20 +401,20 @@ def echo(client: Client, topic: str, count: int | None) -> None:
             said, quiet = said + 1, time.monotonic()
         elif not client.node.count_publishers(name):
             if count is None:
-                print(f"hysteresis: nobody publishes {name} any more", flush=True)
+                print(f"hysteresis: {name} has no publisher any more", flush=True)
                 return
-            raise AbsentError(f"{said} of {count} messages came on {name}, then its publisher left")
+            raise AbsentError(f"{said} of {count} messages arrived on {name}, then its publisher left")
         elif time.monotonic() - quiet > client.timeout and (count is not None or not said):
             who = ", ".join(map(named, publishers))
-            raise AbsentError(f"nothing came on {name} for {client.timeout:g} s; its publisher is {who}")
+            raise AbsentError(f"no message arrived on {name} for {client.timeout:g} s; its publisher is {who}")
 
 
 def _nobody(client: Client, name: str) -> str:
-    """Return that a topic has no publisher, and the published topics."""
+    """Return the error message for a topic without a publisher, with the published topics."""
     topics = [topic for topic, _ in client.node.get_topic_names_and_types() if client.node.count_publishers(topic)]
     topics = [topic for topic in topics if topic not in ("/rosout", "/parameter_events")]
     there = f"there are {', '.join(topics)}{did_you_mean(name, topics)}" if topics else client.who_is_there()
-    return f"nobody publishes {name} within {client.timeout:g} s; {there}"
+    return f"{name} has no publisher within {client.timeout:g} s; {there}"
 
 
 def _message_type(name: str):
@@ -487,7 +487,7 @@ ANSWER = 5.0
 def setpoint(client: Client, value: float) -> None:
     """Send a setpoint [m] to the reference source, and print whether it was accepted.
 
-    The source answers, so a setpoint cannot be lost silently, as on a topic.
+    The source replies, so a setpoint cannot be lost without notice, which is possible on a topic.
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -538,7 +538,7 @@ def _require_active(client: Client, source: str) -> None:
 
 
 def stands(source: str, state: dict[str, float]) -> str:
-    """Return why a source does not move although it has the setpoint, and what to do; empty when it moves."""
+    """Return why a source that has the setpoint does not move, and the remedy; empty when it moves."""
     from hysteresis_ros.loop.watch import STOPPED, TRIPPED
     from hysteresis_ros.references import inchworm_layout as at
 
@@ -546,11 +546,11 @@ def stands(source: str, state: dict[str, float]) -> str:
     start = f"`hysteresis call {source} start`"
     if mode == TRIPPED:
         plant = f"{source.rpartition('/')[0]}/plant_simulator"
-        return f"stands still, because the plant has stopped the axis: `hysteresis call {plant} start` lets it go on"
+        return f"does not move, because the plant has stopped the axis: `hysteresis call {plant} start` resumes it"
     if mode == STOPPED:
         return f"is stopped: {start}"
     if error > at.SENSOR_ERROR:  # this error clears itself
-        return f"stands with the error {at.ERROR_NAMES[error]}: {start} after repair"
+        return f"has stopped with the error {at.ERROR_NAMES[error]}: {start} after repair"
     if round(state.get("phase", 0.0)) == at.RELEASED:
         return f"has let the slider go: {start}"
     return ""
@@ -568,10 +568,12 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
     if not client.until(made, min(ANSWER, client.timeout)):
         if state:
             now = readable(state.get("setpoint", math.nan), "m")
-            raise AbsentError(f"{source} took it, but {now} is in force: another one came after it")
+            raise AbsentError(f"{source} accepted it, but {now} is in force: another setpoint came after it")
         joints = f"{source.rsplit('/', 1)[0]}/joint_states"
-        why = f"nobody publishes {joints}" if not client.node.count_publishers(joints) else "time stands still"
-        raise AbsentError(f"{source} has the setpoint but has made no sample with it: {why}; see `hysteresis status`")
+        why = f"{joints} has no publisher" if not client.node.count_publishers(joints) else "time stands still"
+        raise AbsentError(
+            f"{source} has the setpoint but has computed no sample with it: {why}; see `hysteresis status`"
+        )
     if any(round(state.get(name, 0.0)) for name in ("mode", "error", "phase")):
         why = stands(source, state)
         if why:

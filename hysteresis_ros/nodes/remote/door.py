@@ -10,7 +10,7 @@
 """Connection of commands to the session that ``hysteresis up`` keeps in the graph; imports no ROS.
 
 A separate command needs up to some seconds for discovery; the session already knows the nodes. The kernel releases the
-address when the session ends, however it ends, and identifies the user at the other end.
+address however the session ends, and identifies the user at the other end.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class Session:
 
         class Served(Client):
             def hear(self) -> None:
-                if select.select([connection], [], [], 0.0)[0]:  # the command says nothing more: it has left
+                if select.select([connection], [], [], 0.0)[0]:  # the command sends nothing more: it has left
                     raise BrokenPipeError
                 super().hear()
 

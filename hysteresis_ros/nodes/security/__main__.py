@@ -10,7 +10,7 @@
 """Write an SROS 2 policy of the nodes: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
 
 The nodes are created and configured in an isolated ROS domain, and their topics and services are listed. No driver is
-opened and no node is activated: the interfaces of a node do not depend on its device, and all of them exist once it is
+opened and no node is activated, because the interfaces of a node do not depend on its device and all exist once it is
 configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null), ``processes`` (or
 null: as `up` decides), ``record`` and ``external`` (booleans), ``remap`` (list).
 """

@@ -89,7 +89,7 @@ def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dic
     words : iterable of str
         Texts ``NAME=VALUE``, a length with its unit: ``width=80um``.
     rows : mapping of str to ParameterRow
-        The parameters that there are, as :func:`rows_of` returns them.
+        The existing parameters, as :func:`rows_of` returns them.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def parsed_values(words: Iterable[str], rows: Mapping[str, ParameterRow]) -> dic
     Raises
     ------
     ParameterError
-        A text has another form, or a parameter is unknown or is not what it must be.
+        A text has another form, or a parameter is unknown or invalid.
     """
     found, problems = {}, []
     for word in words:

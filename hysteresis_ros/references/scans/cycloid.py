@@ -9,10 +9,9 @@
 
 """Cycloid: circles whose middle drifts along u, forward in one frame and back in the next one.
 
-The middle moves at a constant velocity. It reverses smoothly around the beginnings of frames
-(:mod:`hysteresis_ros.references.pieces`) and overshoots the ends by what the reversal needs. The path is the sum of one
-tone and this slow drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi
-10.1088/0957-4484/21/36/365503).
+The middle moves at a constant velocity. Around the beginnings of frames it reverses smoothly
+(:mod:`hysteresis_ros.references.pieces`), which overshoots the ends. The path is the sum of one tone and this slow
+drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi 10.1088/0957-4484/21/36/365503).
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from hysteresis_ros.references.pieces import Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 from hysteresis_ros.references.waveforms.file import read_columns
 
-#: Fewest and most points of a file.
+#: Least and largest number of points of a file.
 LEAST, MOST = 4, 1_000_000
 #: Largest distance from the last point to the first in a path that closes by itself, in steps of the path, which vary.
 NEAR = 2.0
@@ -48,7 +48,7 @@ class File(Scan):
     Parameters
     ----------
     frame_rate : float
-        Frames per second [Hz]; 0: as the times of the file say.
+        Frames per second [Hz]; 0: determined by the times of the file.
     path : str
         CSV whose header names units (``time [s], x [um], y [um]``), or NPZ with arrays ``time`` [s], ``x`` and ``y``
         [m].
@@ -59,7 +59,7 @@ class File(Scan):
     """
 
     frame_rate: float = parameter(
-        0.0, description="frames per second; 0: as the times of the file say", unit="Hz", low=0.0, high=1e6
+        0.0, description="frames per second; 0: determined by the times of the file", unit="Hz", low=0.0, high=1e6
     )
     path: str = parameter(description="CSV (time [s], x [um], y [um]) or NPZ with time, x and y", place="files")
     sample_rate: float = parameter(
@@ -73,7 +73,7 @@ class File(Scan):
     )
 
     def check(self) -> Iterable[Problem]:
-        """Yield what is wrong with the file."""
+        """Yield a Problem for each inconsistency, also of the file."""
         try:
             self._points  # noqa: B018
         except ParameterError as error:

@@ -22,7 +22,7 @@ from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.pieces import LAWS, Builder, Pieces
 from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
-#: Patterns: each line forward and back; lines alternately forward and backward; each line forward, with a smooth
+#: Patterns: each line forward and backward; lines alternately forward and backward; each line forward, with a smooth
 #: return.
 PATTERNS = ("trace_retrace", "bidirectional", "trace")
 
@@ -131,7 +131,7 @@ class Raster(Scan):
 
     @property
     def overshoot(self) -> float:
-        """How far u overshoots each end of the lines [m]."""
+        """Overshoot of u beyond each end of the lines [m]."""
         low, high = self._fast.range(np.eye(1))
         return float(max(high[0], -low[0])) - 0.5 * self.width
 

@@ -23,7 +23,7 @@ from hysteresis_ros.references.waveforms.file import LARGEST_TABLE, file
 
 #: Coordinates of a scan, in the order of its axes.
 COORDINATES = ("x", "y", "z")
-#: Most periods of a path within a table, and the largest distance of their end from a sample [samples].
+#: Largest number of periods of a path within a table, and the largest distance of their end from a sample [samples].
 MOST_PERIODS, WHOLE = 1000, 1e-6
 
 

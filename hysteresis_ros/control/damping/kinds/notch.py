@@ -34,7 +34,7 @@ from hysteresis_ros.control.damping.kind import (
 )
 from hysteresis_ros.models.linear import StateSpace
 
-#: Most filters.
+#: Largest number of filters.
 MOST = 4
 
 

@@ -40,7 +40,7 @@ from hysteresis_ros.control.damping.kind import (
 )
 from hysteresis_ros.models.linear import StateSpace
 
-#: Most modes.
+#: Largest number of modes.
 MOST = 2
 
 

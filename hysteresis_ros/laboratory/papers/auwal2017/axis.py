@@ -35,7 +35,8 @@ REDUCTION = {"pid": 95.42, "inverse": 97.82}  # %
 
 # Computed for the assumed experiment, see the assumptions below.
 LIMITED_IAE = {"pid": 9.65e-6, "inverse": 8.09e-6}  # m s, 0 … 150 V
-#: Reduction [%] by an inverse with a parameter of its model wrong by the given fraction: lowest, highest.
+#: Lowest and highest reduction of the error [%] by an inverse whose model has the given relative error in one
+#: parameter.
 OFF = {("d_e", 0.01): (92.0, 93.0), ("alpha", 0.05): (85.0, 87.0)}
 STROKE_150 = 17.19e-6  # m
 MISPRINTED = 93.9e-6  # m
@@ -46,7 +47,7 @@ DAMPING = 0.20
 PEAK_VOLTAGE = 125.0  # V
 PERIOD = 46.3  # s
 HEIGHT = PEAK_VOLTAGE / TABLE_1["K"] * 1e-6  # m
-SLOW_RATE = 100.0  # Hz, honest rows
+SLOW_RATE = 100.0  # Hz, rows under realistic conditions
 FAST_RATE = 500.0
 HONEST_FREQUENCY = 0.1  # Hz
 ALLOWED = (0.0, 150.0)  # V, data sheet
@@ -65,7 +66,7 @@ METHODS = {
     "dynamic": "the same, dynamics inverted too",
 }
 
-TRIANGLE = "one triangle 0 → 14.375 µm (125 V/K) → 0 lasting 46.3 s: the period was fitted to the first IAE"
+TRIANGLE = "one triangle 0 → 14.375 µm (125 V/K) → 0 of 46.3 s; the period was fitted to the first IAE"
 SAMPLED = "controller in discrete time at 500 Hz, voltage held between samples; the paper's is continuous"
 FILTERED = "derivative filter 100 rad/s, derivative of the error"
 UNLIMITED = "no limit of the voltage, no noise, compensator's model equal to the plant"
@@ -76,7 +77,10 @@ SYNTHETIC = (
     "to 125 V, white noise of the paper's mean square error"
 )
 LOADED = "the paper's recording is not available: one loading and unloading to 150 V of 400 samples, noise 10 nm rms"
-RATES = "honest rows: 100 Hz up to 0.1 Hz triangles, 500 Hz above; the held voltage costs half a sample more lag"
+RATES = (
+    "rows under realistic conditions: 100 Hz up to 0.1 Hz triangles, 500 Hz above; the held voltage adds "
+    "half a sample of lag"
+)
 STACK_LIMITS = "limits −30 … 150 V; such stacks allow about −30 V"
 DATA_SHEET_LIMITS = "limits 0 … 150 V"
 CREEPING = "logarithmic creep of 1.5 % a decade in the plant, none in the model"
@@ -112,7 +116,7 @@ def creeping(configuration: Configuration) -> Configuration:
 
 
 def off(configuration: Configuration, name: str, part: float) -> Configuration:
-    """Return the axis whose compensator has its parameter ``name`` off by ``part``; the plant stays."""
+    """Return the axis with an error of the compensator's parameter ``name`` by the fraction ``part``."""
     value = configuration.node("hysteresis_compensator")[f"hysteresis.bouc_wen.{name}"]
     return configuration.override("hysteresis_compensator", **{f"hysteresis__bouc_wen__{name}": value * (1.0 + part)})
 

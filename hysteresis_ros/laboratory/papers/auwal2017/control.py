@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse as printed, then under honest conditions."""
+"""The comparison of Auwal et al. 2017 (section 5, B6): PID and inverse as printed, then under realistic conditions."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def tuning_claims(found: Tuning) -> list[Claim]:
             paper=auwal.IAE["pid"],
             high=found.published,
             assumptions=assumed,
-            reason=f"gains found here {gains}: without noise, limits or delay little stops the simplex short of the "
-            "edge of stability, so the paper's gains are not the optimum of the paper's criterion",
+            reason=f"gains found here {gains}: without noise, limits or delay the simplex approaches the stability "
+            "limit, so the paper's gains are not the optimum of the paper's criterion",
         ),
         Claim(
             "tuning.published.peak",
@@ -170,7 +170,8 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
                 low=-25.0,
                 high=-23.5,
                 assumptions=(*ASSUMED, *FURTHER.get(method, ())),
-                reason="the stack's data sheet allows 0 … 150 V: the paper's figures need a voltage it must not have",
+                reason="the stack's data sheet allows 0 … 150 V, but the paper's figures need a voltage outside "
+                "this range",
             )
         )
         highest = float(np.max(runs[method]["voltage"]))
@@ -186,8 +187,8 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
             "m*s",
             high=better,
             assumptions=(*ASSUMED, *FURTHER["combined"]),
-            reason="the tolerance is the better of the paper's two; the inverse makes the plant linear, the reference "
-            "itself is the feedforward, and the paper's PID has only the lag left to remove",
+            reason="the tolerance is the better of the paper's two results; the inverse makes the plant linear, the "
+            "reference itself is the feedforward, and the paper's PID must only remove the lag",
         )
     )
     return claims
@@ -199,12 +200,12 @@ BASE = (auwal.CORRECTED, auwal.FILTERED, auwal.RATES)
 HALF = 0.5
 FAST = {0.5: 3, 1.0: 5}  # Hz: cycles
 FINE = (7e-6, 0.2e-6)  # m: middle and height of the sine of 10 Hz
-BETTER = "the tolerance of the combination is the better of the paper's two under the same condition"
+BETTER = "the tolerance of the combination is the better of the paper's two results under the same condition"
 
 
 def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, Recording]]:
     """Return the rows of the paper's triangle within 0 … 150 V, and the runs for a plot."""
-    group = "Honest conditions: the paper's triangle within 0 … 150 V"
+    group = "Realistic conditions: the paper's triangle within 0 … 150 V"
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.ALLOWED)
     runs = {method: auwal.run_triangle(auwal.driven(slow, method)) for method in ALL}
     found = {method: auwal.iae(run) for method, run in runs.items()}
@@ -239,12 +240,12 @@ def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, R
         Claim(
             "limited.unavoidable",
             group,
-            "IAE of what 0 V leaves, whatever the controller",
+            "IAE of the residual displacement at 0 V, for any controller",
             unavoidable(),
             "m*s",
             assumptions=assumed,
-            reason="after the loop's upper end 0 V leaves the stack 3 µm from where it began; only a negative voltage "
-            "brings it back, so nearly all of what is left in these rows is not for a controller to remove",
+            reason="after the loop's upper end, the stack at 0 V remains 3 µm from its start; only a negative voltage "
+            "moves it back, so no controller can remove most of the error in these rows",
         )
     )
     return claims, runs
@@ -262,7 +263,7 @@ def unavoidable() -> float:
 
 def mismatch_claims(configuration: Configuration) -> list[Claim]:
     """Return the rows of a compensator with wrong parameters."""
-    group = "Honest conditions: compensator's model off, the paper's triangle, no limits"
+    group = "Realistic conditions: errors in the compensator's model, the paper's triangle, no limits"
     slow = auwal.at_rate(configuration, auwal.SLOW_RATE)
     without = auwal.iae(auwal.run_triangle(auwal.driven(slow, "none")))
     assumed = (auwal.TRIANGLE, auwal.UNLIMITED.split(",")[0], *BASE)
@@ -303,7 +304,7 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.NEGATIVE)
     digital = auwal.noisy(auwal.limited(slow, *auwal.NEGATIVE, bits=auwal.BITS), auwal.NOISE)
     everything = auwal.creeping(digital)
-    group = f"Honest conditions: triangles of {auwal.HONEST_FREQUENCY:g} Hz, mean absolute error"
+    group = f"Realistic conditions: triangles of {auwal.HONEST_FREQUENCY:g} Hz, mean absolute error"
     limits, noise, creep = (auwal.STACK_LIMITS,), (auwal.STACK_LIMITS, auwal.NOISY), (auwal.CREEPING,)
     period = 1.0 / auwal.HONEST_FREQUENCY
     claims = []
@@ -315,7 +316,7 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
         ("creep", "creep", auwal.creeping(slow), limits + creep, {}),
     ):
         runs = {m: auwal.run_triangle(auwal.driven(axis, m), period=period, **shape) for m in WAYS}
-        dithered = "noise through the derivative dithers the voltage by volts, and dither shrinks the hysteresis"
+        dithered = "the derivative amplifies the noise to a dither of several volts, and dither reduces hysteresis"
         fails = f"{dithered}: the PID's error is smaller with it; {BETTER}" if name == "noise" else ""
         claims += _ways(f"slow.{name}", group, words, runs, (*BASE, *further), fails)
     runs = {}
@@ -326,13 +327,13 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
             runs[method] = auwal.run_triangle(auwal.driven(mistaken, method), period=period, cycles=2)
             errors[method][f"{sign}5 %"] = auwal.mean_error(runs[method])
     assumed = (*BASE, *noise, *creep, "d_e of the compensator off by ±5 %, the worse shown; two cycles")
-    claims += _judged("slow.all", group, "all at once, d_e off by 5 %", errors, assumed)
+    claims += _judged("slow.all", group, "all conditions together, d_e off by 5 %", errors, assumed)
     return claims, runs
 
 
 def camera_claims(configuration: Configuration) -> list[Claim]:
     """Return the rows of an axis with the paper's camera as its sensor."""
-    group = "Honest conditions: the camera in the loop, the paper's triangle"
+    group = "Realistic conditions: the camera in the loop, the paper's triangle"
     axis = auwal.noisy(auwal.at_rate(configuration, auwal.FRAME_RATE), auwal.CAMERA_NOISE)
     axis = auwal.limited(axis, *auwal.NEGATIVE)
     # the plant rings at 1.28 Hz: at this rate only an integral controller is stable with a margin
@@ -341,14 +342,14 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
     runs = {"pid": auwal.driven(axis, "pid"), "inverse": auwal.driven(axis, "inverse"), "combined": feedforward}
     found = {method: {"": auwal.mean_error(auwal.run_triangle(run))} for method, run in runs.items()}
     assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.FILTERED, auwal.CAMERA, auwal.STACK_LIMITS)
-    calmed = "a frame of delay makes the paper's gains unstable, an integral of 1/s takes their place"
+    calmed = "one frame of delay makes the paper's gains unstable; an integral of 1/s replaces them"
     claims = _judged("camera", group, "mean absolute error", found, assumed, f"{calmed}; {BETTER}")
     for frames, high in ((0, None), (1, 1.0)):
         claims.append(
             Claim(
                 f"camera.delay_{frames}",
                 group,
-                f"PID, pictures {frames} frames late: largest modulus of a pole, linear part alone",
+                f"PID, images {frames} frames late: largest modulus of a pole, linear part alone",
                 pole_modulus(axis, frames),
                 "1",
                 high=high,
@@ -376,13 +377,13 @@ def pole_modulus(configuration: Configuration, delay: int = 0) -> float:
 
 def frequency_claims(configuration: Configuration) -> list[Claim]:
     """Return the rows of triangles and sines of several frequencies."""
-    group = "Honest conditions: frequencies, mean absolute error"
+    group = "Realistic conditions: frequencies, mean absolute error"
     slow = auwal.limited(auwal.at_rate(configuration, auwal.SLOW_RATE), *auwal.NEGATIVE)
     fast = auwal.limited(auwal.at_rate(configuration, auwal.FAST_RATE), *auwal.NEGATIVE)
     assumed = (*BASE, auwal.STACK_LIMITS)
     resonant = (
-        "near the resonance of 1.28 Hz the reference itself is the wrong feedforward, and the corners of a triangle "
-        "need more voltage than there is"
+        "near the resonance of 1.28 Hz the reference itself is a wrong feedforward, and the corners of a triangle need "
+        "more voltage than is available"
     )
     claims = []
     triangles: list[tuple[str, str, Configuration, dict[str, Any]]] = [
@@ -404,16 +405,17 @@ def frequency_claims(configuration: Configuration) -> list[Claim]:
         Claim(
             "frequency.10.passed",
             group,
-            "part of a 10 Hz command that the dynamics pass",
+            "fraction of a 10 Hz command that the dynamics pass",
             100.0 * passed,
             "%",
             assumptions=assumed,
-            reason="a triangle of 10 Hz and full height needs hundreds of µm of command: it is refused before it moves",
+            reason="a triangle of 10 Hz and full height needs commands of hundreds of µm: it is refused before "
+            "any motion",
         )
     )
     reason = (
-        "near and above the resonance the reference itself is the wrong feedforward; a smooth reference known one "
-        "sample ahead lets the dynamics be inverted too (row dynamic); corners would need unlimited voltage"
+        "near and above the resonance the reference itself is a wrong feedforward; for a smooth reference known one "
+        "sample ahead, the dynamics can be inverted too (row dynamic); corners would need unlimited voltage"
     )
     ways = (*WAYS, "dynamic")
     middle, height = FINE

@@ -215,8 +215,9 @@ def _error_claims(group: str, found: Validation) -> list[Claim]:
             paper=published["fit"],
             low=published["fit"],
             assumptions=assumed,
-            reason="the fit is relative to the signal's own deviation, which is larger here than in the paper's "
-            "recording: 98.01 % with its mean square error is a deviation of 4.5 µm, that of a triangle of 15.7 µm",
+            reason="the fit is relative to the standard deviation of the signal, which is larger here than in the "
+            "paper's recording: 98.01 % with the paper's mean square error means a deviation of 4.5 µm, that of "
+            "a triangle of 15.7 µm",
         ),
         Claim(
             "model.mse",
@@ -228,7 +229,7 @@ def _error_claims(group: str, found: Validation) -> list[Claim]:
             low=0.9 * published["mse"] * 1e-12,
             high=1.1 * published["mse"] * 1e-12,
             assumptions=assumed,
-            reason="by construction: it is the noise that was added",
+            reason="by construction: it is the added noise",
         ),
         Claim(
             "model.fpe",
@@ -241,7 +242,7 @@ def _error_claims(group: str, found: Validation) -> list[Claim]:
             high=1.1 * published["fpe"] * 1e-12,
             assumptions=assumed,
             reason=f"FPE = MSE (1 + d/N)/(1 − d/N) is 1.03 MSE for d = 6 and N = 400; the paper's is {ratio:.2f} MSE, "
-            f"which would take d/N = {numbers:.0f} %",
+            f"which would need d/N = {numbers:.0f} %",
         ),
     ]
 
@@ -300,7 +301,7 @@ def _loop_claims(group: str) -> list[Claim]:
             low=0.999 * auwal.MISPRINTED,
             high=1.001 * auwal.MISPRINTED,
             assumptions=("eq. 7 taken literally",),
-            reason="the output runs away: it cannot be what the paper simulated",
+            reason="the output diverges, so this cannot be the equation that the paper simulated",
         ),
         Claim(
             "bouc_wen.class",
@@ -316,11 +317,11 @@ def _loop_claims(group: str) -> list[Claim]:
         Claim(
             "bouc_wen.ratchet",
             group,
-            "left at 0 V after five cycles to 125 V, less that after one",
+            "displacement at 0 V after five cycles to 125 V, minus that after one",
             float(lower[5] - lower[1]),
             "m",
             assumptions=assumed,
-            reason="the loop climbs from cycle to cycle, and its upper end with it",
+            reason="the loop and its upper end rise from cycle to cycle",
         ),
     ]
 
@@ -354,7 +355,8 @@ def _identification_claims(group: str) -> list[Claim]:
             "1",
             paper=262.0,
             assumptions=(auwal.CORRECTED, auwal.LOADED),
-            reason="restarted with a fresh simplex until nothing improves; the paper does not say when it stopped",
+            reason="restarted with a new simplex until there is no improvement; the paper does not state its "
+            "stopping criterion",
         )
     )
     return claims

@@ -34,7 +34,7 @@ from hysteresis_ros.laboratory.papers.claims import (
 
 TITLE = "Auwal et al. 2017, d33 piezo stack: PID and inverse multiplicative compensation of Bouc-Wen hysteresis"
 
-# Runs in the plots: as in the paper, within 0 … 150 V, and with all honest conditions together.
+# Runs in the plots: as in the paper, within 0 … 150 V, and with all realistic conditions together.
 LIMITED, HONEST = "limited", "honest"
 
 
@@ -95,12 +95,12 @@ def figures(found: Reproduction) -> list:
         ("The paper's triangle: errors, and once more without the uncompensated one", _errors(paper, small)),
         ("The paper's triangle within 0 … 150 V: errors", _errors(limited, small)),
         (
-            "Honest conditions, all at once, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",
+            "Realistic conditions, all at once, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",
             traces_comparison(
                 {auwal.METHODS[method]: run for method, run in together.items()}, (middle - 0.5, middle + 1.0)
             ),
         ),
-        ("Honest conditions, all at once: errors", _errors(together, small)),
+        ("Realistic conditions, all at once: errors", _errors(together, small)),
     ]
 
 

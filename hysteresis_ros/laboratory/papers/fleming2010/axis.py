@@ -42,10 +42,10 @@ FEEDTHROUGH = -2.0
 STEPS = 24
 
 MODEL = (
-    "one resonance of 934 Hz and nothing else, linear; its damping, 0.0101, is what integral control of 15 Hz with "
-    "2 dB asks for; of the paper only the abstract was read, which gives no model"
+    "one linear resonance of 934 Hz only; its damping, 0.0101, follows from integral control of 15 Hz with 2 dB; only "
+    "the abstract of the paper was available, which gives no model"
 )
-FAST = "100 kHz, no delay: close to the analogue controller that the abstract speaks of"
+FAST = "100 kHz, no delay: close to the analogue controller of the abstract"
 GAINS = "D_f = −2 (6 dB for the inner loop), k for the largest damping, tracking gain for 7 dB: the abstract gives none"
 SLOW = "20 kHz with one sample of delay; gains by `hysteresis design`, resonance ±10 %, M_s ≤ 1.6 of the PID's loop"
 

@@ -43,8 +43,8 @@ PERIODS = 4
 SLOW_RATE = 20e3
 
 STIFF = (
-    "with these gains the tracking loop crosses one above 140 Hz, and the assumed resonance in its way is not damped "
-    "enough there; the row below has what is stable. The paper's own model and gains were not available"
+    "with these gains the crossover of the tracking loop is above 140 Hz, and a resonance of 140 Hz is not damped "
+    "enough; the row below shows a stable design. The paper's own model and gains were not available"
 )
 
 
@@ -103,7 +103,7 @@ def _loop_claims(designed) -> list[Claim]:
             low=0.98 * printed,
             high=1.02 * printed,
             assumptions=assumed,
-            reason="by construction: the damping of the resonance was worked out from it",
+            reason="by construction: the damping of the resonance was calculated from this value",
         ),
         row(
             "bandwidth",
@@ -112,9 +112,9 @@ def _loop_claims(designed) -> list[Claim]:
             "Hz",
             fleming.BANDWIDTH,
             low=fleming.BANDWIDTH,
-            reason="of a single resonance; what else the scanner has is not known",
+            reason="for a single resonance; other dynamics of the scanner are unknown",
         ),
-        row("times", "over that of integral control", fast.bandwidth / alone.bandwidth, "1", "> 10", low=fleming.TIMES),
+        row("times", "relative to integral control", fast.bandwidth / alone.bandwidth, "1", "> 10", low=fleming.TIMES),
         row("peak", "sensitivity peak M_s with damping", fast.sensitivity_peak, "1", None, high=2.0),
         row(
             "lowered",

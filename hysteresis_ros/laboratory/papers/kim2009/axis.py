@@ -60,14 +60,16 @@ STACK = (
 AMPLIFIED = "amplifier gain 20, limits −30 … 120 V"
 SETTLED = "settling: within 2 % of the step around the value finally reached, longest of the steps"
 FULL_STROKE = "triangle from 0 to the displacement of 120 V on the virgin curve (fig. 13 gives no number in the text)"
-REACHED = "triangle to 95 % of the displacement of 120 V: a compensator that is 5 % low reaches no more"
+REACHED = (
+    "triangle to 95 % of the displacement of 120 V, which a compensator with 5 % lower coefficients can just reach"
+)
 RATE = "R g = 1, and 1.12 from the printed R = 0.5475 with 2.05 µm/V"
 CLEAN = "“completely removed” taken as less than 0.01 µm"
 CLOSED = "“closed” taken as less than 0.01 % of the stroke"
 COMPLIANCE = "W linear in the preload: A1 = B2 = 0, B1 = −1/(0.41 N/µm)"
 ESTIMATOR = "Kalman gain from the Riccati equation, q/r = 0.685, variance 0.01 V² of the disturbance's change a sample"
 VIBRATING = "“remains” taken as more than 2 % of the step"
-REAL = "compensator's coefficients off by ±5 % (the worse shown), sensor noise 5 nm rms, 16-bit converters"
+REAL = "compensator's coefficients off by ±5 % (the worse result is shown), sensor noise 5 nm rms, 16-bit converters"
 
 
 def ideal(configuration: Configuration) -> Configuration:

@@ -66,8 +66,8 @@ class PaperK:
     """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a held-out decreasing triangle."""
 
     model: PolynomialIdentification
-    #: stroke, maximum, rms: Of the decreasing triangle: its range, largest and rms error [m]; the paper's largest
-    #: error is 0.125 µm.
+    #: stroke, maximum, rms: Range of the decreasing triangle, and the model's largest and rms error on it [m]; the
+    #: paper's largest error is 0.125 µm.
     stroke: float
     maximum: float
     rms: float
@@ -145,7 +145,7 @@ LOOPS = (
     "truth for K2: Prandtl-Ishlinskii stack of 40 plays, opening 15 % of 12.45 µm; not the polynomial that is fitted; "
     "noise 5 nm rms"
 )
-DECREASING = "decreasing triangle of 20 cycles from 117 V; the model has not seen it"
+DECREASING = "decreasing triangle of 20 cycles from 117 V, not used for the fit"
 MEASURED = (
     "multisine of 1001 lines from 135 to 1135 Hz, 0.1 µm peak around 4 µm, 6 periods of 1 s, through the hysteresis, "
     "with noise 5 nm rms and 16-bit converters"

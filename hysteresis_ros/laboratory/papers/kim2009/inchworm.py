@@ -37,7 +37,7 @@ LOADED = {
     "inchworm__rear_clamp__wear": 0.8,
 }
 
-#: Honest conditions: each parameter of the extender up to 5 % off, and it creeps by 1.5 % a decade.
+#: Realistic conditions: each parameter of the extender up to 5 % off, and it creeps by 1.5 % a decade.
 MISMATCH = 0.05
 CREEP = {"creep__type": "logarithmic", "creep__logarithmic__rate": 0.015}
 
@@ -251,7 +251,7 @@ def main(arguments=None) -> int:
     """Print the figures; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--moves", type=int, default=10, help="moves of 5 mm, there and back")
-    parser.add_argument("--plants", type=int, default=10, help="extenders that are not what the models say")
+    parser.add_argument("--plants", type=int, default=10, help="extenders that differ from their models")
     parser.add_argument("--sequences", type=int, default=10000, help="random sequences")
     chosen = parser.parse_args(arguments)
     for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):

@@ -108,7 +108,7 @@ def figures(found: Reproduction) -> list:
     }
     return [
         (
-            "Polynomial model from 20 loops on a decreasing triangle that it has not seen",
+            "Polynomial model from 20 loops, on a decreasing triangle that was not used for the fit",
             prediction_figure(found.runs[PREDICTED]),
         ),
         (
@@ -117,7 +117,7 @@ def figures(found: Reproduction) -> list:
         ),
         (f"Loop of {kim.PRELOAD_VOLTAGE:g} V with and without preload", loops_overlay(preload)),
         ("Steps of 1 V: whole, and the return to 0 V", traces_comparison(moves, (back - 0.02, back + 0.12))),
-        ("Honest conditions: whole, and the first step", traces_comparison(honest, (up - 0.02, up + 0.12))),
+        ("Realistic conditions: whole, and the first step", traces_comparison(honest, (up - 0.02, up + 0.12))),
         ("Open-loop triangle of 2 Hz, dynamics included, before and after compensation", loops_comparison(loops)),
     ]
 
@@ -188,7 +188,7 @@ def _small_loop(configuration: Configuration) -> Recording:
 
 
 def _branches(run: Recording, part: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltage and displacement of a loop, less a ``part`` of the displacement at rest."""
+    """Return voltage and displacement of a loop, minus a ``part`` of the displacement at rest."""
     # the voltage of sample k first acts at sample k + 1
     displacement = run["displacement"][1:]
     return run["voltage"][:-1], displacement - part * run["displacement"][0]

@@ -57,7 +57,7 @@ def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
                 low=low - kim.HALF_DIGIT,
                 high=high + kim.HALF_DIGIT,
                 assumptions=assumed,
-                reason="the tolerance is the paper's range, wider by half of its last digit",
+                reason="the tolerance is the paper's range, extended by half of its last digit",
             ),
             Claim(
                 f"a.{name}.settling",
@@ -98,7 +98,7 @@ def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
 def _rows(
     prefix: str, group: str, figures: list[StepFigures], assumed, residual: dict, level: dict, slow=""
 ) -> list[Claim]:
-    """Return four rows, for the worst of several runs or for a single one."""
+    """Return four rows, for the worst of several runs or for one run."""
 
     def row(name, quantity, unit, *own, **more):
         values = [getattr(item, name) for item in figures]
@@ -119,7 +119,9 @@ def _rows(
 def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]:
     """Return the rows of sliding mode control with perfect knowledge."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED)
-    fed_back = dict(LEFT, reason="less than uncontrolled (a.hysteresis.residual): the feedback takes a part of it away")
+    fed_back = dict(
+        LEFT, reason="less than uncontrolled (a.hysteresis.residual), because the feedback removes a part of it"
+    )
     without = "(c) Sliding mode control without compensator (figure 15)"
     with_it = "(d) Sliding mode control with compensator (figure 17)"
     return [
@@ -136,20 +138,21 @@ def honest_step_claims(configuration: Configuration) -> list[Claim]:
     compensated = [step_figures(kim.run_steps(axis)) for axis in axes]
     trusting = dict(
         EXACT,
-        reason="the paper's law has no integral action and takes the gain of the model on trust, so what the gain is "
-        "off stays on the upper level; the filter that estimates a disturbance removes it",
+        reason="the paper's law has no integral action and relies on the gain of the model, so the error of the gain "
+        "remains on the upper level; the filter that estimates a disturbance removes it",
     )
     return [
-        *_rows("honest.c", "Honest conditions, (c): no compensator", alone, assumed, LEFT, {}),
-        *_rows("honest.d", "Honest conditions, (d): with compensator", compensated, assumed, REMOVED, trusting),
+        *_rows("honest.c", "Realistic conditions, (c): no compensator", alone, assumed, LEFT, {}),
+        *_rows("honest.d", "Realistic conditions, (d): with compensator", compensated, assumed, REMOVED, trusting),
     ]
 
 
 def estimating_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of the Kalman filter that estimates a disturbance: perfect knowledge, then honest conditions."""
+    """Return the rows of the Kalman filter that estimates a disturbance: perfect knowledge, then reality."""
     reason = (
-        "the law's own pole Φ takes most of the 0.02 s; what the compensator leaves is a disturbance that changes with "
-        "the step, and finding it prolongs the approach; a larger variance helps only a little (rows settling_fast)"
+        "the law's own pole Φ accounts for most of the 0.02 s; the residual of the compensator is a disturbance that "
+        "changes with the step, and its estimation prolongs the approach; a larger variance helps only a little "
+        "(rows settling_fast)"
     )
     rows = []
     for prefix, words, change in (
@@ -160,7 +163,7 @@ def estimating_claims(configuration: Configuration) -> list[Claim]:
             axes = kim.off_both_ways(kim.real, configuration) if honest else [kim.ideal(configuration)]
             axes = [change(axis) for axis in axes]
             name = f"honest.{prefix}" if honest else prefix
-            group = f"Disturbance-estimating Kalman filter, {words}" + (", honest conditions" if honest else "")
+            group = f"Disturbance-estimating Kalman filter, {words}" + (", realistic conditions" if honest else "")
             assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.ESTIMATOR, *((kim.REAL,) if honest else ()))
             found = [step_figures(kim.run_steps(kim.estimating(axis))) for axis in axes]
             slow = reason if worst([item.settling for item in found]) > kim.CONTROLLED_SETTLING else ""
@@ -229,8 +232,8 @@ def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
     element = kim.without_dynamics(perfect)
     assumed = (kim.STACK, kim.AMPLIFIED, kim.FULL_STROKE)
     reason = (
-        "the running model remembers where it is, so a trial voltage behind the present one is a reversal and the "
-        "steps close the loop further than on the bare branches; the row holds when the loop is no wider than there"
+        "the running model has memory, so a trial voltage below the present one is a reversal, and the steps close the "
+        "loop further than on the bare branches; the row holds when the loop is not wider than on these"
     )
 
     def row(name, quantity, configuration, **more):
@@ -273,8 +276,8 @@ def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: f
     linear = _triangle_width(kim.without_hysteresis(perfect), stroke)
     slow = _triangle_width(perfect, stroke, kim.SLOW_FREQUENCY)
     reason = (
-        f"at {fast} the linear part alone, without any hysteresis, opens the loop as far (b.dynamics.linear): its lag "
-        "and the resonance that the corners of the triangle excite; no compensator of hysteresis sees these"
+        f"at {fast} the linear part alone, without any hysteresis, opens the loop as far (b.dynamics.linear): its lag, "
+        "and the resonance that the corners of the triangle excite; a hysteresis compensator does not correct these"
     )
 
     def row(name, quantity, measured, **more):
@@ -300,8 +303,9 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
     element = kim.without_dynamics(configuration)
     height = (1.0 - kim.MISMATCH) * stroke
     reason = (
-        "a model off by the same part in every coefficient is the plant times a constant: its inverse still closes the "
-        "loop and only the stroke is wrong; where the opening of its loop is off, that part of the loop stays open"
+        "a model with the same relative error in every coefficient is the plant times a constant: its inverse still "
+        "closes the loop, and only the stroke is wrong; with an error of its loop width, the corresponding part "
+        "of the loop stays open"
     )
 
     def row(name, quantity, change, then=None, **more):
@@ -309,7 +313,7 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
         values = [_triangle_width(axis, height) for axis in axes]
         return Claim(
             f"honest.b.{name}",
-            "Honest conditions, (b): hysteresis element alone",
+            "Realistic conditions, (b): hysteresis element alone",
             f"{quantity}: opening, % of the stroke",
             worst(values),
             "%",
@@ -344,12 +348,12 @@ OPENING = "opening of the compensator's loop off by +5 %, sensor noise 5 nm rms,
 class Condition:
     """One non-ideal condition."""
 
-    name: str  #: Middle of the rows' names.
+    name: str  #: Middle part of the rows' names.
     words: str
     changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes, of which the worst counts.
     assumed: tuple[str, ...] = (ALONE,)
     mismatch: float = 0.0  #: Deviation of two axes in both directions; 0: a single axis.
-    reasons: tuple[tuple[str, str], ...] = ()  #: Row, and why it does not hold.
+    reasons: tuple[tuple[str, str], ...] = ()  #: Name of a row, and the reason why it does not hold.
 
 
 def _both(configuration: Configuration, **values) -> Configuration:
@@ -371,16 +375,18 @@ def other_structure(configuration: Configuration, mismatch: float) -> Configurat
 
 
 _ON_TRUST = (
-    "the paper's law takes the gain of the model on trust: what it is off stays on the upper level; the filter that "
-    "estimates a disturbance removes it"
+    "the paper's law relies on the gain of the model: its error remains on the upper level; the filter that estimates "
+    "a disturbance removes it"
 )
-_FINDING = "finding the disturbance prolongs the approach"
+_FINDING = "the estimation of the disturbance prolongs the approach"
 _NO_NEGATIVE = "with D > 0 no positive voltage returns the stack to zero; no controller can"
 _OUT_OF_REACH = "18 V do not reach the step; no controller can"
-_REMEMBERED = "the compensator's model remembers a peak of 20 V that the plant never saw, and returns too far"
+_REMEMBERED = (
+    "the compensator's model has the memory of a 20 V peak that the plant never received, so it returns too far"
+)
 _DIGIT = (
-    "what a digit of 3.8 nm leaves between command and what is carried out stays, and the reaching law amplifies such "
-    "a constant difference up to 1/(1 − Φ) = 14 times"
+    "the difference between command and achieved command, up to a digit of 3.8 nm, is constant, and the reaching law "
+    "amplifies it up to 1/(1 − Φ) = 14 times"
 )
 _CREEPS = "the law has no integral action and follows its model, which does not creep; the estimator follows the plant"
 
@@ -401,7 +407,7 @@ CONDITIONS = (
     ),
     Condition(
         "limits_low",
-        f"an amplifier that ends at {LOW_LIMIT:g} V, which nobody knows",
+        f"an amplifier limited to {LOW_LIMIT:g} V, unknown to the controller",
         _plant(limits__maximum=LOW_LIMIT),
         reasons=(("error", _OUT_OF_REACH), ("estimated", _OUT_OF_REACH), ("residual", _REMEMBERED)),
     ),
@@ -433,14 +439,14 @@ CONDITIONS = (
     ),
     Condition(
         "creep",
-        "creep that nobody knows",
+        "creep unknown to the controller",
         _plant(**_CREEP),
         assumed=(ALONE, CREEPING),
         reasons=(("settling", _CREEPS), ("error", _CREEPS)),
     ),
     Condition(
         "creep_known",
-        "creep that the compensator inverts",
+        "creep inverted by the compensator",
         lambda axis: [_both(kim.ideal(axis), **_CREEP)],
         assumed=(ALONE, CREEPING),
     ),
@@ -460,7 +466,7 @@ def condition_claims(configuration: Configuration) -> list[Claim]:
             details = kim.both_ways(values, condition.mismatch) if condition.mismatch else {}
             return Claim(
                 f"honest.{condition.name}.{name}",
-                f"One thing not ideal, (d): {condition.words}",
+                f"One non-ideal condition, (d): {condition.words}",
                 quantity,
                 worst(values),
                 unit,
@@ -482,7 +488,7 @@ def condition_claims(configuration: Configuration) -> list[Claim]:
                 paper=settling,
                 high=settling,
             ),
-            row("error", "left at either level", [_left(item) for item in law], "m", kim.CLEAN, **removed),
+            row("error", "error at either level", [_left(item) for item in law], "m", kim.CLEAN, **removed),
             row(
                 "estimated",
                 "the same, disturbance estimated",
@@ -514,7 +520,7 @@ def task_claims(configuration: Configuration, stroke: float) -> list[Claim]:
     real = kim.real(configuration, kim.MISMATCH)
     half = step_figures(kim.run_steps(real, size=0.5 * kim.STEP))
     many = step_figures(kim.run_steps(real, cycles=STEP_CYCLES))
-    group = "Other steps, honest conditions, (d): with compensator, coefficients off by +5 %"
+    group = "Other steps, realistic conditions, (d): with compensator, coefficients off by +5 %"
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.REAL)
     removed: dict[str, Any] = dict(paper="removed", high=kim.GOOD_RESIDUAL)
     settling = kim.CONTROLLED_SETTLING
@@ -555,7 +561,7 @@ def _triangle_claims(configuration: Configuration, stroke: float) -> list[Claim]
         run = kim.run_cycles(axis, "triangle", height * stroke, frequency, cycles)
         return Claim(
             f"honest.triangle.{name}",
-            "Open-loop triangles, exact inverse, dynamics included, honest conditions",
+            "Open-loop triangles, exact inverse, dynamics included, realistic conditions",
             f"{frequency:g} Hz, {words}: opening, % of the stroke",
             loop_width(run),
             "%",

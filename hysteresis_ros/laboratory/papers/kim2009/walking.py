@@ -171,7 +171,7 @@ CASES: dict[str, dict[str, Any]] = {
     "rigid contacts": {},
     "kick of 1 nm/N": {"kick": 1.0e-9},
     "kick of 2 nm/N": {"kick": 2.0e-9},
-    "rigid, the sample of delay not told": {"told": False},
+    "rigid, the delay of a sample unknown to the sequencer": {"told": False},
     "kick of 1 nm/N, no inverse of hysteresis and creep": {"kick": 1.0e-9, "inverse": False},
 }
 

@@ -33,7 +33,7 @@ CLOSED_FORM = 1e-5
 # Assumed here.
 AMPLITUDE = 0.75e-3  # m, of the references: ±1 V reaches it at all three frequencies
 NOISE = 1e-6  # m rms
-WIDE = 10.0  # V, limits of the axis without limits
+WIDE = 10.0  # V, limits that stand for an unlimited axis
 CREEP = 0.01  # a decade
 #: Displacement that represents a volt while a voltage is played [m/V].
 SCALE = 0.75e-3
@@ -55,7 +55,7 @@ TRUTH = "truth: modified Prandtl-Ishlinskii element, 0.77 mm at 1 V, opening 11 
 DYNAMICS = "linear part of the truth: poles at 10 and 30 Hz, zero at 20 Hz, 200 samples/s"
 RECORDED = "identified from recordings with 1 µm rms of noise, 16-bit converter, limits ±1.2 V"
 REFERENCE = (
-    "reference of ±0.75 mm, which ±1 V reaches at all three frequencies; the first cycle, from rest, is not judged"
+    "reference of ±0.75 mm, which ±1 V reaches at all three frequencies; the first cycle, from rest, is not evaluated"
 )
 IDEAL = "no noise, no quantisation, limits never reached"
 HALF = "half amplitude: ±0.375 mm, or ±0.5 V"

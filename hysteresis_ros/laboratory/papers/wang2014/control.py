@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tracking of the axis of Wang, Alici & Tan 2014: linear and hysteresis inverses, then honest conditions."""
+"""Tracking of the axis of Wang, Alici & Tan 2014: linear and hysteresis inverses, then realistic conditions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hysteresis_ros.laboratory.papers.claims import Claim
 from hysteresis_ros.laboratory.papers.wang2014 import axis as wang
 from hysteresis_ros.recordings.dataset import Recording
 
-HONEST = "π"  # rad/s of the honest rows, unless they say otherwise
+HONEST = "π"  # rad/s of the rows under realistic conditions, unless they say otherwise
 MISMATCHES = (0.01, 0.05)
 MISMATCHED_CYCLES = 1.5
 MANY_CYCLES = 10
@@ -118,7 +118,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
                     f"{name}.harmonics",
                     quantity=f"{words}: rms of what no linear inverse removes, % of amplitude",
                     measured=figures.harmonics,
-                    reason="all but the fundamental of the last cycle: the least that any linear inverse leaves",
+                    reason="everything except the fundamental of the last cycle: the least error of any linear inverse",
                     **common,
                 )
             )
@@ -140,7 +140,9 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
 def _expected_reduction(paper: bool, full: bool) -> dict:
     """Return the expected range of a reduction: inside its loop the paper's model is worse than the linear one."""
     if paper and not full:
-        reason = "the model with α = 80 jumps to the branches of the one loop it was made of; inside it is wrong"
+        reason = (
+            "the model with α = 80 jumps to the branches of the loop from which it was made, and is wrong inside it"
+        )
         return dict(paper="worse", derived=True, high=0.0, reason=reason)
     return dict(paper="at least 50" if paper else None, low=wang.REDUCTION)
 
@@ -172,7 +174,7 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
             row = _honest_row(name, group, quantity, values, key, *more, reference=reference)
             rows.append(replace(row, reason=reason) if row.holds is False else row)
 
-    group = "Honest conditions: limits, converters, noise"
+    group = "Realistic conditions: limits, converters, noise"
     for part, words in ((1.0, "full amplitude"), (0.5, "half amplitude")):
         add(
             f"real.{words[:4]}",
@@ -181,10 +183,10 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
             lambda axis, part=part: {"": _judge(wang.real(axis), frequency, part, 2).rms},
             wang.REAL,
         )
-    group = f"Honest conditions: the plant is not what was identified any more, {HONEST} rad/s (worse sign)"
+    group = f"Realistic conditions: the plant has changed since the identification, {HONEST} rad/s (worse sign)"
     spoilt = (
-        "a feedforward takes the gain of its model on trust: what the gain is off stays, and with 5 % of it no model "
-        "of the loop's shape helps; feedback does (rows feedback)"
+        "a feedforward relies on the gain of its model: an error of the gain remains, and with 5 % no model of the "
+        "loop's shape helps; feedback does (rows feedback)"
     )
     for mismatch in MISMATCHES:
         for name, change, words in (("gain", wang.stronger_plant, "gain"), ("loop", wang.wider_plant, "plays")):
@@ -201,7 +203,7 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
                 wang.REAL,
                 reason=spoilt if name == "gain" else "",
             )
-    group = "Honest conditions: many cycles and creep"
+    group = "Realistic conditions: many cycles and creep"
     add(
         "cycles",
         group,
@@ -232,7 +234,7 @@ def sweep_claims(axes: dict[str, Configuration]) -> list[Claim]:
             rows.append(
                 _honest_row(
                     f"sweep_{frequency:g}",
-                    "Honest conditions: 0.02 … 10 Hz (half amplitude from 5 Hz on)",
+                    "Realistic conditions: 0.02 … 10 Hz (half amplitude from 5 Hz on)",
                     f"{frequency:g} Hz",
                     {"": figures.rms},
                     key,

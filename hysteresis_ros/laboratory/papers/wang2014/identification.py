@@ -59,7 +59,7 @@ def polymer_truth(plays: int = 40) -> PrandtlIshlinskiiParameters:
 
 @dataclass(frozen=True)
 class PaperW:
-    """Duhem model of a modified Prandtl-Ishlinskii element; errors in parts of the full range."""
+    """Duhem model of a modified Prandtl-Ishlinskii element; errors as a fraction of the full range."""
 
     identified: DuhemIdentification  #: identified, published: With α from a decaying loop, and with the paper's α = 80.
     published: DuhemIdentification

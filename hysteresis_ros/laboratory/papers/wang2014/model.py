@@ -35,10 +35,12 @@ KNOTS = 20
 
 ELEMENT = "the truth's hysteresis element alone, without noise and linear part"
 UNSEEN = (
-    "an undamped cycle to ±1 V, then 10 of decaying amplitude, to 1/e every 4; the undamped one is judged too, but for "
-    "its first quarter, from rest, and the peak-to-peak is its"
+    "an undamped cycle to ±1 V, then 10 of decaying amplitude, to 1/e every 4; the undamped one is evaluated too, "
+    "except for its first quarter, from rest, and it defines the peak-to-peak"
 )
-ALONE = "the decaying cycles alone, from rest; their first quarter cycle is not judged, the peak-to-peak is theirs"
+ALONE = (
+    "the decaying cycles alone, from rest; their first quarter cycle is not evaluated, and they define the peak-to-peak"
+)
 VARIANTS = {
     "closed_form": "as corrected",
     "g_half": "g without the ½ before α",
@@ -116,10 +118,11 @@ def shape_claims(configuration: Configuration) -> list[Claim]:
                     low=None if right or harmless else low,
                     high=wang.CLOSED_FORM if right else None if harmless else high,
                     assumptions=(wang.TRUTH, ELEMENT),
-                    reason="the sign of the slopes in f hardly matters with α = 80, which divides them; no judgement"
+                    reason="the sign of the slopes in f has little effect with α = 80, which divides them; not "
+                    "evaluated"
                     if harmless
-                    else "the sign is the worst of the misreadings: it costs twice the missing ½; the error grows with "
-                    "the opening of the loop, here 11 %, and the range beside it was found for another truth"
+                    else "the sign is the worst of the misreadings, with twice the error of the missing ½; the error "
+                    "grows with the loop width, here 11 %, and the range beside it was calculated for another truth"
                     if name == "g_sign"
                     else "",
                 )
@@ -147,7 +150,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
                 low=0.8 * expected,
                 high=1.25 * expected,
                 assumptions=(wang.TRUTH, ELEMENT, UNSEEN),
-                reason="the numbers beside it were worked out for another Prandtl-Ishlinskii truth of the same kind",
+                reason="the numbers beside it were calculated for another Prandtl-Ishlinskii truth of the same kind",
             )
         )
         rows.append(
@@ -158,8 +161,8 @@ def _alpha_claims(element: Element) -> list[Claim]:
                 100.0 * _alone(element, alpha),
                 "%",
                 assumptions=(wang.TRUTH, ELEMENT, ALONE),
-                reason="the undamped cycle before is the widest loop, the one that every α was made of; without it "
-                "α = 3 would miss the tolerance of w3.decaying.alpha_3",
+                reason="the undamped cycle before is the widest loop, to which every α was fitted; without it α = 3 "
+                "would not meet the tolerance of w3.decaying.alpha_3",
             )
         )
     for alpha in (3.0, wang.PUBLISHED_ALPHA):
@@ -180,7 +183,8 @@ def _alpha_claims(element: Element) -> list[Claim]:
 
 
 def _alone(element: Element, alpha: float) -> float:
-    """Return the rms error on the decaying cycles without the first undamped one, in parts of their peak-to-peak."""
+    """Return the rms error on the decaying cycles without the first undamped one, as a fraction of their
+    peak-to-peak."""
     voltage = element.decaying[SAMPLES:]
     truth = element.displacement(voltage)
     error = (element.duhem(alpha).simulate(voltage) - truth)[SAMPLES // 4 :]
@@ -234,8 +238,8 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
             model - truth,
             "%",
             assumptions=(*assumed, wang.RECORDED),
-            reason="normalised per amplitude the loops look alike and the model seems to fit both; in volts it was "
-            "made of one amplitude, and at half of it its loop has another width",
+            reason="with each amplitude normalised the loops look alike, and the model seems to fit both; but it was "
+            "fitted in volts at one amplitude, and at half of it its loop has another width",
         ),
     ]
 
