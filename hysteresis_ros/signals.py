@@ -245,7 +245,7 @@ class AxisKind:
 
     source: str  #: Node that writes the reference.
     row: tuple[Signal, ...]  #: Signals of a row, in order.
-    given: tuple[int, ...]  #: Places of the inputs of a run in a row.
+    given: tuple[int, ...]  #: Indices in a row of the signals that a run is given.
     motor: bool  #: Whether it is an inchworm motor, which walks and takes requests besides setpoints.
 
     @property

@@ -437,7 +437,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
 
 
 def _added_modes(modes, present) -> list[Mode]:
-    """Return the new modes: all except, for each earlier mode, the one nearest in frequency."""
+    """Return the modes that remain when, for each earlier mode, the one nearest in frequency is removed."""
     left = list(modes)
     for mode in present if len(modes) > len(present) else ():
         left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))

@@ -22,9 +22,9 @@ In a closed loop the noise of the output is also in the input, which biases S_yu
 controller. S_ye S_ue⁻¹ with the external excitation e, which is uncorrelated with the noise, has no such bias (indirect
 method): all functions take e as ``excitation``. The residual is y - G u in both cases.
 
-Odd and even distortion are separated from noise by lines that are not excited. All levels are in the unit of the
-response: the error of the response with the same effect on the output. The linear response to the input's own content
-at those lines, as in a closed loop, is subtracted first.
+Odd and even distortion are separated from noise by lines that are not excited. A level is stated in the unit of the
+response, as the error of the response that would have the same effect on the output. The linear response to the input's
+own content at those lines, as in a closed loop, is subtracted first.
 
 Files: NPZ, which can be read back completely, and CSV and YAML for other programs.
 

@@ -80,7 +80,7 @@ class DevicePlantArrays(NamedTuple):
     #: Buffers of the device's voltages and positions, both in the units of the device; forces follow the positions.
     positions: np.ndarray
     voltages: np.ndarray
-    #: Voltage [V] at which a device was left that could not be made safe.
+    #: Last voltage [V] of a device that could not be made safe.
     left: np.ndarray
     limits_p: np.ndarray
     limits_x: np.ndarray

@@ -903,12 +903,12 @@ class AxisParameters:
         limit = self.plant_simulator.allowed_late
         if limit and not external:
             many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
-            lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
+            lines.append(f"plant_simulator late_limit = {limit}: {many} keep the axis safe until ~/start")
         watched = self.plant_simulator.type == "actuator" and self.plant_simulator.overtravel >= 0.0
         if watched and not external:
             low, high = travel or self.plant_simulator.allowed_travel
-            text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
-            lines.append(f"{text} until ~/start")
+            text = f"plant_simulator overtravel: a measurement beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm"
+            lines.append(f"{text} keeps the axis safe until ~/start")
         return lines
 
     def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:

@@ -39,8 +39,8 @@ ERRORS = {
     at.SENSOR_ERROR: "slider or extender has no finite measurement: both clamps hold until there is one",
     at.NO_MOTION_ERROR: "the slider did not move in {still} steps: both clamps hold; check clamps and load, then call "
     "~/start",
-    at.RUNAWAY_ERROR: "the slider moved where nothing was to move it (guard.runaway {runaway:g} m): both clamps hold; "
-    "check clamps and load, then call ~/start",
+    at.RUNAWAY_ERROR: "the slider moved although nothing should move it (guard.runaway {runaway:g} m): both clamps "
+    "hold; check clamps and load, then call ~/start",
     at.SLIP_ERROR: "the front clamp slips (guard.slip {slip:g} m) again and again: both clamps hold; raise its voltage "
     "or lower the load, then call ~/start",
 }

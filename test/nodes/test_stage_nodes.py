@@ -329,7 +329,7 @@ def test_a_killed_process_ends_the_stage_with_an_error_that_names_it(domain, obs
         until(lambda: len(heard) > 20, what="samples of the stage")
         node = next(node for node in graph.processes if node.name == killed)
         node.process.kill()
-        with pytest.raises(GraphError, match=f"{killed} was killed by SIGKILL; the rest was stopped"):
+        with pytest.raises(GraphError, match=f"{killed} was killed by SIGKILL; the other nodes were stopped"):
             graph.wait()
         assert all(one.process.returncode is not None for one in graph.processes)
 

@@ -188,8 +188,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "of each reference; all others from 2 s on",
         "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
         "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
-        "marked rows do not meet the margins required of every design, with their own model, or M_s 3 with "
-        "gain and times off by the mismatch; they and rows that were unstable on a plant have no rank",
+        "marked rows do not have the margins required of every design with their own model, or exceed M_s = 3 when "
+        "gain and times deviate by the mismatch; these rows, and rows that were unstable on a plant, have no rank",
     )
 
 

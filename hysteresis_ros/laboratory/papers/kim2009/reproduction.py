@@ -188,7 +188,7 @@ def _small_loop(configuration: Configuration) -> Recording:
 
 
 def _branches(run: Recording, part: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltage and displacement of a loop, minus a ``part`` of the displacement at rest."""
+    """Return voltage and displacement of a loop, minus a fraction ``part`` of the displacement at rest."""
     # the voltage of sample k first acts at sample k + 1
     displacement = run["displacement"][1:]
     return run["voltage"][:-1], displacement - part * run["displacement"][0]
