@@ -341,16 +341,18 @@ def shown(p, x, error, shortfall, skipped):
     skipped : float
         1: the voltage of this sample is late, and the axis holds the last one.
     """
-    if abs(shortfall) > p[SHORTFALL]:
-        x[RECOVERING] = p[RECOVERY]
-        x[LOST] = LIMITED
-    elif skipped != 0.0:
+    if skipped != 0.0:
         # a late voltage does not shorten the longer pause after a saturated command
         if x[RECOVERING] <= p[LATE_ANSWER]:
             x[RECOVERING] = p[LATE_ANSWER]
             x[LOST] = math.nan
         else:
             x[RECOVERING] -= 1.0
+    elif abs(shortfall) > p[SHORTFALL]:
+        # late voltages saturate commands too, on the way back; the correction is not the cause of these
+        if x[RECOVERING] == 0.0 or x[LOST] == LIMITED:
+            x[LOST] = LIMITED
+        x[RECOVERING] = max(x[RECOVERING], p[RECOVERY])
     elif x[RECOVERING] > 0.0:
         x[RECOVERING] -= 1.0
     else:

@@ -215,3 +215,17 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
             learning(**{"file": str(path)} | values)
     with pytest.raises(ParameterError, match="no whole period"):
         learning().learned()
+
+
+def test_a_command_that_is_cut_after_a_late_voltage_does_not_take_the_correction_back():
+    block = learning(shortfall=1e-7, recovery=20 / RATE)
+    wrong = 1e-8
+    entries = [shown(block.p, block.x, wrong, 0.0, float(k < 3)) for k in range(4)]
+    entries += [shown(block.p, block.x, wrong, 1e-6, 0.0)]  # the axis is far from its path
+    entries += [shown(block.p, block.x, wrong, 0.0, 0.0) for _ in range(20)]
+    assert np.isnan(entries).all() and shown(block.p, block.x, wrong, 0.0, 0.0) == wrong
+    entries = [
+        shown(block.p, block.x, wrong, 1e-6, 0.0),
+        *(shown(block.p, block.x, wrong, 0.0, 0.0) for _ in range(20)),
+    ]
+    assert entries == [LIMITED] * 21  # without a late voltage the correction itself is too large
