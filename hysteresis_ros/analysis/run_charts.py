@@ -27,7 +27,7 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning_points
 from hysteresis_ros.recordings.provenance import configured
 
-#: Most spans that are marked in a chart, about.
+#: Approximate largest number of spans that are marked in a chart.
 MOST_MARKS = 500
 #: Least number of whole periods for the chart.
 LEAST_PERIODS = 3

@@ -31,7 +31,7 @@ from hysteresis_ros.loop.pacing import Lateness
 RATE, SECONDS = 3e3, 0.5
 #: Rate [Hz] and duration [s] of the run that takes a whole core: longer than the period of the throttling.
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
-#: Most cores that are measured one by one.
+#: Largest number of cores that are measured one by one.
 MOST_CORES = 4
 #: Settings of the processors, and the system's other files.
 PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")

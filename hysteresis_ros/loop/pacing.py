@@ -149,8 +149,8 @@ SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
 # Number of the last pause that has begun; start of the sample in progress [ns], 0: no sample is in progress.
 PAUSED, AT_WORK = 18, 19
-# Time ahead of a deadline from which the thread looks at the clock [ns]; upper bound of it while it follows the wake-up
-# times [ns], 0: it is fixed; estimated quantile of the wake-up times [ns]; all time spent looking [ns].
+# Time before a deadline at which the thread begins to poll the clock [ns]; upper bound of this time while it follows
+# the wake-up times [ns], 0: it is fixed; estimated quantile of the wake-up times [ns]; total time of polling [ns].
 AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
 STATES = 24
 

@@ -73,7 +73,9 @@ class Beginning:
         place = place_of(dict(zip(message.name, message.position, strict=True)))
         if math.isfinite(place):
             node.begin_at(place)
-            node.get_logger().info(f"the axis is running: beginning at {place:.6g} m, until a setpoint or ~/start")
+            node.get_logger().info(
+                f"the axis is running: beginning at its position, {place:.6g} m, until a setpoint or ~/start"
+            )
 
     def take(self, message) -> bool:
         """Return whether this measurement may be answered, which requires a known beginning."""

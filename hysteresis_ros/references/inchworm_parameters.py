@@ -92,7 +92,12 @@ class GaitParameters(Parameters):
     extend: float = _duration(6.0e-3, "duration of the extender's motion to the larger displacement")
     contract: float = _duration(6.0e-3, "duration of the extender's motion to the smaller displacement")
     settle: float = parameter(
-        1.0e-3, unit="s", low=0.0, high=100.0, read_only=True, description="rest of the extender before a clamp closes"
+        1.0e-3,
+        unit="s",
+        low=0.0,
+        high=100.0,
+        read_only=True,
+        description="wait of the extender before a clamp closes",
     )
     overlap: float = parameter(
         0.0,

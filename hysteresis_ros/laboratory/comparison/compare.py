@@ -242,7 +242,7 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 
 
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
-    """Return the trial on a plant of another class, and on plants that it may have become since its recording.
+    """Return the trial on a plant of another class, and on plants to which it may change after its recording.
 
     Everything except the plants follows from the recording. The references are within the range of the model, reduced
     by the mismatch.

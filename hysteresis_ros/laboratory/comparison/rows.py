@@ -364,7 +364,7 @@ def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
 
 
 def identified(recording: Recording, bench: Bench) -> Known:
-    """Return the known data of a plant, by the default identification of its recording."""
+    """Return the model of a plant from the default identification of its recording, with further known data."""
     found = identify(recording)
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}

@@ -31,7 +31,7 @@ _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 
 
 def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
-    """Return the figure of the displacements of several runs of one reference [µm, s]: whole, and in a window.
+    """Return the figure of the displacements of several runs of one reference [µm, s]: whole run, and a window.
 
     Units: ``window`` [s].
     """

@@ -71,7 +71,7 @@ def figures(found: Reproduction) -> list:
     last = (PERIODS - 1) / fleming.LINES
     return [
         ("From reference to displacement", responses_comparison(frequency, responses)),
-        ("Triangle of 31 Hz: whole, and the last period", traces_comparison(runs, (last, PERIODS / fleming.LINES))),
+        ("Triangle of 31 Hz: whole run, and the last period", traces_comparison(runs, (last, PERIODS / fleming.LINES))),
         ("Its errors", errors_comparison(errors)),
     ]
 

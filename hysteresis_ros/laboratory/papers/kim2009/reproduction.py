@@ -116,8 +116,8 @@ def figures(found: Reproduction) -> list:
             response_figure(response.frequency, response.single, fitted),
         ),
         (f"Loop of {kim.PRELOAD_VOLTAGE:g} V with and without preload", loops_overlay(preload)),
-        ("Steps of 1 V: whole, and the return to 0 V", traces_comparison(moves, (back - 0.02, back + 0.12))),
-        ("Realistic conditions: whole, and the first step", traces_comparison(honest, (up - 0.02, up + 0.12))),
+        ("Steps of 1 V: whole run, and the return to 0 V", traces_comparison(moves, (back - 0.02, back + 0.12))),
+        ("Realistic conditions: whole run, and the first step", traces_comparison(honest, (up - 0.02, up + 0.12))),
         ("Open-loop triangle of 2 Hz, dynamics included, before and after compensation", loops_comparison(loops)),
     ]
 
