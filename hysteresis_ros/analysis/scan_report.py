@@ -24,6 +24,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.metrics import judged_reference
 from hysteresis_ros.analysis.page import render_page, require_page, write_page
+from hysteresis_ros.analysis.parts import scan_start
 from hysteresis_ros.analysis.plots import COLOURS, add_legend, data_uri, length_unit, new_figure
 from hysteresis_ros.analysis.tables import aligned, shown, shown_row
 from hysteresis_ros.errors import RecordingError
@@ -107,7 +108,10 @@ class PlaneRun(InPlane):
 
 
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
-    """Return the run of the first two axes of a recording in their plane; None where it has no such plane."""
+    """Return the run of the first two axes of a recording in their plane; None where it has no such plane.
+
+    As the figures of a stage, it begins when the last of both axes begins its scan.
+    """
     if len(axes) < 2:
         return None
     (first, one), (second, other), *_ = axes.items()
@@ -116,7 +120,9 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
         return None
     reference = np.array([judged_reference(run) for run in (one, other)])
     displacement = np.array([run["displacement"] for run in (one, other)])
-    found = PlaneRun(one.time, reference, displacement, (first.rpartition(" ")[2], second.rpartition(" ")[2]))
+    begin = max(map(scan_start, reference, displacement))
+    names = (first.rpartition(" ")[2], second.rpartition(" ")[2])
+    found = PlaneRun(one.time[begin:], reference[:, begin:], displacement[:, begin:], names)
     return found if np.any(found.counted) else None
 
 

@@ -16,16 +16,20 @@ import re
 import numpy as np
 import pytest
 
+import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import (
     ScanRun,
     error_map,
     line_errors,
+    plane_figures,
+    plane_of,
     profile,
     scan_figures,
     scan_plots,
     write_scan_report,
 )
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import Recording
 from hysteresis_ros.references.scans import scan_of
 
 RASTER = dict(width=80e-6, depth=60e-6, lines=16, flyback=4, frame_rate=2.0, rotation=0.4, centre_x=50e-6, pixels=64)
@@ -155,3 +159,41 @@ def test_the_page_has_every_figure_and_needs_nothing_beside_it(kind, count, tmp_
     assert "A scan &amp; its errors" in text and "% of size" in text and "nm" in text
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
     assert ("Coupling" in text) == (kind == "raster")
+
+
+def lissajous(error_of_x: float = 0.0) -> Recording:
+    """Return a run of two axes; x lags by ``error_of_x`` [m] in the upper half of the plane, after 10 held samples."""
+    time = np.arange(4000) * 1e-4
+    moved = np.maximum(time - time[10], 0.0)
+    reference = {"x": 5e-6 * np.sin(20.0 * np.pi * moved), "y": 5e-6 * np.sin(30.0 * np.pi * moved)}
+    axes = {}
+    for name, wanted in reference.items():
+        late = np.where(reference["y"] > 0.0, error_of_x, 0.0) if name == "x" else 0.0
+        axes[name] = Recording(time, {"reference": wanted, "displacement": wanted - late})
+    return Recording.of_axes(axes, {})
+
+
+def test_two_axes_without_a_scan_are_judged_in_their_plane(tmp_path):
+    run = lissajous(3e-8)
+    plane = plane_of({name: run.axis(name) for name in run.axes})
+    assert plane.names == ("x", "y")
+    assert plane.time.size >= len(run) - 11  # from the beginning of the scan on
+    upper = plane.reference[1]
+    figures = plane_figures(plane)
+    assert figures["max_error_m"] == pytest.approx(3e-8)
+    assert figures["rms_error_m"] == pytest.approx(3e-8 * np.sqrt(np.mean(upper > 0.0)))
+    found = error_map(plane)
+    above = found.y[:-1] >= 0.2e-6
+    there = found.count[above] > 0
+    np.testing.assert_allclose(found.mean[0][above][there], 3e-8)
+    np.testing.assert_allclose(found.mean[1][found.count > 0], 0.0, atol=1e-18)
+    assert plane_of({"x": run.axis("x")}) is None
+    path = tmp_path / "page.html"
+    reported = hr.report(run, path)
+    assert reported["plane"] == figures and set(reported) == {"plane", "x", "y"}
+    text = path.read_text(encoding="utf-8")
+    assert "Path in the plane, coloured by the error" in text and "Map of the error in the plane" in text
+    # an axis that holds its place spans no map
+    held = Recording(run.time, dict.fromkeys(("reference", "displacement"), 0.0 * run.time))
+    hr.report(Recording.of_axes({"x": run.axis("x"), "y": held}, {}), path)
+    assert "Map of the error" not in path.read_text(encoding="utf-8")

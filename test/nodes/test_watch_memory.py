@@ -31,6 +31,7 @@ from hysteresis_ros.laboratory.watch.memory import (  # noqa: E402
     Collector,
     Memory,  # noqa: E402
 )
+from hysteresis_ros.laboratory.watch.plane import POINTS, WINDOW, Plane  # noqa: E402
 from hysteresis_ros.nodes.samples import Block  # noqa: E402
 
 NODES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
@@ -125,3 +126,43 @@ def test_the_rate_is_that_of_the_samples_between_the_arrivals(monkeypatch):
 def test_a_window_is_a_finite_number_within_its_ends(given):
     with pytest.raises(RequestError, match="window = "):
         read_request(json.dumps({"id": 1, "do": "view", "window": given, "columns": 300}))
+
+
+def test_the_plane_of_two_axes_puts_samples_of_one_stamp_together():
+    plane = Plane()
+    assert plane.told() is None and plane.axes == ()
+    plane.choose({"/s/x": 0, "/s/y": 2})
+    numbers = np.arange(10)
+    # x comes earlier than y, and the reference of y is published two samples ahead
+    plane.add("/s/x", block(0, reference=1.0 * numbers, measured=1.0 * numbers))
+    plane.add("/s/z", block(0, reference=9.0 * numbers, measured=9.0 * numbers))
+    plane.add("/s/y", block(4, reference=10.0 * np.arange(6, 9), measured=10.0 * np.arange(4, 7) + 3.0))
+    plane.add("/s/y", block(7, reference=10.0 * np.arange(9, 15), measured=10.0 * np.arange(7, 13) - 4.0))
+    told = plane.told()
+    assert told["names"] == ["x", "y"]
+    # the first two references of y are not known
+    np.testing.assert_array_equal(told["reference"], [[6, 7, 8, 9], [60, 70, 80, 90]])
+    np.testing.assert_array_equal(told["path"], [[6, 7, 8, 9], [63, 66, 76, 86]])
+    assert told["error"] == [3, 4, 4, 4] and told["largest"] == 4.0
+    assert told["rms"] == pytest.approx(np.sqrt((9 + 3 * 16) / 4))
+    # a run that begins anew is another path
+    plane.add("/s/x", block(0, reference=[0.0], measured=[0.0]))
+    assert plane.told()["error"] == [] and plane.told()["rms"] is None
+    plane.choose({})
+    assert plane.told() is None
+
+
+def test_a_long_path_is_thinned_and_keeps_its_largest_error():
+    plane = Plane()
+    plane.choose({"/x": 0, "/y": 0})
+    measured = np.zeros(20_000)
+    measured[19_003] = 7.0
+    for first in range(0, 20_000, 1000):
+        piece = slice(first, first + 1000)
+        plane.add("/x", block(first, reference=np.zeros(1000), measured=measured[piece]))
+        plane.add("/y", block(first, reference=np.zeros(1000), measured=np.zeros(1000)))
+    told = plane.told()
+    # at 1 kHz: the last seconds, in whole blocks
+    kept = round(1000 * WINDOW) + 1000
+    assert POINTS / 2 <= len(told["error"]) <= POINTS and told["rms"] == pytest.approx(7.0 / np.sqrt(kept))
+    assert max(told["error"]) == told["largest"] == 7.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The plane of two axes of a stage: the path and its reference over the last seconds. Needs no ROS.
+"""The plane of two axes of a stage: the path and its reference over the last seconds.
 
 All axes of a stage have the same stamps, by which their samples are put together.
 """
