@@ -38,6 +38,7 @@ from hysteresis_ros.control.learning import LearningParameters, write_learned
 from hysteresis_ros.designs.controller import DesignRequest, design_axis
 from hysteresis_ros.designs.coupled import design_stage_learning
 from hysteresis_ros.designs.learning import LearningRequest
+from hysteresis_ros.designs.trials import FEWEST, CoupledLearning, Trial, trial
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.laboratory.comparison.rows import Bench, excitation
 from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
@@ -57,6 +58,11 @@ BENCH = Bench(sample_rate=RATE)
 #: Range of the stage, which it reaches from either side, and largest correction [m].
 RANGE = 8e-6, 48e-6
 MAXIMUM = 15e-6
+#: Ways of control: feedback alone; with the inverse of the coupled loop; each axis learns during the run; all axes
+#: learn together from run to run.
+WAYS = ("feedback", "inverse", "learning", "together")
+#: Runs of a scan from which the axes learn together before the run that counts, each of :data:`FEWEST` periods.
+RUNS = 4
 #: Scans: kind and values, periods that are run, periods that count, and what is wanted [% of the size] in the plane and
 #: of coupling. 32 µm are 80 % of the range of 40 µm. A PI with 6 dB of gain margin on a mode at 700 Hz of damping 0.01
 #: has the bandwidth 0.01 · 700 Hz = 7 Hz, ten times that is 70 Hz.
@@ -211,6 +217,14 @@ def controlled(parameters: StageParameters) -> StageParameters:
     return replace(parameters, axes=tuple(axes))
 
 
+def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> StageParameters:
+    """Return the identified stage with its controllers, from a file of an earlier run if there is one."""
+    path = folder / f"identified_{seed}.yaml"
+    if not path.exists():
+        path.write_text(controlled(identified(plant, seed)).configuration_text(), encoding="utf-8")
+    return StageParameters.from_configuration(load_configuration(str(path)))
+
+
 def with_learning(parameters: StageParameters, learned: dict[str, LearningParameters]) -> StageParameters:
     """Return the stage whose axes learn, or keep what they begin with."""
     axes = [
@@ -222,8 +236,8 @@ def with_learning(parameters: StageParameters, learned: dict[str, LearningParame
     return replace(parameters, axes=tuple(axes))
 
 
-def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) -> dict:
-    """Return the figures of a scan on the plant."""
+def run_on(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Recording]:
+    """Return the plant as a stage with the controllers of a stage, and the recording of its run."""
     true = replace(parameters, stage=replace(parameters.stage, structure=plant.structure))
     # one sample between command and structure, whatever the model of the delay says
     axes = tuple(
@@ -239,22 +253,17 @@ def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) 
     )
     true = replace(true, axes=axes)
     stage = plant.installed(Stage(true))
-    samples = stage.default_samples()
-    signals = stage.run(stage.default_setpoints(samples))
-    moment = signals["x"]["time"]
-    columns = {
-        f"{name}/{key}": signals[name][key] for name in NAMES for key in ("displacement", "plant_voltage", "saturated")
-    }
-    run = Recording(
-        moment,
-        columns,
-        {
-            f"{name}/{key}": unit
-            for name in NAMES
-            for key, unit in (("displacement", "m"), ("plant_voltage", "V"), ("saturated", "1"))
-        },
-        {},
+    signals = stage.run(stage.default_setpoints(stage.default_samples()))
+    units = {"displacement": "m", "plant_voltage": "V", "saturated": "1", "measured": "m", "reference": "m"}
+    columns = {f"{name}/{key}": signals[name][key] for name in NAMES for key in units}
+    return true, Recording(
+        signals["x"]["time"], columns, {f"{name}/{key}": unit for name in NAMES for key, unit in units.items()}, {}
     )
+
+
+def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) -> dict:
+    """Return the figures of a scan on the plant."""
+    true, run = run_on(plant, parameters)
     instants, displacement = displacements_between(true, run, plant.installed(Stage(true)))
     scan = parameters.scan
     counts = (instants >= (periods[0] - periods[1]) * scan.period) & (instants < periods[0] * scan.period)
@@ -265,35 +274,59 @@ def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) 
         "rms": figures["rms_error_percent"],
         "coupling": figures["coupling_error_percent"],
         "max": figures["max_error_percent"],
-        "saturated": float(np.mean(columns["x/saturated"] + columns["y/saturated"])),
+        "saturated": float(np.mean(run["x/saturated"] + run["y/saturated"])),
     }
 
 
-def measured(seed: int, folder: pathlib.Path) -> list[dict]:
-    """Return the figures of all scans on one plant, for each way of control."""
+def learned_together(plant: Plant, parameters: StageParameters, folder: pathlib.Path) -> StageParameters:
+    """Return the stage with corrections of all axes after :data:`RUNS` runs, from measurements alone."""
+    learning = CoupledLearning.of(parameters, LearningRequest("coupled", maximum=MAXIMUM))
+    trials: list[Trial] = []
+    while True:
+        corrections = learning.after(trials)
+        files = {name: str(folder / f"{name}_{len(trials)}.yaml") for name in NAMES}
+        for name, correction in learning.learned(corrections).items():
+            write_learned(files[name], correction)
+        now = with_learning(parameters, learning.chosen(corrections, files))
+        if len(trials) == RUNS:
+            return now
+        trials.append(trial(parameters, run_on(plant, now)[1], corrections))
+
+
+def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[str, ...]) -> list[dict]:
+    """Return the figures of all scans on one plant, for these ways of control."""
     begun = time.perf_counter()
     plant = drawn(seed)
-    parameters = controlled(identified(plant, seed))
+    parameters = modelled(plant, seed, models)
     kinds = "/".join(actuator.hysteresis for actuator in plant.actuators)
     print(f"plant {seed} ({kinds}): identified and designed, {time.perf_counter() - begun:.0f} s", flush=True)
     rows = []
     for name, (kind, values, periods, _) in SCANS.items():
         following = parameters.following(StageScanParameters(kind, values, periods=periods[0]))
-        found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM))
-        files = {}
-        for axis, correction in found.corrections.items():
-            files[axis] = str(folder / f"{seed}_{axis}.yaml")
-            write_learned(files[axis], correction)
-        learned = {axis: replace(design.parameters, file=files[axis]) for axis, design in found.designs.items()}
-        frozen = {axis: replace(given, active=False) for axis, given in learned.items()}
-        reached = {axis: round(design.filters.bandwidth * RATE) for axis, design in found.designs.items()}
-        print(f"  learning up to {reached} Hz", flush=True)
-        for way, chosen in (("feedback", {}), ("and inverse", frozen), ("and learning", learned)):
+        chosen, left = {"feedback": {}}, {}
+        if {"inverse", "learning"} & set(ways):
+            found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM))
+            files = {}
+            for axis, correction in found.corrections.items():
+                files[axis] = str(folder / f"{seed}_{axis}.yaml")
+                write_learned(files[axis], correction)
+            learned = {axis: replace(design.parameters, file=files[axis]) for axis, design in found.designs.items()}
+            frozen = {axis: replace(given, active=False) for axis, given in learned.items()}
+            reached = {axis: round(design.filters.bandwidth * RATE) for axis, design in found.designs.items()}
+            print(f"  learning up to {reached} Hz", flush=True)
+            chosen, left = chosen | {"inverse": frozen, "learning": learned}, found.left
+        for way in ways:
             # without learning the third period is as good as any later one
-            lasts = periods if way == "and learning" else (min(periods[0], 3), 1)
+            lasts = periods if way == "learning" else (min(periods[0], 3), 1)
+            if way == "together":
+                lasts = (FEWEST, 1)
             shorter = following.following(replace(following.stage.scan, periods=lasts[0]))
-            figures = judged(plant, with_learning(shorter, chosen), lasts)
-            rows.append({"plant": seed, "scan": name, "way": way, **figures, "left": found.left})
+            if way == "together":
+                controlled_by = learned_together(plant, shorter, folder)
+            else:
+                controlled_by = with_learning(shorter, chosen[way])
+            figures = judged(plant, controlled_by, lasts)
+            rows.append({"plant": seed, "scan": name, "way": way, **figures, "left": left})
             shown = {key: f"{value:.4g}" for key, value in figures.items() if value is not None}
             print(f"  {name}, {way}: {shown}, {time.perf_counter() - begun:.0f} s", flush=True)
     return rows
@@ -303,9 +336,14 @@ def main() -> int:
     """Run the scans on all plants, print the worst of them and return the exit code."""
     parser = common.parser(__doc__.splitlines()[0])
     parser.add_argument("--plants", default="0:12", help="first and last + 1 of the plants (default 0:12)")
+    parser.add_argument("--ways", default=",".join(WAYS), help="ways of control (default: all)")
     parser.add_argument("--rows", metavar="F", help="append the figures of each plant to this file, line by line")
+    parser.add_argument("--models", metavar="FOLDER", help="keep the identified stages there, and take them from there")
     parser.add_argument("--from-rows", metavar="F", help="take the figures from such a file")
     arguments = parser.parse_args()
+    ways = tuple(arguments.ways.split(","))
+    if set(ways) - set(WAYS):
+        parser.error(f"--ways {arguments.ways}: there are {', '.join(WAYS)}")
     rows: list[dict] = []
     if arguments.from_rows:
         rows = [json.loads(line) for line in pathlib.Path(arguments.from_rows).read_text().splitlines()]
@@ -313,7 +351,7 @@ def main() -> int:
         common.require_compiled()
         with tempfile.TemporaryDirectory() as folder:
             for seed in range(*map(int, arguments.plants.split(":"))):
-                new = measured(seed, pathlib.Path(folder))
+                new = measured(seed, pathlib.Path(folder), pathlib.Path(arguments.models or folder), ways)
                 rows += new
                 if arguments.rows:
                     with pathlib.Path(arguments.rows).open("a", encoding="utf-8") as stream:

@@ -57,6 +57,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_response import scan_warnings
 from hysteresis_ros.loop.stage_simulation import chosen_stage, displacements_between, simulate_stage, with_scan
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
@@ -713,7 +714,7 @@ def simulate(
         if setpoints is not None and not isinstance(setpoints, Mapping):
             raise ConfigurationError('setpoints of a stage need the names of its axes: give {"x": …, "y": …}')
         stage = chosen_stage(configuration, tuple(map(str, faults)), namespace)
-        for text in stage.warnings():
+        for text in (*stage.warnings(), *scan_warnings(stage)):
             warnings.warn(text, stacklevel=2)
         return Run.of(simulate_stage(stage, duration=duration, setpoints=setpoints))
     if isinstance(setpoints, Mapping):

@@ -19,6 +19,7 @@ from hysteresis_ros.cli.options import ConfigurationName, Quantity
 from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.control.controller import DESIGNS
 from hysteresis_ros.control.damping import inner_loop as damping
+from hysteresis_ros.designs.learning import COUPLED
 from hysteresis_ros.designs.learning_filters import KINDS
 
 
@@ -28,7 +29,14 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--learning",
     metavar="NAME",
-    help=f"Add iterative learning to the controller of CONFIG: {', '.join(sorted(KINDS))}.",
+    help=f"Add iterative learning to the controller of CONFIG: {', '.join(sorted(KINDS))}; of a stage also {COUPLED}.",
+)
+@click.option(
+    "--run",
+    "runs",
+    multiple=True,
+    type=click.Path(path_type=pathlib.Path),
+    help=f"With --learning {COUPLED}: a recorded run of the scan to learn from; give all runs, in their order.",
 )
 @click.option(
     "--damping",
@@ -78,7 +86,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
 )
 @click.option("--namespace", default="", help="Axis to use, if the configuration describes several.")
 @click.option("-o", "--output", help="Parameter file to write.")
-def design(config, namespace, output, response, **options):
+def design(config, namespace, output, response, runs, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; the plant's model is never used).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning it
@@ -86,7 +94,8 @@ def design(config, namespace, output, response, **options):
 
     For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
     With --learning it designs learning for the period of the scan of the stage, starting with the corrections for which
-    the coupled model follows that scan. Without -o it only prints.
+    the coupled model follows that scan. With --learning coupled, the axes learn
+    together from recorded runs (--run). Without -o it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (
@@ -101,6 +110,7 @@ def design(config, namespace, output, response, **options):
     from hysteresis_ros.designs.learning import asked, design_learning, learning_file, learning_lines
     from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
     from hysteresis_ros.designs.setpoint_step import step_lines
+    from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.frequency_response import load_response
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.inchworm_checks import design_warnings
@@ -108,8 +118,13 @@ def design(config, namespace, output, response, **options):
 
     configuration = load_configuration(config)
     if configuration.stage is not None:
-        _design_stage(configuration, namespace, output, response, options)
+        _design_stage(configuration, namespace, output, response, runs, options)
         return
+    if runs or options["learning"] == COUPLED:
+        raise ConfigurationError(
+            f"--learning {COUPLED} and --run are for a stage, and {configuration.source} describes a single axis: take "
+            f"{', '.join(sorted(KINDS))}"
+        )
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     axis = single_axis(configuration, namespace or None)
@@ -142,7 +157,7 @@ def design(config, namespace, output, response, **options):
     click.echo(f"{output}: written, type {result.parameters.type}")
 
 
-def _design_stage(configuration, namespace: str, output: str | None, response, options: dict) -> None:
+def _design_stage(configuration, namespace: str, output: str | None, response, runs, options: dict) -> None:
     """Design controllers or learning of a stage, and print how its axes interact."""
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.control.learning import write_learned
@@ -173,9 +188,14 @@ def _design_stage(configuration, namespace: str, output: str | None, response, o
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     learns = asked(options)
+    if runs and (learns is None or learns.kind != COUPLED):
+        raise ConfigurationError(f"--run belongs to --learning {COUPLED}; give both")
     if learns is not None:
         if learns.period is not None:
             raise ConfigurationError("the scan of a stage determines the period: omit --period")
+        if learns.kind == COUPLED:
+            _learn_together(configuration, learns, runs, output)
+            return
         with shown("designing"):
             result = design_stage_learning(parameters, learns)
         place = pathlib.Path(output).expanduser().resolve()
@@ -201,3 +221,34 @@ def _design_stage(configuration, namespace: str, output: str | None, response, o
         click.echo("\n".join([f"axis {name}", *design_lines(design), ""]))
     click.echo("\n".join(["stage", *lines]))
     click.echo(f"{output}: written, type {request.controller}")
+
+
+def _learn_together(configuration, request, runs, output: str) -> None:
+    """Learn corrections of all axes of a stage from recorded runs, and write them and the file that applies them."""
+    from hysteresis_ros.control.learning import write_learned
+    from hysteresis_ros.designs.trials import coupled_learning_file, learned_from, trial_lines
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.recordings.files import load_run
+
+    place = pathlib.Path(output).expanduser().resolve()
+    with shown("learning"):
+        recordings = [load_run(path) for path in runs]
+        learning, corrections, trials = learned_from(configuration, request, recordings)
+        files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in learning.parameters.names}
+        # an earlier run has its corrections in these files, and later runs are learned from together with it
+        for path, recording in zip(runs, recordings, strict=True):
+            if any(file in recording.metadata["configuration"] for file in files.values()):
+                raise ConfigurationError(
+                    f"-o {output}: would replace the corrections of the run {path}: give another name"
+                )
+        chosen = learning.chosen(corrections, files)
+        for name, learned in learning.learned(corrections).items():
+            write_learned(files[name], learned, configuration.source)
+        text = coupled_learning_file(configuration, chosen, [path.name for path in runs])
+    write_file(output, text)
+    for line in trial_lines(learning.parameters, trials):
+        click.echo(line)
+    click.echo(
+        f"{output}: written, learning {request.kind}, from {len(runs)} runs; corrections in {', '.join(files.values())}"
+    )

@@ -123,13 +123,14 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
     from hysteresis_ros.api import scan_run
     from hysteresis_ros.loop.simulation import mode_lines
+    from hysteresis_ros.loop.stage_response import scan_warnings
     from hysteresis_ros.loop.stage_simulation import chosen_stage, coupling_errors, simulate_stage
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
     from hysteresis_ros.units import readable
 
     parameters = chosen_stage(configuration, faults, None if scans and not faults else namespace)
-    for warning in parameters.warnings():
+    for warning in (*parameters.warnings(), *scan_warnings(parameters)):
         click.echo(f"hysteresis: warning: {warning}", err=True)
     replayed = None
     if setpoints is not None:

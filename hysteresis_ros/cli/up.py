@@ -164,9 +164,12 @@ def up(
 
 def _stage(configuration, faults, namespace: str | None, duration: float | None):
     """Return the stage of a configuration, with faults in the axis that ``namespace`` names."""
+    from hysteresis_ros.loop.stage_response import scan_warnings
     from hysteresis_ros.loop.stage_simulation import chosen_stage
 
     stage = chosen_stage(configuration, faults, namespace)
+    for warning in scan_warnings(stage):
+        click.echo(f"hysteresis: warning: {warning}", err=True)
     return stage if duration is None else stage.with_duration(duration)
 
 

@@ -56,10 +56,11 @@ class LearningParameters(Parameters):
 
     type: str = parameter(
         "none",
-        choices=("none", "inversion", "norm_optimal", "repetitive"),
+        choices=("none", "inversion", "norm_optimal", "repetitive", "coupled"),
         read_only=True,
         description="none, or how hysteresis design --learning has designed the filters: inverse of the "
-        "closed loop, weights on error and correction, or repetitive controller with phase lead",
+        "closed loop, weights on error and correction, or repetitive controller with phase lead; coupled: corrections "
+        "of all axes of a stage, learned together from run to run, which stay the same during a run",
     )
     period: float = parameter(
         0.0, unit="s", low=0.0, read_only=True, description="period of the reference, a whole number of samples"

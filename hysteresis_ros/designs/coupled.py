@@ -25,95 +25,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
-from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values
 from hysteresis_ros.control.learning import LONGEST, SAME, Learned
-from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.uncertainty import ResponseUncertainty
 from hysteresis_ros.designs.controller import AxisDesign, DesignRequest, design_axis, design_text, learning_text
 from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
-from hysteresis_ros.models.linear import StateSpace
+from hysteresis_ros.loop.stage_response import SMALLEST, scanned_paths, stage_loop, stage_plant, stage_response
 from hysteresis_ros.models.linear_algebra import product
-from hysteresis_ros.references.waveforms.scan import repetition
 
-#: Harmonics below this fraction of the largest one are not corrected.
-SMALLEST = 1e-7
-#: Angle that represents zero frequency, at which integrators have no finite response.
-RESTING = 1e-7
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
-
-
-def diagonal(systems) -> StateSpace:
-    """Combine systems with one input and one output into one uncoupled system."""
-    sizes = [system.order for system in systems]
-    places = np.cumsum([0, *sizes])
-    A, B = np.zeros((places[-1], places[-1])), np.zeros((places[-1], len(systems)))
-    C, D = np.zeros((len(systems), places[-1])), np.zeros((len(systems), len(systems)))
-    for i, system in enumerate(systems):
-        own = slice(places[i], places[i + 1])
-        A[own, own], B[own, i], C[i, own], D[i, i] = system.A, system.B[:, 0], system.C[0], system.D[0, 0]
-    return StateSpace(A, B, C, D)
-
-
-def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Return the series connection: ``first``, then ``second``."""
-    A = np.block([[first.A, np.zeros((first.order, second.order))], [product(second.B, first.C), second.A]])
-    B = np.vstack([first.B, product(second.B, first.D)])
-    return StateSpace(A, B, np.hstack([product(second.D, first.C), second.C]), product(second.D, first.D))
-
-
-def stage_plant(parameters: StageParameters) -> StateSpace:
-    """Return the plant from the commands of the degrees of freedom to their measurements, the hysteresis compensated.
-
-    It includes the delays of the actuators, and each measurement precedes the commands of its sample. With hysteresis
-    inside the structure it is the linear plant for motions that are smaller than the radius of every play.
-    """
-    stage = parameters.stage
-    linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
-    late = []
-    for axis in parameters.axes:
-        model = axis.plant_simulator.dynamics.state_space
-        row, through = axis.plant_simulator.dynamics.acting
-        late.append(StateSpace(model.A, model.B, row[np.newaxis], np.array([[through]])))
-    plant = in_series(diagonal(late), linear.held())
-    into, out = stage.matrix("decoupling"), stage.matrix("sensor_matrix")
-    return StateSpace(plant.A, product(plant.B, into), product(out, plant.C), product(out, product(plant.D, into)))
-
-
-def _controllers(parameters: StageParameters) -> list[StateSpace]:
-    """Return controller and damping of each axis, inputs reference and measurement, output command."""
-    found = []
-    for axis in parameters.axes:
-        controller = whole_loop(part(axis.motion_controller, ControllerParameters), 1.0 / parameters.sample_rate)[0]
-        if controller.B.shape[1] != 2:
-            raise ConfigurationError(
-                f"{axis.namespace}/motion_controller: a damping law with force feedback is not supported in a stage"
-            )
-        found.append(controller)
-    return found
-
-
-def stage_loop(parameters: StageParameters) -> StateSpace:
-    """Return the loop transfer of a stage, cut at the commands of the degrees of freedom, negative feedback.
-
-    Controllers and dampings are linear about rest, as for the margins of a single axis.
-    """
-    feedbacks = [StateSpace(one.A, one.B[:, 1:], -one.C, -one.D[:, 1:]) for one in _controllers(parameters)]
-    return in_series(stage_plant(parameters), diagonal(feedbacks))
-
-
-def stage_response(parameters: StageParameters, angles) -> np.ndarray:
-    """Return the closed loop from references to displacements at angles in the z plane, shape (F, n, n)."""
-    z = np.exp(1j * np.maximum(np.abs(angles), RESTING))
-    plant, count = stage_plant(parameters).response(z), len(parameters.names)
-    both = np.array([one.response(z)[:, 0] for one in _controllers(parameters)])
-    forward, back = (np.swapaxes(both[:, :, place], 0, 1)[:, np.newaxis] for place in (0, 1))
-    return np.linalg.solve(np.eye(count) - plant * back, plant * forward)
 
 
 def stage_lines(parameters: StageParameters) -> list[str]:
@@ -165,7 +89,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
         f"Controller designed by `hysteresis design {source} {words}`\n"
         f"on the model in motion_controller: bandwidth {reached}."
     )
-    return _with_sections(
+    return with_sections(
         configuration,
         designs,
         header,
@@ -173,7 +97,7 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
     )
 
 
-def _with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
+def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
     """Return the text of a file with the designed section of each axis and one common header."""
     text, source = configuration.text, configuration.source
     for number, (name, design) in enumerate(designs.items(), start=1):
@@ -193,20 +117,6 @@ class StageLearning:
     left: dict[str, str]  #: Axes without learning, with the reason.
 
 
-def scanned_paths(parameters: StageParameters) -> np.ndarray:
-    """Return the motion that the scan adds to the setpoints of the axes in a period, shape (n, N) [m]."""
-    scan = parameters.scan
-    if scan is None:
-        raise ConfigurationError(
-            "the stage follows no scan: give scan.kind and scan.values in its section, e.g. kind: raster"
-        )
-    count = repetition(scan.period, 1.0 / parameters.sample_rate)
-    paths = np.zeros((len(parameters.names), count))
-    moved = scan.samples(count, 1.0 / parameters.sample_rate)
-    paths[[parameters.names.index(name) for name in parameters.scanning_axes]] = moved
-    return paths
-
-
 def shortest_period(path: np.ndarray) -> int:
     """Return the least number of samples after which a periodic path repeats; the path is one period of it."""
     count = len(path)
@@ -216,8 +126,8 @@ def shortest_period(path: np.ndarray) -> int:
     return count
 
 
-def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
-    """Return the corrections with which the linear model of a stage follows periodic paths, shape (n, N) [m]."""
+def require_no_feedforward(parameters: StageParameters) -> None:
+    """Refuse a feedforward: corrections of the reference invert the loops themselves."""
     for axis in parameters.axes:
         given = axis.motion_controller.feedforward.type
         if given != "none":
@@ -225,6 +135,11 @@ def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
                 f"{axis.namespace}/motion_controller: feedforward.type = {given}: must be none, because the correction "
                 "inverts the loops of all axes itself"
             )
+
+
+def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
+    """Return the corrections with which the linear model of a stage follows periodic paths, shape (n, N) [m]."""
+    require_no_feedforward(parameters)
     count = paths.shape[1]
     lines = np.fft.rfft(paths, axis=1)
     size = np.max(np.abs(lines), axis=0)
@@ -282,6 +197,6 @@ def stage_learning_file(configuration: Configuration, result: StageLearning, fil
         f"over the controller of this file: bandwidth {reached}; begins with the corrections of the coupled model."
     )
     chosen = {name: replace(design.parameters, file=files[name]) for name, design in result.designs.items()}
-    return _with_sections(
+    return with_sections(
         configuration, chosen, header, lambda one, given, head, space: learning_text(one, given, space, head)
     )

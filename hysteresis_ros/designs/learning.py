@@ -52,11 +52,15 @@ BEFORE = 4
 DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 
+#: Kind of learning that learns the corrections of all axes of a stage together, from run to run.
+COUPLED = "coupled"
+
+
 @dataclass(frozen=True)
 class LearningRequest:
     """Request of a design."""
 
-    kind: str  #: ``inversion``, ``norm_optimal`` or ``repetitive``.
+    kind: str  #: ``inversion``, ``norm_optimal``, ``repetitive`` or ``coupled``.
     period: float | None = None  #: Period of the reference [s]; by default that of the configured waveform.
     bandwidth: float | None = None  #: Bandwidth of the learning [Hz]; by default the highest that contracts.
     maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
@@ -91,9 +95,10 @@ def asked(options: dict) -> LearningRequest | None:
                 f"--{name} and --learning exclude each other, because learning uses the controller of the "
                 "file; design that one first"
             )
-    if kind not in KINDS:
-        known = ", ".join(sorted(KINDS))
-        raise ConfigurationError(f"--learning {kind}: unknown design; there are {known}{did_you_mean(kind, KINDS)}")
+    kinds = (*sorted(KINDS), COUPLED)
+    if kind not in kinds:
+        known = ", ".join(kinds)
+        raise ConfigurationError(f"--learning {kind}: unknown design; there are {known}{did_you_mean(kind, kinds)}")
     maximum = given.get("maximum")
     if maximum is not None and not 0.0 < maximum <= 1.0:
         raise ConfigurationError(f"--maximum {maximum:g}: must be a correction in metres above 0")

@@ -321,6 +321,8 @@ class StageParameters:
             what: tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
             for what in ("velocity", "acceleration", "jerk")
         }
+        # the samples show nothing beyond half their rate
+        limits["bandwidth"] = 0.5 * self.sample_rate
         limits["low"] = tuple(source.minimum - source.initial_setpoint for source in sources)
         limits["high"] = tuple(source.maximum - source.initial_setpoint for source in sources)
         try:

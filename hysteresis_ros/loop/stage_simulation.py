@@ -23,6 +23,7 @@ from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.simulation import changes_of, unequal
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
+from hysteresis_ros.loop.stage_response import check_scan
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
 
@@ -162,6 +163,7 @@ def _continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
 def chosen_stage(configuration: Configuration, faults: tuple[str, ...], namespace: str | None) -> StageParameters:
     """Return the stage of a configuration, with faults in the axis that ``namespace`` names."""
     parameters = StageParameters.from_configuration(configuration)
+    check_scan(parameters)
     if faults and namespace is None:
         raise ConfigurationError(f"faults of a stage need an axis: name one of {', '.join(parameters.names)}")
     if namespace is not None and not faults:

@@ -283,6 +283,37 @@ def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_sc
     assert errors["after"][1] < 0.85 * errors["after"][0]
 
 
+def test_all_axes_learn_together_from_recorded_runs(tmp_path):
+    source = tmp_path / "scan.yaml"
+    text = load_configuration("xy_scanner").text
+    scan = (
+        "    scan:\n      kind: lissajous\n      values: [width=16um, depth=16um, lines=5, frame_rate=10Hz]\n"
+        "      periods: 3\n"
+    )
+    source.write_text(text.replace("    decoupling: [1.0016", f"{scan}    decoupling: [1.0016"), encoding="utf-8")
+    files = [tmp_path / f"learns{number}.yaml" for number in range(3)]
+    runs = [tmp_path / f"run{number}.npz" for number in range(3)]
+    said = hysteresis("design", source, "--learning", "coupled", "-o", files[0])
+    assert "written, learning coupled, from 0 runs" in said and "learns0_x.yaml" in said
+    given: list = []
+    for number in range(3):
+        hysteresis("simulate", files[number], "-o", runs[number])
+        given += ["--run", runs[number]]
+        if number < 2:
+            said = hysteresis("design", files[number], "--learning", "coupled", *given, "-o", files[number + 1])
+            assert f"run {number + 1}, y: periodic error" in said and f"from {number + 1} runs" in said
+            assert files[number + 1].read_text(encoding="utf-8").count("# Learning designed by") == 1
+    left = [scan_figures(hr.scan_run(load_run(run), 0.2, 0.6))["rms_error_percent"] for run in runs]
+    # the plant is its model, but for noise and what remains of hysteresis and creep
+    assert left[2] < 0.5 * left[0]
+    words = ("design", files[0], "--learning", "coupled", "--run", runs[0])
+    assert "would replace the corrections of the run" in hysteresis(*words, "-o", files[0], code=2)
+    words = ("design", files[0], "--learning", "inversion", "--run", runs[0], "-o", files[0])
+    assert "--run belongs to --learning coupled" in hysteresis(*words, code=2)
+    words = ("design", "kim2009", "--learning", "coupled", "--period", "0.2s", "-o", files[0])
+    assert "are for a stage" in hysteresis(*words, code=2)
+
+
 def test_controllers_of_all_axes_are_designed_and_written(tmp_path):
     path = tmp_path / "designed.yaml"
     said = hysteresis("design", "xy_scanner", "--controller", "pid", "--noise", "5nm", "-o", path)

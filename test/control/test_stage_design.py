@@ -16,48 +16,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+from plain_stage_support import SAMPLE_TIME, SPIRAL, errors, late_structure, stage
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.coupled import (
-    decoupled,
-    design_stage_learning,
-    scanned_paths,
-    shortest_period,
-    stage_lines,
-    stage_loop,
-    stage_response,
-)
+from hysteresis_ros.designs.coupled import decoupled, design_stage_learning, shortest_period, stage_lines
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_simulation import simulate_stage, with_scan
-
-SAMPLE_TIME = 1e-4
-#: A plant without hysteresis, creep and noise, so that its linear model is all there is.
-PROPORTIONAL = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": 0.4e-6, "creep__type": "none"}
-EXACT = {"limits__bits": 0, "limits__slew_rate": 0.0}
-SPIRAL = "spiral", ("diameter=16um", "turns=4", "frame_rate=16Hz")
-
-
-def stage(kind="", values=(), structure=None, **overrides) -> StageParameters:
-    """Return xy_scanner without hysteresis, creep and noise, that follows a scan."""
-    made = load_configuration("xy_scanner")
-    quiet = {"sensor__noise": 0.0, "sensor__resolution": 0.0, "overtravel": -1.0}
-    nodes = {"plant_simulator": PROPORTIONAL | EXACT | quiet, "hysteresis_compensator": PROPORTIONAL | EXACT}
-    for node, given in {**nodes, "stage": {"scan__periods": 0} | (structure or {}), **overrides}.items():
-        made = made.override(node, **given)
-    if not kind:
-        made = made.override("reference_generator", waveform__type="hold")
-    return StageParameters.from_configuration(with_scan(made, kind, values) if kind else made)
-
-
-def late_structure() -> dict:
-    """Return a structure whose sensor x leads its mode the wrong way: a zero outside the unit circle."""
-    C = np.reshape(load_configuration("xy_scanner").node("stage")["structure.C"], (2, 4)).copy()
-    C[0, 1] = -0.3
-    return {"structure__C": tuple(C.ravel())}
+from hysteresis_ros.loop.stage_response import scanned_paths, stage_loop, stage_response
 
 
 def zeros(model) -> np.ndarray:
@@ -98,14 +66,6 @@ def learned(parameters: StageParameters, paths, corrections) -> dict:
         name: Learned(paths.shape[1] * SAMPLE_TIME, SAMPLE_TIME, corrections[i], middle[i] + paths[i])
         for i, name in enumerate(parameters.names)
     }
-
-
-def errors(parameters: StageParameters, periods: int = 4) -> np.ndarray:
-    """Return the errors of all axes in the last period of a scan, shape (n, N) [m]."""
-    period = round(parameters.scan.period / SAMPLE_TIME)
-    run = simulate_stage(parameters, duration=periods * parameters.scan.period)
-    found = [run[f"{name}/reference"] - run[f"{name}/displacement"] for name in parameters.names]
-    return np.array(found)[:, -period:]
 
 
 @pytest.mark.parametrize("structure", [None, late_structure()], ids=["as it is", "zero outside"])

@@ -19,10 +19,10 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import margins_of
-from hysteresis_ros.designs.coupled import stage_loop, stage_plant
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_response import stage_loop, stage_plant
 
 SAMPLE_TIME = 1e-4
 MODEL = configured().node("stage")

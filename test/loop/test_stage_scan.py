@@ -25,6 +25,7 @@ from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_response import check_scan, loop_bandwidths, path_bandwidths, scan_warnings
 from hysteresis_ros.loop.stage_simulation import displacements_between, simulate_stage, with_scan
 from hysteresis_ros.models.linear import zero_order_hold
 from hysteresis_ros.references.scan import ScanLimits, largest_frame_rate
@@ -103,6 +104,46 @@ def test_the_frame_rate_that_a_refusal_names_is_the_largest_of_the_limits():
     limits = ScanLimits((), (), (0.0154,), (21.6,), (30200.0,))
     limit = largest_frame_rate(parsed_scan("raster", values), limits)
     assert best == pytest.approx(limit, rel=1e-3) and best <= limit
+
+
+def slow_loop(frame_rate: float, **overrides) -> StageParameters:
+    """Return a stage of integrators of 20/(2 π) = 3.2 Hz that follows a Lissajous scan of 2 and 2.5 frame rates."""
+    gains = {"type": "pid", "damping__type": "none", "pid__Kp": 0.0, "pid__Ki": 20.0, "pid__Kd": 0.0}
+    values = ("width=2um", "depth=2um", "lines=5", f"frame_rate={frame_rate!r}Hz")
+    return following("lissajous", values, motion_controller=gains | overrides)
+
+
+def test_a_scan_beyond_the_bandwidth_of_the_loop_is_warned_of_with_the_frame_rate_that_would_do():
+    parameters = slow_loop(4.0)
+    np.testing.assert_allclose(loop_bandwidths(parameters), 20.0 / (2.0 * np.pi), rtol=0.02)
+    np.testing.assert_allclose(path_bandwidths(parameters), [10.0, 8.0])
+    x, y = scan_warnings(parameters)
+    assert re.search(r"^x: the path of the scan needs 10 Hz, 3\.1\d? times the bandwidth of the loop, 3\.\d+ Hz", x)
+    rate = float(re.search(r"frame_rate ≤ (\S+) Hz", x)[1])
+    assert rate == pytest.approx(4.0 * 3.18 / 10.0, rel=0.02) and "hysteresis design --learning" in x and y[0] == "y"
+    assert 1.25 < rate < 1.28
+    assert scan_warnings(slow_loop(1.25)) == () and len(scan_warnings(slow_loop(1.28))) == 1
+    assert scan_warnings(following()) == (), "xy_scanner follows its raster"
+    with pytest.warns(UserWarning, match="times the bandwidth of the loop"):
+        hr.simulate(parse_configuration(parameters.configuration_text(), "text"), duration=0.01)
+
+
+def test_a_scan_beyond_what_actuators_and_samples_can_do_is_refused():
+    assert re.search(
+        r"bandwidth \S+ Hz is \S+ times its limit 5000 Hz; allowed: ≤ \S+ Hz",
+        refused(("width=1nm", "depth=1nm", "lines=5", "frame_rate=3kHz"), "lissajous"),
+    )
+    # beyond the modes the actuators have to push against the mass of the stage
+    values = ("width=10um", "depth=10um", "lines=5", "frame_rate={}Hz")
+    limits = {"approach__maximum_velocity": 0.0, "approach__maximum_acceleration": 0.0, "approach__maximum_jerk": 0.0}
+    fast = following("lissajous", (*values[:3], values[3].format(800)), reference_generator=limits)
+    with pytest.raises(ParameterError) as error:
+        check_scan(fast)
+    words = re.search(r"would need commands that are (\S+) times .* reaches; allowed: ≤ (\S+) Hz", str(error.value))
+    assert float(words[1]) > 1.5
+    rate = int(float(words[2]))
+    assert 400 < rate < 800
+    check_scan(following("lissajous", (*values[:3], values[3].format(rate)), reference_generator=limits))
 
 
 def test_a_kind_that_does_not_exist_and_a_file_without_stage_are_refused():

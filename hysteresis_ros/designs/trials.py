@@ -1,0 +1,410 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Learning of all axes of a stage together, from run to run of a periodic scan: norm-optimal, harmonic by harmonic.
+
+In run j the corrections M_j of all axes (n complex amplitudes at each harmonic of the common period) are fixed, and the
+errors against the undelayed path have the amplitudes E_j = c - T M_j, with the closed loop T (n × n) from references to
+displacements. Neither c nor T is known exactly. Both are estimated at each harmonic from the model and from all runs:
+
+- *The model's uncertainty* gives mean and covariance of T before any run: over plants whose gains, modes and delays
+  differ from the model's, each actuator and each mode by its own amount, and :data:`UNSEEN` for what no model has.
+- *Each run* is a measurement of c - T M_j, whose noise is known from how much the periods of the run differ. A linear
+  minimum-variance estimate takes both together (a Kalman filter without motion).
+
+The corrections of the next run minimise the expected square of its error,
+
+    E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c],
+
+the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest, so that the
+lifted matrices are diagonal in the harmonics. The covariance of T is the weight on the change of the corrections:
+where the model is uncertain, as at a mode whose frequency is not known well, the step is small, and it grows with
+what the runs show. An error that is not above its noise is not learned (factor 1 - σ²/|E|²).
+
+References
+----------
+.. [1] Amann, Owens & Rogers, Iterative learning control using optimal feedback and feedforward actions, International
+   Journal of Control 65 (2), 1996.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.learning import LONGEST, Learned, LearningParameters, read_learned
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.designs.controller import learning_text
+from hysteresis_ros.designs.coupled import require_no_feedforward, with_sections
+from hysteresis_ros.designs.learning import COUPLED as KIND
+from hysteresis_ros.designs.learning import MAXIMUM, SHORTFALL, LearningRequest
+from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.loop.reach import reachable_displacements
+from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
+from hysteresis_ros.loop.stage_response import RESTING, controllers_of, scanned_paths
+from hysteresis_ros.models.linear import StateSpace
+from hysteresis_ros.recordings.dataset import Recording
+
+#: Standard deviation of each entry of T that no model has (assumed).
+UNSEEN = 0.05
+#: Part of an error that may be of another kind than c - T M: hysteresis is not linear (assumed).
+NONLINEAR = 0.1
+#: Square of an error, in variances of its noise, from which on it is learned; below 2 % of noise is above it.
+SIGNIFICANT = 4.0
+#: Harmonics on either side over which the noise of the runs is averaged.
+SMOOTHED = 15
+#: Fewest periods of a run: one to settle, and two that show how much they differ.
+FEWEST = 3
+#: Highest frequency that is learned, as a part of the sample rate.
+HIGHEST = 0.45
+#: Magnitude of a pole below which it only delays, and distance within which poles are equal.
+DELAYING, EQUAL = 0.02, 1e-8
+#: Angles that are computed at once.
+BLOCK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """Closed loop T from references to displacements at F harmonics, over all possible stages."""
+
+    mean: np.ndarray  #: shape (F, n, n)
+    covariance: np.ndarray  #: shape (F, n, n, n); Of each row.
+
+    @property
+    def square(self) -> np.ndarray:
+        """E[T* T], shape (F, n, n)."""
+        return np.einsum("fia,fib->fab", self.mean.conj(), self.mean) + np.einsum("fiba->fab", self.covariance)
+
+
+def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Uncertainty) -> Loops:
+    """Return mean and covariance of the closed loop over stages within an uncertainty, at angles in the z plane.
+
+    Gain and slope are drawn for each actuator, times for each mode of the structure, and delays for each actuator.
+    """
+    random = np.random.default_rng(possible.seed)
+    stage, count = parameters.stage, len(parameters.names)
+    linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
+    held = linear.held()
+    modes = _modes(linear)
+    sensors, into = stage.matrix("sensor_matrix"), stage.matrix("decoupling")
+    draws = []
+    for _ in range(possible.draws):
+        slowness = 1.0 + possible.resonance * random.uniform(-1.0, 1.0, len(modes))
+        gain = 1.0 + possible.gain * random.uniform(-1.0, 1.0, count)
+        gain *= 1.0 + possible.hysteresis * random.uniform(-1.0, 1.0, count)
+        draws.append((slowness, gain, possible.delay * random.uniform(0.0, 1.0, count)))
+    late = [axis.plant_simulator.dynamics for axis in parameters.axes]
+    controllers, identity = controllers_of(parameters), np.eye(count)
+    means, covariances = [], []
+    for begin in range(0, len(angles), BLOCK):
+        some = np.maximum(np.abs(angles[begin : begin + BLOCK]), RESTING)
+        z = np.exp(1j * some)
+        both = np.array([one.response(z)[:, 0] for one in controllers])
+        forward, back = (np.swapaxes(both[:, :, place], 0, 1)[:, np.newaxis] for place in (0, 1))
+        own = np.array([_acting(one, z) for one in late]).T
+        found = []
+        whole = held.response(z)
+        for slowness, gain, delay in draws:
+            plant = whole
+            for (pole, residue), factor in zip(modes, slowness, strict=True):
+                plant = plant + _slower(pole, residue, factor, z)
+                if pole.imag:
+                    plant = plant + _slower(pole.conjugate(), residue.conj(), factor, z)
+            acting = own * gain * np.exp(-1j * np.outer(some, delay))
+            plant = sensors @ (plant * acting[:, np.newaxis]) @ into
+            found.append(np.linalg.solve(identity - plant * back, plant * forward))
+        loops = np.array(found)
+        mean = loops.mean(axis=0)
+        apart = loops - mean
+        covariance = np.einsum("pfia,pfib->fiab", apart, apart.conj()) / len(loops)
+        means.append(mean)
+        covariances.append(covariance + UNSEEN**2 * identity)
+    return Loops(np.concatenate(means), np.concatenate(covariances))
+
+
+def _slower(pole: complex, residue: np.ndarray, factor: float, z: np.ndarray) -> np.ndarray:
+    """Return how the response changes when a mode is slower by a factor; the gain at rest stays."""
+    moved = pole ** (1.0 / factor)
+    change = (1.0 - moved) / (1.0 - pole) / (z - moved) - 1.0 / (z - pole)
+    return change[:, np.newaxis, np.newaxis] * residue
+
+
+def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
+    """Return pole and residue, shape (q, m), of each mode; of a pair that above the real axis, equal poles together.
+
+    Poles that only delay, and those on the negative real axis, are no modes in continuous time.
+    """
+    import scipy.linalg
+
+    poles, left, right = scipy.linalg.eig(model.A, left=True, right=True)
+    found, done = [], np.zeros(len(poles), dtype=bool)
+    for i, pole in enumerate(poles):
+        if done[i] or abs(pole) < DELAYING or pole.imag < 0.0 or (pole.imag == 0.0 and pole.real < 0.0):
+            continue
+        equal = np.abs(poles - pole) < EQUAL
+        done |= equal
+        overlap = left[:, equal].conj().T @ right[:, equal]
+        if np.linalg.cond(overlap) < 1.0 / EQUAL:
+            projector = right[:, equal] @ np.linalg.solve(overlap, left[:, equal].conj().T)
+            found.append((complex(pole), model.C @ projector @ model.B))
+    return found
+
+
+def _acting(dynamics, z: np.ndarray) -> np.ndarray:
+    """Return the response of the delay of an actuator, shape (F,)."""
+    row, through = dynamics.acting
+    model = dynamics.state_space
+    return StateSpace(model.A, model.B, row[np.newaxis], np.array([[through]])).response(z)[:, 0, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known of c and T at F harmonics: mean and covariance of the rows (c_i, T_i1 … T_in), shape (F, n, …)."""
+
+    mean: np.ndarray  #: shape (F, n, 1 + n)
+    covariance: np.ndarray  #: shape (F, n, 1 + n, 1 + n)
+
+    @classmethod
+    def after(cls, loop: Loops, correction, error, variance) -> Belief:
+        """Return what is known after the first run: c = E + T M, with all that is uncertain of E and T."""
+        count = correction.shape[1]
+        turn = np.broadcast_to(np.eye(1 + count, dtype=complex), (len(correction), 1 + count, 1 + count)).copy()
+        turn[:, 0, 1:] = correction
+        mean = np.concatenate([error[:, :, np.newaxis], loop.mean], axis=2)
+        apart = np.zeros((*mean.shape, 1 + count), dtype=complex)
+        apart[:, :, 0, 0], apart[:, :, 1:, 1:] = variance, loop.covariance
+        covariance = np.einsum("fab,fibc,fdc->fiad", turn, apart, turn.conj())
+        return cls(np.einsum("fab,fib->fia", turn, mean), covariance)
+
+    def given(self, correction, error, variance) -> Belief:
+        """Return what is known after a run with these amplitudes, (F, n) each, and the variance of the errors."""
+        inputs = np.concatenate([np.ones((len(correction), 1)), -correction], axis=1)[:, np.newaxis]
+        # row by row: e_i = inputs · row_i + noise
+        carried = np.einsum("fnij,fnj->fni", self.covariance, inputs.conj())
+        spread = np.einsum("fni,fni->fn", inputs, carried).real + variance
+        gain = carried / spread[:, :, np.newaxis]
+        missing = error - np.einsum("fni,fni->fn", inputs, self.mean)
+        covariance = self.covariance - gain[..., np.newaxis] * carried.conj()[:, :, np.newaxis]
+        return Belief(self.mean + gain * missing[:, :, np.newaxis], covariance)
+
+    def step(self, correction, noise) -> np.ndarray:
+        """Return the change of corrections (F, n) to those of least expected error; errors below the noise stay."""
+        mean, whole = self.mean, self.covariance
+        square = np.einsum("fia,fib->fab", mean[:, :, 1:].conj(), mean[:, :, 1:])
+        square += np.einsum("fiba->fab", whole[:, :, 1:, 1:])
+        inputs = np.concatenate([np.ones((len(correction), 1)), -correction], axis=1)[:, np.newaxis]
+        left = np.einsum("fni,fni->fn", inputs, mean)
+        # E[conj(T_ia) (c_i - T_i M)], row by row
+        shared = np.einsum("fnj,fnja->fna", np.broadcast_to(inputs, mean.shape), whole[:, :, :, 1:])
+        crossed = mean[:, :, 1:].conj() * left[:, :, np.newaxis] + shared
+        certain = np.maximum(1.0 - SIGNIFICANT * noise / np.maximum(np.abs(left) ** 2, 1e-300), 0.0)
+        wanted = np.einsum("fna,fn->fa", crossed, certain)
+        return np.linalg.solve(square, wanted[..., np.newaxis])[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What a run of a scan with fixed corrections has shown, for all n axes."""
+
+    correction: np.ndarray  #: shape (n, N) [m]
+    error: np.ndarray  #: shape (n, N); Mean over the periods, of the path minus the measurement [m].
+    variance: np.ndarray  #: shape (n, N // 2 + 1); Of the amplitudes of that mean, as ``numpy.fft.rfft`` gives them.
+
+
+def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
+    """Return what a run has shown after its first period."""
+    paths = scanned_paths(parameters)
+    period = paths.shape[1]
+    errors = []
+    for place, (name, axis) in enumerate(zip(parameters.names, parameters.axes, strict=True)):
+        measured = np.asarray(run[f"{name}/measured"])
+        whole = len(measured) // period
+        if whole < FEWEST:
+            raise RecordingError(
+                f"the run has {len(measured) / period:.3g} periods of the scan: must be {FEWEST} or more, one to "
+                "settle and others to tell errors from noise; set scan.periods"
+            )
+        wanted = axis.generator.initial_setpoint + paths[place]
+        given = np.asarray(run[f"{name}/reference"])[: whole * period].reshape(whole, period)
+        if not np.allclose(given[1:], wanted, rtol=0.0, atol=1e-9):
+            raise RecordingError(f"{name}/reference is not the scan of the configuration from its beginning on")
+        errors.append(wanted - measured[: whole * period].reshape(whole, period)[1:])
+    found = np.array(errors)
+    if not np.all(np.isfinite(found)):
+        raise RecordingError("a measurement is missing after the first period: record the run again")
+    mean = found.mean(axis=1)
+    apart = np.abs(np.fft.rfft(found - mean[:, np.newaxis], axis=2)) ** 2
+    count = found.shape[1]
+    spread = apart.sum(axis=1) / (count * (count - 1))
+    kernel = np.full(2 * SMOOTHED + 1, 1.0)
+    weight = np.convolve(np.ones(spread.shape[1]), kernel, "same")
+    smooth = np.array([np.convolve(row, kernel, "same") for row in spread]) / weight
+    # a single line may differ more from period to period than its neighbours
+    return Trial(np.asarray(correction, dtype=float), mean, np.maximum(smooth, spread / count))
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledLearning:
+    """Learning of all axes of a stage for the scan that it follows."""
+
+    parameters: StageParameters
+    request: LearningRequest
+    paths: np.ndarray  #: shape (n, N); What the axes add to their setpoints in a period [m].
+    places: np.ndarray  #: shape (F,); Harmonics that are learned.
+    loops: Loops
+
+    @classmethod
+    def of(cls, parameters: StageParameters, request: LearningRequest) -> CoupledLearning:
+        """Prepare the learning of a stage; the request has ranges, bandwidth and largest correction."""
+        require_no_feedforward(parameters)
+        paths, rate = scanned_paths(parameters), parameters.sample_rate
+        period = paths.shape[1]
+        if period > LONGEST:
+            raise ConfigurationError(
+                f"the scan repeats after {period} samples: learning takes up to {LONGEST}; choose a shorter frame"
+            )
+        highest = HIGHEST * rate if request.bandwidth is None else request.bandwidth
+        if not 1.0 <= highest * period / rate < 0.5 * period:
+            lowest = rate / period
+            raise ConfigurationError(f"--bandwidth {highest:g}: must be {lowest:.4g} … {0.5 * rate:g} Hz")
+        places = np.arange(1, int(highest * period / rate) + 1)
+        return cls(
+            parameters,
+            request,
+            paths,
+            places,
+            possible_loops(parameters, 2.0 * np.pi * places / period, request.possible),
+        )
+
+    def first(self) -> np.ndarray:
+        """Return corrections for the first run, shape (n, N) [m]: those of least expected error over all stages."""
+        lines = np.fft.rfft(self.paths, axis=1)
+        wanted = lines[:, self.places].T
+        mean = np.swapaxes(self.loops.mean, 1, 2).conj()
+        asked = np.linalg.solve(self.loops.square, (mean @ wanted[..., np.newaxis]))[..., 0]
+        found = np.zeros_like(lines)
+        found[:, self.places] = (asked - wanted).T
+        return np.fft.irfft(found, self.paths.shape[1], axis=1)
+
+    def after(self, trials: Sequence[Trial]) -> np.ndarray:
+        """Return corrections for the run after these, shape (n, N) [m]."""
+        belief: Belief | None = None
+        for one in trials:
+            given = np.fft.rfft(one.correction, axis=1)[:, self.places].T
+            error = np.fft.rfft(one.error, axis=1)[:, self.places].T
+            variance = one.variance[:, self.places].T + NONLINEAR**2 * np.abs(error) ** 2
+            known = (given, error, variance)
+            belief = Belief.after(self.loops, *known) if belief is None else belief.given(*known)
+        if belief is None:
+            return self.first()
+        lines = np.fft.rfft(trials[-1].correction, axis=1)
+        present = lines[:, self.places].T
+        lines[:, self.places] = (present + belief.step(present, trials[-1].variance[:, self.places].T)).T
+        return np.fft.irfft(lines, self.paths.shape[1], axis=1)
+
+    def learned(self, corrections: np.ndarray) -> dict[str, Learned]:
+        """Return corrections as those of the axes, for their files."""
+        step = 1.0 / self.parameters.sample_rate
+        return {
+            name: Learned(len(own) * step, step, own, axis.generator.initial_setpoint + path)
+            for name, axis, own, path in zip(
+                self.parameters.names, self.parameters.axes, corrections, self.paths, strict=True
+            )
+        }
+
+    def chosen(self, corrections: np.ndarray, files: dict[str, str]) -> dict[str, LearningParameters]:
+        """Return the parameters of all axes with which they apply corrections from files."""
+        found = {}
+        for name, axis, own in zip(self.parameters.names, self.parameters.axes, corrections, strict=True):
+            low, high = reachable_displacements(axis)
+            maximum = self.request.maximum if self.request.maximum is not None else MAXIMUM * (high - low)
+            largest = float(np.max(np.abs(own)))
+            if largest > maximum:
+                raise ConfigurationError(
+                    f"{name}: the scan needs corrections of {1e6 * largest:.4g} µm, allowed are {1e6 * maximum:.4g} "
+                    "µm: give a larger --maximum, or scan more slowly"
+                )
+            found[name] = LearningParameters(
+                type=KIND,
+                period=len(own) / self.parameters.sample_rate,
+                error_filter=(0.0,),
+                robustness_filter=(1.0,),
+                maximum=float(f"{maximum:.4g}"),
+                shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
+                active=False,
+                file=files[name],
+            ).validated("learning.")
+        return found
+
+
+def applied(parameters: StageParameters) -> np.ndarray:
+    """Return the corrections that the axes of a stage have from their files, shape (n, N) [m]; 0 without one."""
+    paths = scanned_paths(parameters)
+    found = np.zeros_like(paths)
+    for place, axis in enumerate(parameters.axes):
+        given = axis.motion_controller.learning
+        if not given.in_use:
+            continue
+        if given.active:
+            raise ConfigurationError(
+                f"{axis.namespace}/motion_controller: learning.active = true: must be false in a run to learn from, "
+                "because its corrections must not change"
+            )
+        if given.file:
+            own = read_learned(given.file).correction
+            if paths.shape[1] % len(own):
+                raise ConfigurationError(f"{given.file}: has another period than the scan: learn again")
+            found[place] = np.tile(own, paths.shape[1] // len(own))
+    return found
+
+
+def coupled_learning_file(
+    configuration: Configuration, chosen: dict[str, LearningParameters], runs: Sequence[str]
+) -> str:
+    """Return the text of the parameter file whose axes apply the corrections in their files."""
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    learned = f"learned from {', '.join(runs)}" if runs else "those of the coupled model, before any run"
+    header = (
+        f"Learning designed by `hysteresis design {source} --learning {KIND}`\n"
+        f"over the controller of this file: corrections of all axes together, {learned}."
+    )
+    return with_sections(
+        configuration, chosen, header, lambda one, given, head, space: learning_text(one, given, space, head)
+    )
+
+
+def learned_from(
+    configuration: Configuration, request: LearningRequest, runs: Sequence[Recording]
+) -> tuple[CoupledLearning, np.ndarray, list[Trial]]:
+    """Return the learning of a stage, its corrections after these runs, in their order, and what each has shown."""
+    parameters = StageParameters.from_configuration(configuration)
+    learning = CoupledLearning.of(parameters, request)
+    trials = []
+    for run in runs:
+        own = StageParameters.from_configuration(parse_configuration(run.metadata["configuration"], "the run"))
+        trials.append(trial(parameters, run, applied(own)))
+    return learning, learning.after(trials), trials
+
+
+def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[str]:
+    """Return the printed table: what each run has shown of each axis."""
+    rows = []
+    for number, one in enumerate(trials, start=1):
+        period = one.error.shape[1]
+        for name, error, variance in zip(parameters.names, one.error, one.variance, strict=True):
+            rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
+            # as rfft has the amplitudes, all but the one at rest count twice
+            noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
+            rows.append(
+                f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of it noise {1e9 * noise:.3g} nm"
+            )
+    return rows
