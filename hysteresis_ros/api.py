@@ -20,7 +20,7 @@ import os
 import pathlib
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, overload
 
 import numpy as np
@@ -36,6 +36,7 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.designs.frequency_response import AxisResponse
+from hysteresis_ros.designs.stage_identification import IdentifiedStage, StageRequest, identify_stage
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, MissingExtraError, did_you_mean
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import (
@@ -50,6 +51,7 @@ from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.registry import USUAL
+from hysteresis_ros.identification.stage_data import StageColumns, read_stage, realisations
 from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import Fault
@@ -504,8 +506,10 @@ __all__ = [
     "Configuration",
     "HysteresisError",
     "Identified",
+    "IdentifiedStage",
     "IdentifiedStructure",
     "Run",
+    "StageColumns",
     "StageRun",
     "StructureData",
     "StructureEstimator",
@@ -796,7 +800,8 @@ def _parameters_of_array(
     return parameters_of_each(axis, axes, each)
 
 
-def identify(
+@overload
+def identify(  # numpydoc ignore=PR01
     source: Measured,
     model: str = USUAL,
     *,
@@ -807,7 +812,37 @@ def identify(
     progress: Any = None,
     **conditions: Unpack[Conditions],
 ) -> Identified:
-    """Identify a model of the hysteresis and of the dynamics behind it from a recording.
+    """Identify a model of an axis."""
+
+
+@overload
+def identify(  # numpydoc ignore=PR01
+    source: Measured | Sequence[str | os.PathLike[str]],
+    model: str = USUAL,
+    *,
+    columns: StageColumns,
+    loops: Measured | None = None,
+    into: Source | None = None,
+    options: dict[str, Any] | None = None,
+    progress: Any = None,
+) -> IdentifiedStage:
+    """Identify a stage of coupled axes."""
+
+
+def identify(
+    source: Any,
+    model: str = USUAL,
+    *,
+    columns: Columns | StageColumns | None = None,
+    loops: Any = None,
+    into: Any = None,
+    linear: str | None = None,
+    options: dict[str, Any] | None = None,
+    inverse: str | None = None,
+    progress: Any = None,
+    **conditions: Unpack[Conditions],
+) -> Identified | IdentifiedStage:
+    """Identify a model of the hysteresis and of the dynamics behind it from a recording, or a stage of coupled axes.
 
     Parameters
     ----------
@@ -817,25 +852,30 @@ def identify(
     model : str
         Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
         ``generalised_play`` if it predicts data outside the fit better; ``auto``: the best of all models.
-    columns : Columns, optional
-        Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``.
+    columns : Columns or StageColumns, optional
+        Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``. With
+        ``hr.StageColumns()`` several inputs and outputs are identified as a stage, of one file or of several.
+    loops : path-like or Recording, optional
+        Of a stage: a recording in which one actuator after the other goes through its range.
+    into : str, path-like or Configuration, optional
+        A stage that keeps its plants and gets everything else.
     linear : str, optional
         Linear dynamics behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
         they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
-        Options of the model, such as ``{"play_count": 20}``.
+        Options of the model, such as ``{"play_count": 20}``; of a stage those of :class:`.StageRequest`.
     inverse : str, optional
         Inverse of the compensator; the model's first by default.
     progress : callable, optional
-        Called as ``progress(number, text)`` while the fit runs.
+        Called as ``progress(number, text)`` while the fit runs, of a stage as ``progress(text)``.
     **conditions
         ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
 
     Returns
     -------
-    Identified
-        With ``parameters``, ``predicted``, ``figures``, ``warnings``, ``converged`` and ``save(path)``;
-        :func:`simulate`, :func:`design` and :func:`report` take it as it is.
+    Identified or IdentifiedStage
+        With ``parameters``, ``figures``, ``warnings`` and ``save(path)``. Of a single axis also ``predicted`` and
+        ``converged``; :func:`simulate`, :func:`design` and :func:`report` take it as it is.
 
     Raises
     ------
@@ -848,6 +888,22 @@ def identify(
     >>> found = hr.identify("loops.csv", "preisach", skip=200)  # doctest: +SKIP
     >>> found.figures["rmse_percent_of_stroke"]  # doctest: +SKIP
     """
+    if isinstance(columns, StageColumns):
+        if linear is not None or inverse is not None or conditions:
+            raise HysteresisError("linear, inverse and conditions are for a single axis: leave them out for a stage")
+        known = StageRequest.__dataclass_fields__
+        unknown = [name for name in options or {} if name not in known]
+        if unknown:
+            raise HysteresisError(f"{', '.join(unknown)}: no such option of a stage; there are {', '.join(known)}")
+        request = StageRequest(**{"progress": progress, **(options or {})})
+        if model != USUAL:
+            request = replace(request, model=model)
+        stage = read_stage(source, columns)
+        base = into if into is None or isinstance(into, Configuration) else load_configuration(into)
+        turns = None if loops is None else read_stage(loops, columns)
+        return identify_stage(stage, realisations(stage, columns), request, turns, base)
+    if loops is not None or into is not None:
+        raise HysteresisError("loops and into are for a stage: give columns=hr.StageColumns() with them")
     reading = read_data(source, columns)
     found = workflow.identify(
         reading, model, linear=linear, options=options, inverse=inverse, progress=progress, **conditions

@@ -468,7 +468,7 @@ class Configuration:
         if self.stage is not None:
             raise ConfigurationError(
                 f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the axes of a "
-                "stage run together, so far in `hysteresis simulate`, hr.simulate and `hysteresis up` only "
+                "stage run together, in `hysteresis simulate`, `up`, `design`, `excite` and `identify` only "
                 "(docs/coupled_axes.md)"
             )
 

@@ -25,6 +25,16 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.argument("config", type=ConfigurationName())
 @click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="Excitation signal; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
+@click.option(
+    "--offline", is_flag=True, help="Stage: run its blocks without ROS; --record is then an .npz, .csv or .mcap file."
+)
+@click.option(
+    "--realisations", type=int, help="Stage, multisine: number of realisations.  [default: three for each axis]"
+)
+@click.option("--periods", type=int, default=2, show_default=True, help="Stage, multisine: periods of each that count.")
+@click.option("--settle", type=int, default=1, show_default=True, help="Stage, multisine: periods before them.")
+@click.option("--one-by-one", is_flag=True, help="Stage, multisine: one axis after the other.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Stage, multisine: seed of the phases.")
 @split_options
 @click.option(
     "--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default that of the recipe."
@@ -50,7 +60,23 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option("--namespace", help="Drive only the axis in this namespace.")
 @reference_options
 def excite(
-    config, name, record, max_bag_size, max_bag_duration, duration, rate, processes, plant, namespace, reference
+    config,
+    name,
+    record,
+    offline,
+    realisations,
+    periods,
+    settle,
+    one_by_one,
+    seed,
+    max_bag_size,
+    max_bag_duration,
+    duration,
+    rate,
+    processes,
+    plant,
+    namespace,
+    reference,
 ):
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
@@ -59,6 +85,9 @@ def excite(
     0.5), and --frequency is the frequency of the cycles, the line spacing of the multisine, or the initial frequency of
     the chirp. With --reference, amplitudes may be in volts (60V), or in metres at the gain of the compensator's model
     (5um).
+
+    A stage is excited as a whole, in one recording: with multisine all axes at once by orthogonal multisines, with the
+    other recipes one axis after the other.
     """
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
@@ -76,6 +105,30 @@ def excite(
     if record.exists():
         raise ConfigurationError(f"{record}: exists already; choose another folder for the recording or remove it")
     configuration = load_configuration(config)
+    if configuration.stage is not None:
+        from hysteresis_ros.designs.stage_excitation import StageExcitation
+
+        if not name or namespace or plant == "external":
+            raise click.UsageError("a stage is excited as a whole: give --recipe, without --namespace and --plant")
+        factors = _of_recipe(reference)
+        asked = StageExcitation(
+            name=name,
+            amplitude=factors.get("amplitude", 1.0),
+            frequency=factors.get("frequency"),
+            realisations=realisations,
+            periods=periods,
+            settle=settle,
+            one_by_one=one_by_one,
+            duration=duration,
+            seed=seed,
+        )
+        configuration = splitting(configuration, max_bag_size, max_bag_duration)
+        _excite_stage(
+            configuration.override("", time_mode=rate) if rate else configuration, asked, record, offline, processes
+        )
+        return
+    if offline or realisations is not None or one_by_one:
+        raise click.UsageError("--offline, --realisations and --one-by-one are for a stage, and this is a single axis")
     if plant == "external":
         configuration = configuration.override("", external_plant=True)
     given = single_axis(configuration, namespace)
@@ -117,6 +170,35 @@ def excite(
         stack.enter_context(Graph([axis], **options)).wait()
     click.echo(f"recorded: {record}")
     require_sound(load_run(record, axis.namespace, further=True), axis.plant_simulator.samples)
+
+
+def _excite_stage(configuration, asked, record, offline: bool, processes) -> None:
+    """Excite a stage, in its nodes or without them, and record it."""
+    from hysteresis_ros.cli.commissioning.bench import require_sound
+    from hysteresis_ros.designs.stage_excitation import excited_stage
+    from hysteresis_ros.loop.stage_simulation import simulate_stage
+    from hysteresis_ros.nodes.domain import Domain
+    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.recordings.files import load_run, save_run
+
+    found = excited_stage(configuration, asked, record.with_suffix("") if offline else record)
+    stage = found.stage
+    axis = stage.axes[0]
+    how = "offline" if offline else axis.plant_simulator.time_mode
+    click.echo(f"{found.words}: {found.duration:.4g} s at {stage.sample_rate:g} Hz, {how} …")
+    if offline:
+        with Progress(err=True).during("simulating; the first run of a version compiles"):
+            recording = simulate_stage(stage, duration=found.duration)
+        save_run(recording, record)
+    else:
+        options = {"composed": processes is False, "record": record, "log_level": "warn"}
+        with contextlib.ExitStack() as stack:
+            options["environment"] = stack.enter_context(Domain()).environment
+            stack.enter_context(Progress(err=True).during(*_stages(axis, found.duration)))
+            stack.enter_context(Graph(list(stage.axes), stage=stage, **options)).wait()
+        for name in stage.names:
+            require_sound(load_run(record, name, further=True), axis.plant_simulator.samples)
+    click.echo(f"recorded: {record}")
 
 
 def _stages(axis, length: float):

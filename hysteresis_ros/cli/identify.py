@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, data_options, format_figures, read, write_json
+from hysteresis_ros.cli.options import ConfigurationName, Quantity, data_options, format_figures, read, write_json
 from hysteresis_ros.cli.progress import Progress, shown
 from hysteresis_ros.errors import ConfigurationError
 
@@ -43,7 +43,7 @@ class FitState:
 
 
 @click.command(short_help="Identify a model from a recording.")
-@click.argument("data", type=click.Path(path_type=pathlib.Path))
+@click.argument("data", type=click.Path(path_type=pathlib.Path), nargs=-1, required=True)
 @click.option(
     "--model",
     default="usual",
@@ -61,11 +61,35 @@ class FitState:
     metavar="CONFIG",
     type=ConfigurationName(),
     help="For a response of `hysteresis frf`: the axis whose dynamics are fitted to it; the hysteresis of the axis is "
-    "kept.",
+    "kept. For a stage: the stage that keeps its plants and gets everything else.",
 )
 @click.option(
-    "--order", type=int, help="Order of these dynamics; by default the lowest order with almost the best fit."
+    "--order",
+    type=int,
+    help="Order of these dynamics, or of the structure of a stage; by default the lowest order with almost the best "
+    "fit.",
 )
+@click.option(
+    "--loops",
+    type=click.Path(path_type=pathlib.Path),
+    help="Stage: recording in which one actuator after the other goes through its range; its hysteresis.",
+)
+@click.option(
+    "--type",
+    "kind",
+    type=click.Choice(["hammerstein", "internal"]),
+    help="Stage: hysteresis in front of the structure or inside it; inside by default for several levels.",
+)
+@click.option("--axes", help="Stage: names of the axes, such as x,y; by default those of the recording.")
+@click.option("--period", type=Quantity("s"), help="Stage: period of the inputs; found by default.")
+@click.option("--settle", type=int, help="Stage: periods of each realisation that only run in.  [default: 1 of 3]")
+@click.option("--held-out", type=int, default=1, show_default=True, help="Stage: realisations that only judge.")
+@click.option("--plays", type=int, default=8, show_default=True, help="Stage, internal: plays of each hysteresis.")
+@click.option("--hystereses", type=int, default=2, show_default=True, help="Stage, internal: of each actuator.")
+@click.option("--steps", type=int, default=20, show_default=True, help="Stage, internal: steps of the last search.")
+@click.option("--controller", default="pid", show_default=True, help="Stage: controller to design, or none.")
+@click.option("--damping", help="Stage: damping to design.  [default: irc, if it can be designed]")
+@click.option("--noise", type=Quantity("m"), help="Stage: RMS noise of the sensors; by default as measured.")
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options
 @click.pass_context
@@ -85,9 +109,25 @@ def identify(
     intersample,
     initial,
     json_path,
+    loops,
+    kind,
+    axes,
+    period,
+    settle,
+    held_out,
+    plays,
+    hystereses,
+    steps,
+    controller,
+    damping,
+    noise,
     **columns,
 ):
     """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
+
+    Several inputs and outputs, or the recording of a stage: a stage of coupled axes, with its decoupling and
+    controllers. Several files are further realisations or levels. NPY files hold an array (samples, columns) or
+    (realisations, samples, columns), whose columns are named 1, 2 …
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
@@ -95,6 +135,33 @@ def identify(
     """
     from hysteresis_ros.identification.frequency_response import holds_response
 
+    if _is_stage(data, loops, columns):
+        from hysteresis_ros.designs.stage_identification import StageRequest
+        from hysteresis_ros.identification.stage_data import StageColumns
+
+        if (model, linear, options, inverse, report_path) != ("usual", None, (), None, None) and loops is None:
+            raise click.UsageError(
+                "--model belongs to the --loops of a stage, and --linear, -p, --inverse, --report to a single axis"
+            )
+        asked = StageRequest(
+            type=kind,
+            axes=() if axes is None else tuple(name.strip() for name in axes.split(",")),
+            order=order,
+            held_out=held_out,
+            model="prandtl_ishlinskii" if model == "usual" else model,
+            plays=plays,
+            hystereses=hystereses,
+            steps=steps,
+            controller=controller,
+            damping=damping,
+            noise=noise,
+        )
+        chosen_columns = StageColumns(
+            columns["input_"], columns["output_"], columns["time"], columns["sample_time"], period, settle
+        )
+        _stage(data, chosen_columns, asked, loops, into, params, json_path)
+        return
+    (data,) = data
     if into is not None or order is not None or holds_response(data):
         _dynamics(data, into, order, params, columns["namespace"], json_path)
         return
@@ -123,6 +190,41 @@ def identify(
     if found.response is not None and not found.response.fit_for_feedback:
         click.echo(f"hysteresis: {found.response.reason}", err=True)
         ctx.exit(UNFIT)
+
+
+def _is_stage(data, loops, columns) -> bool:
+    """Return whether the request is for several inputs and outputs."""
+    from hysteresis_ros.identification.stage_data import is_stage
+
+    several = len(data) > 1 or loops is not None or max(len(columns["input_"]), len(columns["output_"])) > 1
+    return several or (columns["namespace"] is None and not columns["input_"] and is_stage(data[0]))
+
+
+def _stage(data, columns, request, loops, into, params, json_path) -> None:
+    """Identify a stage, and write its parameter file."""
+    from dataclasses import replace
+
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.designs.stage_identification import identify_stage
+    from hysteresis_ros.identification.stage_data import read_stage, realisations
+
+    state = [""]
+
+    def report(text: str) -> None:
+        state[0] = text
+
+    with Progress(err=True).during("identifying a stage", lambda: state[0]):
+        reading = read_stage(data, columns)
+        found = identify_stage(
+            reading,
+            realisations(reading, columns),
+            replace(request, progress=report),
+            None if loops is None else read_stage(loops, columns),
+            None if into is None else load_configuration(into),
+        )
+    found.save(params)
+    summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
+    write_json(summary, json_path, "\n".join([*found.lines(), f"{params}: written"]))
 
 
 def _dynamics(data, into, order, params, namespace, json_path) -> None:

@@ -140,8 +140,20 @@ def data_options(command):
     """Add the options to a command; it gets them as keyword arguments."""
     for option in reversed(
         (
-            click.option("--input", "input_", metavar="NAME[:UNIT]", help="Input column, e.g. control_V:V."),
-            click.option("--output", "output_", metavar="NAME[:UNIT]", help="Output column, e.g. cap_sensor_um:um."),
+            click.option(
+                "--input",
+                "input_",
+                multiple=True,
+                metavar="NAME[:UNIT]",
+                help="Input column, e.g. control_V:V; of a stage repeated for each actuator.",
+            ),
+            click.option(
+                "--output",
+                "output_",
+                multiple=True,
+                metavar="NAME[:UNIT]",
+                help="Output column, e.g. cap_sensor_um:um; of a stage repeated for each sensor.",
+            ),
             click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
             click.option(
                 "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."
@@ -179,8 +191,8 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
     from hysteresis_ros.identification.reading import Columns, read_data
 
     columns = Columns(
-        input=input_,
-        output=output_,
+        input=_one("--input", input_),
+        output=_one("--output", output_),
         time=time,
         sample_time=sample_time,
         namespace=namespace,
@@ -200,6 +212,13 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
     for note in (*reading.guessed, *reading.data.notes):
         click.echo(f"note: {note}", err=True)
     return reading
+
+
+def _one(option: str, given: tuple[str, ...]) -> str | None:
+    """Return the only column that is given, None without one."""
+    if len(given) > 1:
+        raise click.UsageError(f"{option} {' '.join(given)}: this command takes one column; name one")
+    return given[0] if given else None
 
 
 def _range(text: str):

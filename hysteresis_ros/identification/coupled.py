@@ -270,6 +270,9 @@ class StructureEstimator:
     band : tuple of float, optional
         Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
         default.
+    feedthrough : bool
+        Whether the outputs may follow the inputs of the same sample (D). In a loop that measures before it commands
+        they cannot.
     progress : callable, optional
         Called as ``progress(text)`` after each step.
     """
@@ -283,6 +286,7 @@ class StructureEstimator:
     steps: int = 20
     seconds: float | None = None
     band: tuple[float, float] | None = None
+    feedthrough: bool = True
     progress: Callable[[str], None] | None = field(default=None, compare=False)
 
     def fit(self, data: StructureData) -> IdentifiedStructure:
@@ -380,8 +384,10 @@ class StructureEstimator:
         weights = np.sqrt(size.mean() / size)
         models, errors = [], []
         for order in orders:
-            model = subspace_model(response, order, weights=weights, radius=radius)
-            model, _ = refine_on_response(model, response, steps=RESPONSE_STEPS, radius=radius)
+            model = subspace_model(response, order, weights=weights, radius=radius, feedthrough=self.feedthrough)
+            model, _ = refine_on_response(
+                model, response, steps=RESPONSE_STEPS, radius=radius, feedthrough=self.feedthrough
+            )
             models.append(model)
             errors.append(judge.cost(ModalStructure.linear(model, 1.0).parameters()))
             self._report(f"order {order}: error {np.sqrt(errors[-1]):.4g} of the distortion on what judges")
@@ -393,6 +399,7 @@ class StructureEstimator:
             self._report(f"{name}: {text}")
 
         radius, deadline = limits
+        groups = tuple(group for group in groups if group != "D" or self.feedthrough)
         return refine_in_time(
             start,
             training,
@@ -470,8 +477,8 @@ def identify_structure(u, y, sample_time: float, period: int, **options) -> Iden
     period : int
         N.
     **options
-        ``order``, ``plays``, ``hystereses``, ``held_out``, ``run_in``, ``weighting``, ``steps``, ``seconds``, ``band``
-        and ``progress``, see :class:`StructureEstimator`.
+        ``order``, ``plays``, ``hystereses``, ``held_out``, ``run_in``, ``weighting``, ``steps``, ``seconds``, ``band``,
+        ``feedthrough`` and ``progress``, see :class:`StructureEstimator`.
 
     Returns
     -------

@@ -267,5 +267,25 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
     return np.fft.irfft(np.fft.rfft(values) * factor, N), Plan("noise", 0, 0, 1, 1, (segment, N), lines)
 
 
+def orthogonal_multisines(inputs: int, period: int, lines, realisations: int, seed: int = 1) -> np.ndarray:
+    """Return periods of multisines for all inputs at once, shape (realisations, period, inputs), with peak 1.
+
+    Realisations come in groups of ``inputs``. Within a group the phases of input i in realisation r are those of the
+    group plus 2π i r/inputs, so that the spectra of all inputs at a line are an orthogonal matrix; each group has
+    random phases of its own [1]_ (section 2.7.2).
+
+    Units: ``period`` [samples], ``lines`` [harmonics of the period].
+    """
+    lines = np.asarray(lines, dtype=int)
+    groups = -(-realisations // inputs)
+    phases = uniform(seed, groups * inputs * lines.size).reshape(groups, 1, inputs, lines.size)
+    number = np.arange(inputs)
+    turned = np.outer(number, number)[None, :, :, None] / inputs
+    spectra = np.zeros((groups * inputs, inputs, period // 2 + 1), dtype=complex)
+    spectra[:, :, lines] = np.exp(2j * np.pi * (phases + turned)).reshape(groups * inputs, inputs, -1)
+    samples = np.fft.irfft(spectra[:realisations], period, axis=2).transpose(0, 2, 1)
+    return samples / np.max(np.abs(samples))
+
+
 #: Kinds of excitation by name.
 KINDS = {"multisine": _multisine, "stepped": _stepped, "noise": _noise}

@@ -327,6 +327,11 @@ class ResponseMatrix:
         """Return the RMS value [m] in the outputs, shape (q,), of a covariance over the lines."""
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
+    def at(self, kept) -> ResponseMatrix:
+        """Return the lines that are kept, shape (F,) of bool."""
+        noise, total = (None if one is None else one[kept] for one in (self.noise, self.total))
+        return ResponseMatrix(_at(self.response, kept), noise, total, self.condition[kept])
+
 
 def experiments_of(name: str, values, period: int) -> np.ndarray:
     """Return signals of shape (R, P N, channels) as periods, shape (R, P, channels, N)."""

@@ -129,14 +129,18 @@ def modal(model: LinearModel) -> LinearModel:
 
 
 class ModalParameters:
-    """The numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant."""
+    """The numbers of a modal model as one vector: σ and γ of the blocks, B, C and D; β is constant.
 
-    def __init__(self, model: LinearModel):
-        self.template = model
+    Without ``feedthrough`` D is zero and not among them.
+    """
+
+    def __init__(self, model: LinearModel, feedthrough: bool = True):
+        self.template = model if feedthrough else replace(model, D=np.zeros_like(model.D))
+        self.feedthrough = feedthrough
         self.blocks, self.inputs, self.outputs = model.order // 2, model.B.shape[1], len(model.C)
         n, m, q = model.order, self.inputs, self.outputs
         self.beta = np.diag(model.A, 1)[::2].copy()
-        sizes = np.cumsum([0, self.blocks, self.blocks, n * m, q * n, q * m])
+        sizes = np.cumsum([0, self.blocks, self.blocks, n * m, q * n, q * m * feedthrough])
         self.sigma, self.gamma, self.B, self.C, self.D = (
             slice(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)
         )
@@ -144,7 +148,8 @@ class ModalParameters:
     def vector(self, model: LinearModel) -> np.ndarray:
         """Return the numbers of a model with the same β."""
         sigma, gamma = np.diag(model.A)[::2], np.diag(model.A, -1)[::2]
-        return np.concatenate([sigma, gamma, model.B.ravel(), model.C.ravel(), model.D.ravel()])
+        through = model.D.ravel() if self.feedthrough else ()
+        return np.concatenate([sigma, gamma, model.B.ravel(), model.C.ravel(), through])
 
     def model(self, theta) -> LinearModel:
         """Return the model of a vector."""
@@ -154,7 +159,7 @@ class ModalParameters:
             A=modal_matrix(theta[self.sigma], self.beta, theta[self.gamma]),
             B=theta[self.B].reshape(n, m),
             C=theta[self.C].reshape(q, n),
-            D=theta[self.D].reshape(q, m),
+            D=theta[self.D].reshape(q, m) if self.feedthrough else self.template.D,
         )
 
 
@@ -177,15 +182,20 @@ def within(sigma, beta, gamma, radius: float):
 
 
 def refine_on_response(
-    model: LinearModel, data: FrequencyResponse, weights=None, steps: int = 100, radius: float = RADIUS
+    model: LinearModel,
+    data: FrequencyResponse,
+    weights=None,
+    steps: int = 100,
+    radius: float = RADIUS,
+    feedthrough: bool = True,
 ) -> tuple[LinearModel, Minimum]:
     """Return the modal model refined on a response, and the result of the search.
 
     ``weights``, shape (F, q, m): weights of the entries, by default the inverse of the RMS of the whole response;
-    ``radius``: largest modulus of a pole.
+    ``radius``: largest modulus of a pole; ``feedthrough``: whether D is free, or zero.
     """
     model = modal(model)
-    given = ModalParameters(model)
+    given = ModalParameters(model, feedthrough)
     G = data.response
     if weights is None:
         weights = np.full(G.shape, 1.0 / np.sqrt(np.mean(np.abs(G) ** 2)))
@@ -205,7 +215,7 @@ def refine_on_response(
         B, C = theta[given.B].reshape(blocks, 2, m), theta[given.C].reshape(q, blocks, 2)
         X = np.einsum("fbij,bjm->fbim", R, B).reshape(len(z), 2 * blocks, m)
         L = np.einsum("qbi,fbij->fqbj", C, R).reshape(len(z), q, 2 * blocks)
-        rest = theta[given.C].reshape(q, -1) @ X + theta[given.D].reshape(q, m) - G
+        rest = theta[given.C].reshape(q, -1) @ X + given.model(theta).D - G
         return X, L, rest * weights
 
     def cost(theta):
@@ -226,16 +236,13 @@ def refine_on_response(
                 row, column = L[:, i], X[:, :, j]
                 product = row * column
                 slopes = [product[:, ::2] + product[:, 1::2], row[:, 1::2] * column[:, ::2], row, column]
-                table = np.concatenate([*slopes, np.ones((len(z), 1))], axis=1) * weights[:, i, j, None]
+                entries = [np.arange(n), given.B.start + states * m + j, given.C.start + i * n + states]
+                if feedthrough:
+                    slopes.append(np.ones((len(z), 1)))
+                    entries.append(np.array([given.D.start + i * m + j]))
+                table = np.concatenate(slopes, axis=1) * weights[:, i, j, None]
                 real = np.concatenate([table.real, table.imag])
-                places = np.concatenate(
-                    [
-                        np.arange(n),
-                        given.B.start + states * m + j,
-                        given.C.start + i * n + states,
-                        [given.D.start + i * m + j],
-                    ]
-                )
+                places = np.concatenate(entries)
                 matrix[np.ix_(places, places)] += real.T @ real
                 gradient[places] += real.T @ np.concatenate([rest[:, i, j].real, rest[:, i, j].imag])
         return matrix, gradient

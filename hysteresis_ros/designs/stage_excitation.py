@@ -1,0 +1,170 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Excitation of a stage: all axes at once with orthogonal multisines, or one axis after the other, in one run.
+
+The stage runs in open loop, without inverses and without its decoupling, so that each axis drives its own actuator.
+Orthogonal multisines come in groups of as many realisations as there are axes; each realisation has periods to settle
+and periods that count. Other recipes move one axis after the other, while the others rest at 0 V or at the end of their
+range that is nearest to it.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import STAGE, Configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.identification.excitations import orthogonal_multisines
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.references.recipes import (
+    EXCITED,
+    SMALL,
+    driven,
+    recipe,
+    there_and_back,
+    write_samples,
+)
+from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+
+#: Samples of a period of the multisine by default.
+PERIOD = 2000
+MULTISINE = "multisine"
+
+
+@dataclass(frozen=True)
+class StageExcitation:
+    """Settings of an excitation of a stage."""
+
+    name: str = MULTISINE  #: A recipe.
+    amplitude: float = 1.0  #: Factor on the amplitude of the recipe.
+    frequency: float | None = None  #: Line spacing of the multisine, frequency of the cycles of other recipes [Hz].
+    realisations: int | None = None  #: Realisations of the multisine; by default three for each axis.
+    periods: int = 2  #: Periods of each realisation that count.
+    settle: int = 1  #: Periods before them.
+    one_by_one: bool = False  #: Multisines of one axis after the other.
+    duration: float | None = None  #: Of the recipe of each axis [s].
+    seed: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitedStage:
+    """A stage that plays an excitation."""
+
+    stage: StageParameters
+    duration: float  #: [s]
+    voltages: np.ndarray  #: shape (N, n) [V]
+    words: str  #: What is played, for people.
+
+
+def excited_stage(configuration: Configuration, asked: StageExcitation, path) -> ExcitedStage:
+    """Return the stage that plays an excitation, whose samples are written beside ``path``."""
+    parameters = StageParameters.from_configuration(configuration)
+    rate = parameters.sample_rate
+    if asked.name != MULTISINE and (asked.one_by_one or asked.realisations is not None):
+        raise ConfigurationError(f"--realisations and --one-by-one belong to the recipe {MULTISINE}: leave them out")
+    voltages, words = _multisines(parameters, asked) if asked.name == MULTISINE else _in_turn(parameters, asked)
+    path = pathlib.Path(path)
+    given = configuration.override(STAGE, decoupling=(), scan__kind="")
+    for axis, name, volts in zip(parameters.axes, parameters.names, voltages.T, strict=True):
+        compensator = axis.hysteresis_compensator
+        gain = hysteresis_block(compensator.hysteresis, 1.0 / rate).gain
+        file = write_samples(path.with_name(f"{path.name}_{name}_waveform.npz"), volts * gain, rate)
+        waveform = {"type": "file", "cycles": 1, "file.path": file, "file.column": "reference", "offset": 0.0}
+        alone = driven(configuration, compensator.limits, gain, waveform).entries[len(configuration.entries) :]
+        space = f"{parameters.namespace}/{name}"
+        entries = [
+            (space + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in alone
+        ]
+        given = replace(given, entries=(*given.entries, *entries))
+    duration = len(voltages) / rate
+    return ExcitedStage(StageParameters.from_configuration(given).with_duration(duration), duration, voltages, words)
+
+
+def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
+    """Return orthogonal multisines about the middle of the ranges, shape (N, n) [V], and what they are in words."""
+    names, rate, count = parameters.names, parameters.sample_rate, len(parameters.names)
+    realisations = 3 * count if asked.realisations is None else asked.realisations
+    for name, value, least in (
+        ("realisations", realisations, count),
+        ("periods", asked.periods, 1),
+        ("settle", asked.settle, 0),
+    ):
+        if value < least:
+            why = f", one for each of the axes {', '.join(names)}" if name == "realisations" else ""
+            raise ConfigurationError(f"--{name} {value}: must be at least {least}{why}")
+    largest = 0.5 / SMALL
+    if not 0.0 < asked.amplitude <= largest:
+        raise ConfigurationError(
+            f"amplitude {asked.amplitude:g}: must be above 0 and at most {largest:g} for multisine"
+        )
+    spacing = asked.frequency or rate / PERIOD
+    N = round(rate / spacing)
+    lines = np.arange(1, int(EXCITED * N) + 1)
+    if N < 32:
+        raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples a period")
+    if asked.one_by_one:
+        # a column of periods for each axis in turn
+        single = orthogonal_multisines(1, N, lines, realisations, asked.seed)[:, :, 0]
+        table = np.zeros((realisations, N, count))
+        turn = np.arange(realisations) % count
+        table[np.arange(realisations), :, turn] = single
+    else:
+        table = orthogonal_multisines(count, N, lines, realisations, asked.seed)
+    played = np.repeat(table[:, None], asked.settle + asked.periods, axis=1).reshape(-1, count)
+    columns, slowed = [], []
+    for axis, name, samples in zip(parameters.axes, names, played.T, strict=True):
+        limits = axis.hysteresis_compensator.limits
+        middle = 0.5 * (limits.minimum + limits.maximum)
+        peak = asked.amplitude * SMALL * (limits.maximum - limits.minimum)
+        rates = [one.limits.slew_rate for one in (axis.hysteresis_compensator, axis.plant_simulator)]
+        slew = min((one for one in rates if one > 0.0), default=np.inf)
+        allowed = slew / rate / np.max(np.abs(np.diff(samples)))
+        if allowed < peak:
+            slowed.append(f"{name} {100.0 * allowed / peak:.0f} %")
+        rest = min(max(0.0, limits.minimum), limits.maximum)
+        columns.append(there_and_back(middle + min(peak, allowed) * samples, rest, rate))
+    how = "one axis after the other" if asked.one_by_one else "orthogonal"
+    words = f"multisines, {how}: {realisations} realisations of {asked.settle} + {asked.periods} periods of {N} samples"
+    if slowed:
+        words += f"; the slew rate allows of the amplitude: {', '.join(slowed)}"
+    return np.array(columns).T, words
+
+
+def _in_turn(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
+    """Return a recipe for one axis after the other, shape (N, n) [V], and what it is in words."""
+    rate, parts = parameters.sample_rate, []
+    rests = []
+    for axis in parameters.axes:
+        limits = axis.hysteresis_compensator.limits
+        rests.append(min(max(0.0, limits.minimum), limits.maximum))
+    for place, axis in enumerate(parameters.axes):
+        limits = axis.hysteresis_compensator.limits
+        found = recipe(
+            asked.name,
+            limits.minimum,
+            limits.maximum,
+            rate,
+            frequency=asked.frequency,
+            amplitude=asked.amplitude,
+            duration=asked.duration,
+        )
+        volts = found.samples
+        if volts is None:
+            waveform = Waveform(WaveformParameters.from_mapping(found.waveform), 1.0 / rate)
+            volts = waveform.simulate(np.zeros(round(found.duration * rate)))
+        alone = there_and_back(volts, rests[place], rate)
+        whole = np.tile(rests, (len(alone), 1))
+        whole[:, place] = alone
+        parts.append(whole)
+    return np.concatenate(parts), f"{asked.name} of one axis after the other ({', '.join(parameters.names)})"

@@ -1,0 +1,881 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""From recordings of a stage to its parameter file: structure, hysteresis, decoupling, controllers.
+
+1. Response matrix G [m/V] from the realisations that are not held out; where the inputs do not repeat, by the local
+   polynomial method.
+2. ``hammerstein``: a stable state space of G without feedthrough behind whole samples of delay; order and delay by the
+   error on what was held out. Its columns are divided by the static gains from each actuator to its own sensor, which
+   makes the inputs of the structure displacements [m]. The hysteresis of each actuator is identified from loops in
+   which it moves alone. ``internal``: one structure with the hysteresis inside, from all levels.
+3. Decoupling: the inverse of the static gain. Model of each axis: linear dynamics fitted to its entry of the decoupled
+   response, with the measured uncertainty.
+4. Controllers: designed for these models and the measured noise.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, parse_configuration
+from hysteresis_ros.control.coupling import lost_direction, relative_gain_array, static_decoupling
+from hysteresis_ros.control.linearisation import whole_loop
+from hysteresis_ros.control.margins import REQUIRED, loop_of
+from hysteresis_ros.designs.controller import AxisDesign, DesignRequest
+from hysteresis_ros.designs.coupled import controllers_file, design_controllers, stage_lines
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError, ParameterError, Problem
+from hysteresis_ros.identification import workflow
+from hysteresis_ros.identification.coupled import StructureData, StructureEstimator
+from hysteresis_ros.identification.data import DataError, IdentificationData
+from hysteresis_ros.identification.frequency_response import (
+    LINE,
+    Analysis,
+    FrequencyResponse,
+    ResponseMatrix,
+    response_matrix,
+)
+from hysteresis_ros.identification.linear_systems import FitError, LinearModel
+from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
+from hysteresis_ros.identification.response_check import LOWEST
+from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, slowest
+from hysteresis_ros.identification.stage_data import StageReading, loops_of
+from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, INTERNAL, StageParameters
+from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
+from hysteresis_ros.models.linear_algebra import product
+from hysteresis_ros.models.structure import Structure, StructureParameters
+
+#: Orders of a structure that are tried, and largest whole delay before it [samples].
+ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
+#: Orders of the model of an axis, and the error at which a lower one is enough, as a factor on the smallest.
+AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
+#: A structure is refined if its error before that is at most this factor of the smallest.
+WORTH = 10.0
+#: A lower order of the structure is enough at this factor on the smallest error: further states only follow the creep
+#: and the hysteresis of the actuators.
+STRUCTURE_ENOUGH = 1.1
+#: Lines of a response without periods to which a structure is fitted, about.
+MOST_LINES = 500
+#: Steps of the refinement on the response, for each order and for the chosen one.
+STEPS, LAST_STEPS = 15, 100
+#: Largest modulus of a pole of a structure.
+RADIUS = 1.0 - 1e-5
+#: Real poles slower than this many times the lowest line count as creep, and not as part of the structure.
+CREEPING = 10.0
+#: Part of the range of motion that the references use.
+USED = 0.95
+_HEADER = """\
+# A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
+# /identification is not a node: it says where the numbers come from.
+"""
+
+
+@dataclass(frozen=True)
+class StageRequest:
+    """What an identification of a stage is asked for.
+
+    Parameters
+    ----------
+    type : str, optional
+        ``hammerstein`` or ``internal``; by default ``internal`` for recordings at several levels without loops.
+    axes : tuple of str
+        Names of the axes; by default those of the recording, or the names of the outputs.
+    order : int, optional
+        Even order of the structure; by default the lowest one that predicts almost best.
+    held_out : int
+        Realisations of each level that only judge.
+    model : str
+        Model of the hysteresis of the loops.
+    plays, hystereses : int
+        Of type ``internal``: plays of each hysteresis, hystereses of each actuator.
+    steps : int
+        Of type ``internal``: steps of the last search.
+    controller : str
+        Controller to design, ``none`` for an open loop.
+    damping : str, optional
+        Damping to design; by default integral resonant control, if it helps.
+    noise : float, optional
+        RMS noise of the sensors [m] for the design; by default as measured.
+    progress : callable, optional
+        Called as ``progress(text)``.
+    """
+
+    type: str | None = None
+    axes: tuple[str, ...] = ()
+    order: int | None = None
+    held_out: int = 1
+    model: str = "prandtl_ishlinskii"
+    plays: int = 8
+    hystereses: int = 2
+    steps: int = 20
+    controller: str = "pid"
+    damping: str | None = None
+    noise: float | None = None
+    progress: Callable[[str], None] | None = field(default=None, compare=False)
+
+    def checked(self) -> StageRequest:
+        """Return the request; IdentificationError if an option cannot be used."""
+        for name, value, allowed, wrong in (
+            ("type", self.type, f"must be {HAMMERSTEIN} or {INTERNAL}", self.type not in (None, HAMMERSTEIN, INTERNAL)),
+            (
+                "order",
+                self.order,
+                "must be an even number ≥ 2",
+                self.order is not None and (self.order < 2 or self.order % 2),
+            ),
+            ("held_out", self.held_out, "must be ≥ 0", self.held_out < 0),
+            ("plays", self.plays, "must be ≥ 0", self.plays < 0),
+            ("plays", self.plays, "must be ≥ 1 with type internal", self.plays == 0 and self.type == INTERNAL),
+            ("noise", self.noise, "must be > 0 m", self.noise is not None and not self.noise > 0.0),
+        ):
+            if wrong:
+                raise IdentificationError(str(Problem(name, value, allowed)))
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class _Plant:
+    """The identified plant."""
+
+    type: str
+    structure: StructureParameters
+    delay: int  #: Whole samples of delay of each actuator.
+    gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs, small motions [m/V].
+    hysteresis: tuple[workflow.Identified | None, ...]  #: Of each actuator; None: proportional.
+    small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; of type internal 1.
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedStage:  # numpydoc ignore=PR02
+    """An identified stage.
+
+    Parameters
+    ----------
+    text : str
+        The parameter file of the stage, which ``simulate``, ``design`` and ``up`` take.
+    parameters : StageParameters
+        The same, read; with ``into`` the identified stage, whose plant the text does not have.
+    responses : tuple of ResponseMatrix
+        Response matrix [m/V] of each level, with noise and distortion apart, the lowest level first.
+    axes : tuple of Analysis
+        Response of each axis from its decoupled command to its measurement.
+    designs : dict
+        Designed controllers by the names of the axes.
+    figures : dict
+        By names with units.
+    warnings : tuple of str
+        What is uncertain.
+    """
+
+    text: str
+    parameters: StageParameters
+    responses: tuple[ResponseMatrix, ...]
+    axes: tuple[Analysis, ...]
+    designs: dict[str, AxisDesign]
+    figures: dict
+    warnings: tuple[str, ...]
+
+    def save(self, path) -> None:
+        """Write the parameter file whole or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.yaml``
+
+        Raises
+        ------
+        IdentificationError
+            It cannot be written.
+        """
+        write_file(path, self.text)
+
+    def lines(self) -> list[str]:
+        """Return the printed report.
+
+        Returns
+        -------
+        list of str
+        """
+        return _lines(self)
+
+
+def identify_stage(
+    reading: StageReading,
+    data: StructureData | None,
+    request: StageRequest | None = None,
+    loops: StageReading | None = None,
+    into: Configuration | None = None,
+) -> IdentifiedStage:
+    """Identify a stage.
+
+    Parameters
+    ----------
+    reading : StageReading
+        The recordings of the excitation.
+    data : StructureData or None
+        Its realisations; None: the inputs do not repeat.
+    request : StageRequest, optional
+        What is asked for.
+    loops : StageReading, optional
+        A recording in which each actuator moves alone through its range.
+    into : Configuration, optional
+        A stage that keeps its plant and gets everything else.
+
+    Returns
+    -------
+    IdentifiedStage
+        The stage.
+
+    Raises
+    ------
+    IdentificationError, DataError, ParameterError, ConfigurationError
+        The data or the request cannot be used; the message says what is allowed.
+    """
+    request = (request or StageRequest()).checked()
+    names = _names(reading, request, into)
+    if loops is not None and (loops.inputs, loops.outputs) != (reading.inputs, reading.outputs):
+        raise DataError("columns", f"{loops.source}: has other inputs or outputs than {reading.source}")
+    several = data is not None and len(data.levels) > 1 and loops is None and request.plays > 0
+    kind = request.type or (INTERNAL if several else HAMMERSTEIN)
+    if kind == INTERNAL and loops is not None:
+        raise IdentificationError(f"type {INTERNAL}: the hysteresis is found from the levels; leave the loops out")
+    if kind == INTERNAL and data is None:
+        raise DataError("shape", f"type {INTERNAL}: the inputs do not repeat; excite with periodic multisines")
+    if data is not None:
+        responses, judged = _responses(data, request.held_out)
+    else:
+        responses, judged = (_without_periods(reading),), None
+    warnings = [text for one in responses for text in one.response.warnings]
+    if kind == INTERNAL and data is not None:
+        ends = responses[-1].response.frequency[[0, -1]]
+        plant, held = _internal(data, request, (0.999 * ends[0], 1.001 * ends[1]))
+    else:
+        plant, held = _hammerstein(responses[0], judged, reading, loops, names, request)
+    lost = _lost(plant.gain, responses[0], names)
+    if lost:
+        raise ParameterError(
+            [
+                Problem(
+                    "static gain [m/V]",
+                    [[float(f"{value:.4g}") for value in row] for row in plant.gain],
+                    f"is singular: the direction {lost} moves no sensor; excite more, or place the sensors otherwise",
+                )
+            ]
+        )
+    analyses = tuple(_decoupled(responses[0], plant.gain, i) for i in range(len(names)))
+    noise = _noise(responses[0], data)
+    text, deviations = _file(reading, loops, plant, names, analyses, noise)
+    parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
+    text, designs, why = _designed(text, parameters, request, noise, analyses)
+    warnings += why
+    designed = parse_configuration(text, "the identified stage")
+    parameters = StageParameters.from_configuration(designed)
+    figures = _figures(responses, plant, held, noise, names, data) | deviations
+    if judged is not None and data is not None:
+        figures |= _file_errors(parameters, data, request.held_out, names)
+    if into is not None:
+        text = _put_into(into, designed, parameters)
+    warnings = list(dict.fromkeys(warnings))
+    text = _with_section(text, reading, loops, figures, warnings)
+    return IdentifiedStage(text, parameters, responses, analyses, designs, figures, tuple(warnings))
+
+
+def _lost(gain: np.ndarray, found: ResponseMatrix, names) -> str:
+    """Return the direction of the actuators in which a gain moves nothing, or no more than its uncertainty."""
+    left, sizes, right = np.linalg.svd(gain)
+    response = found.response
+    # the response at the lowest lines tells the gain
+    unsure = 0.0
+    if response.degrees is not None:
+        circle = response.radius()[:LOWEST]
+        unsure = float(np.sqrt(np.mean(circle**2) / len(circle)))
+    if sizes[-1] <= unsure:
+        sizes = np.append(sizes[:-1], 0.0)
+    return lost_direction(left * sizes @ right, [f"actuator {name}" for name in names])
+
+
+def _names(reading: StageReading, request: StageRequest, into: Configuration | None) -> tuple[str, ...]:
+    m, q = len(reading.inputs), len(reading.outputs)
+    if m != q:
+        raise IdentificationError(
+            f"{m} inputs and {q} outputs: a stage has a sensor for each actuator; name as many --output as --input"
+        )
+    if request.axes:
+        names = request.axes
+    elif into is not None:
+        names = StageParameters.from_configuration(into).names
+    elif reading.axes:
+        names = reading.axes
+    else:
+        names = tuple("xyz"[:m]) if m <= 3 else tuple(f"a{i + 1}" for i in range(m))
+    if len(names) != m:
+        raise IdentificationError(str(Problem("axes", names, f"must be {m} names, one for each input and its output")))
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        allowed = f"'{twice[0]}' is there twice: give each actuator a name of its own"
+        raise IdentificationError(str(Problem("axes", names, allowed)))
+    return tuple(names)
+
+
+def _responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
+    """Return the response of each level without what is held out, and the realisations that judge."""
+    m, found, judged = data.u.shape[2], [], []
+    for chosen in data.levels:
+        if len(chosen) < m + held_out:
+            raise DataError(
+                "short",
+                f"{len(chosen)} realisations of a level: {m} inputs and {held_out} held out need {m + held_out}",
+            )
+        kept = chosen[: len(chosen) - held_out]
+        matrix = response_matrix(data.u[kept], data.y[kept], data.sample_time, data.period)
+        found.append(matrix.at(_excited(data.u[kept], matrix, data)))
+        judged.append(data.part(chosen[len(chosen) - held_out :]) if held_out else None)
+    return tuple(found), judged if held_out else None
+
+
+def _excited(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> np.ndarray:
+    """Return which lines are excited; others have what converters and late samples add."""
+    places = np.rint(found.response.frequency * data.period * data.sample_time).astype(int)
+    mean = u.reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
+    strength = np.abs(np.fft.rfft(mean, axis=1)).max(axis=(0, 2))[places]
+    return strength > LINE * strength.max()
+
+
+def _without_periods(reading: StageReading) -> ResponseMatrix:
+    from hysteresis_ros.identification.local_polynomial import local_polynomial_response
+
+    shortest = min(len(u) for u, _ in reading.runs)
+    u, y = (np.array([run[place][:shortest] for run in reading.runs]) for place in (0, 1))
+    found = local_polynomial_response(u, y, reading.sample_time)
+    # neighbours share their windows
+    return found.at(np.arange(len(found.condition)) % max(len(found.condition) // MOST_LINES, 1) == 0)
+
+
+def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: StageRequest):
+    """Return the plant with the hysteresis in front, and the held-out errors of its linear part."""
+    orders = ORDERS if request.order is None else (request.order,)
+    model, delay = _linear(found.response, judged, orders, STRUCTURE_ENOUGH, request.progress)
+    held = None if judged is None else _held_errors(model, delay, judged[0])
+    gain = model.dc_gain
+    own = np.diag(gain).copy()
+    small = 1e-3 * np.abs(gain).max()
+    for i, name in enumerate(names):
+        if abs(own[i]) < small:
+            raise IdentificationError(
+                f"static gain of actuator {reading.inputs[i]} at sensor {reading.outputs[i]} = {own[i]:.3g} m/V, "
+                f"the largest gain is {np.abs(gain).max():.3g} m/V: name inputs and outputs in the order of the axes"
+            )
+        if own[i] < 0.0:
+            raise IdentificationError(
+                f"axis {name}: {reading.outputs[i]} falls when {reading.inputs[i]} rises: negate that column, a "
+                "hysteresis in front needs a positive gain"
+            )
+    flat = {
+        "A": _block_values(model),
+        "B": tuple((model.B / own).ravel().tolist()),
+        "C": tuple(model.C.ravel().tolist()),
+    }
+    structure = StructureParameters(
+        inputs=len(names), outputs=len(names), **flat, sample_time=_step(reading.sample_time)
+    )
+    hysteresis: list[workflow.Identified | None] = [None] * len(names)
+    if loops is not None:
+        hysteresis = _loops(loops, names, request)
+    return _Plant(HAMMERSTEIN, structure, delay, gain, tuple(hysteresis), tuple(own.tolist())), held
+
+
+def _step(sample_time: float) -> float:
+    return 1.0 / rate_of(sample_time)
+
+
+def _block_values(model: LinearModel) -> tuple[float, ...]:
+    """Return A of a modal model as its 2×2 blocks."""
+    return tuple(v for i in range(0, model.order, 2) for v in model.A[i : i + 2, i : i + 2].ravel().tolist())
+
+
+def _linear(
+    response: FrequencyResponse, judged, orders: Sequence[int], enough: float, progress=None
+) -> tuple[LinearModel, int]:
+    """Return the state space of a response in modes and the delay before it [samples]."""
+    z = np.exp(2j * np.pi * response.frequency * response.sample_time)
+    size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
+    weights = np.sqrt(size.mean() / size)
+    entries = np.broadcast_to(weights[:, None, None], response.response.shape)
+
+    def early(delay: int) -> FrequencyResponse:
+        return replace(response, response=response.response * z[:, None, None] ** delay)
+
+    found: list[tuple[float, int, int, LinearModel]] = []
+    for order in orders:
+        for delay in range(MOST_DELAY + 1):
+            with contextlib.suppress(FitError, DataError, np.linalg.LinAlgError):
+                model = subspace_model(early(delay), order, weights=weights, radius=RADIUS, feedthrough=False)
+                found.append((_judge(model, delay, response, judged), order, delay, model))
+    if not found:
+        raise IdentificationError(f"order {', '.join(map(str, orders))}: no structure fits the response; give --order")
+    least = min(one[0] for one in found)
+    tried: list[tuple[float, int, int, LinearModel]] = []
+    for error, order, delay, model in found:
+        if error > WORTH * least:
+            continue
+        model, _ = refine_on_response(model, early(delay), entries, steps=STEPS, radius=RADIUS, feedthrough=False)
+        tried.append((_judge(model, delay, response, judged), order, delay, model))
+        if progress is not None:
+            progress(f"order {order}, delay {delay}: error {tried[-1][0]:.4g}")
+    # such a pole fits creep, which is in the actuators, and changes the gain at rest
+    tried = [one for one in tried if not _slow(one[3], response)] or tried
+    least = min(one[0] for one in tried)
+    # the lowest order that is almost as good as the best, and of it the best delay
+    order = min(one[1] for one in tried if one[0] <= enough * least)
+    _, _, delay, model = min((one for one in tried if one[1] == order), key=lambda one: one[0])
+    last, _ = refine_on_response(model, early(delay), entries, steps=LAST_STEPS, radius=RADIUS, feedthrough=False)
+    model = model if _slow(last, response) else last
+    return model, delay
+
+
+def _slow(model: LinearModel, response: FrequencyResponse) -> bool:
+    """Return whether a model has a real pole slower than :data:`CREEPING` times the lowest line of a response."""
+    poles = model.poles
+    slowest_allowed = np.exp(-2.0 * np.pi * CREEPING * response.frequency[0] * response.sample_time)
+    return bool(np.any((np.abs(poles.imag) < 1e-9) & (poles.real > slowest_allowed)))
+
+
+def _judge(model: LinearModel, delay: int, response: FrequencyResponse, judged) -> float:
+    """Return the error of a model on what was held out, or on the response itself [RMS, relative]."""
+    if judged is not None:
+        errors = _held_errors(model, delay, judged[0])
+        return float(np.sqrt(np.mean(errors**2)))
+    z = np.exp(-2j * np.pi * response.frequency * response.sample_time)
+    rest = model.frequency_response(response.frequency) * z[:, None, None] ** delay - response.response
+    return float(np.sqrt(np.mean(np.abs(rest) ** 2)))
+
+
+def _held_errors(model: LinearModel, delay: int, data: StructureData) -> np.ndarray:
+    """Return the RMS error of each output [m] in the steady state, without the mean, shape (q,)."""
+    R, _, m = data.u.shape
+    N = data.period
+    u, y = (one.reshape(R, -1, N, one.shape[2]).mean(axis=1) for one in (data.u, data.y))
+    U, Y = np.fft.rfft(u, axis=1), np.fft.rfft(y, axis=1)
+    f = np.arange(N // 2 + 1) / (N * data.sample_time)
+    G = model.frequency_response(f) * np.exp(-2j * np.pi * f * data.sample_time * delay)[:, None, None]
+    rest = np.einsum("fij,rfj->rfi", G, U) - Y
+    rest[:, 0] = 0.0
+    return np.sqrt(np.mean(np.fft.irfft(rest, N, axis=1) ** 2, axis=(0, 1)))
+
+
+def _internal(data: StructureData, request: StageRequest, band: tuple[float, float]):
+    """Return the plant with the hysteresis inside the structure, and its held-out errors."""
+    centre = data.u.mean(axis=(0, 1)), data.y.mean(axis=1, keepdims=True)
+    moved = replace(data, u=data.u - centre[0], y=data.y - centre[1])
+    orders: dict[str, Any] = {} if request.order is None else {"order": request.order}
+    estimator = StructureEstimator(
+        plays=request.plays,
+        hystereses=request.hystereses,
+        held_out=request.held_out,
+        steps=request.steps,
+        feedthrough=False,
+        band=band,
+        progress=request.progress,
+        **orders,
+    )
+    found = estimator.fit(moved)
+    parameters = replace(found.parameters, sample_time=_step(data.sample_time))
+    held = None
+    if request.held_out:
+        judged = [chosen[len(chosen) - request.held_out :] for chosen in moved.levels]
+        held = np.mean([found.score(moved.part(chosen)).mean(axis=0) for chosen in judged], axis=0)
+    count = len(parameters.small.C)
+    gain = parameters.small.dc_gain.reshape(count, -1)
+    return _Plant(INTERNAL, parameters, 0, gain, (None,) * count, (1.0,) * count), held
+
+
+def _loops(loops: StageReading, names, request: StageRequest) -> list[workflow.Identified | None]:
+    """Return the hysteresis of each actuator, from the span in which it moves alone."""
+    u, y = loops.whole()
+    found: list[workflow.Identified | None] = []
+    for i, (name, (first, last)) in enumerate(zip(names, loops_of(loops), strict=True)):
+        if request.progress is not None:
+            request.progress(f"hysteresis of {name}")
+        time = np.arange(last - first) * loops.sample_time
+        data = IdentificationData(
+            time, u[first:last, i], y[first:last, i], "V", "m", loops.inputs[i], loops.outputs[i], loops.source
+        )
+        try:
+            one = workflow.identify(data, request.model, linear="lag,delay,creep")
+        except IdentificationError as error:
+            raise type(error)(*_named(error, f"{loops.source}: actuator {name}")) from None
+        if not one.plant.invertible:
+            raise IdentificationError(
+                f"model {request.model}: has dynamics inside its hysteresis; choose another model"
+            )
+        found.append(one)
+    return found
+
+
+def _named(error: IdentificationError, where: str) -> tuple:
+    text = f"{where}: {error}"
+    return (error.check, text) if isinstance(error, DataError) else (text,)
+
+
+def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
+    """Return the response of an axis from its decoupled command, with its variances."""
+    into = np.linalg.inv(gain)[:, i]
+    response = found.response
+
+    def variance(values):
+        return None if values is None else (values[:, i, :] * into**2).sum(axis=1)[:, None, None]
+
+    one = FrequencyResponse(
+        response.frequency,
+        (response.response[:, i, :] @ into)[:, None, None],
+        response.sample_time,
+        variance(response.total_variance),
+        variance(response.noise_variance),
+        input_unit="m",
+        degrees=response.degrees,
+    )
+    return Analysis(one, None, "multisine")
+
+
+def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | None:
+    """Return the RMS noise of each output [m], from the upper half of the lines; None where it is not known."""
+    if found.noise is None:
+        return None
+    upper = found.noise[len(found.noise) // 2 :]
+    samples = 1 if data is None else data.u.shape[1]
+    # without periods the covariance is that of a sample
+    return np.sqrt(samples * np.einsum("fii->i", upper).real / len(upper))
+
+
+def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, dict[str, float]]:
+    """Return the text of the stage in open loop, and how far its models are from the measured responses."""
+    rate = rate_of(reading.sample_time)
+    step = 1.0 / rate
+    count = len(names)
+    matrices = {f"structure.{name}": value for name, value in plant.structure.to_mapping().items() if value != ()}
+    scaled = plant.gain / np.array(plant.small)
+    decoupling = static_decoupling(scaled, [f"actuator {name}" for name in names])
+    recordings = [reading, *([loops] if loops is not None else [])]
+    lows = [min(u[:, i].min() for one in recordings for u, _ in one.runs) for i in range(count)]
+    highs = [max(u[:, i].max() for one in recordings for u, _ in one.runs) for i in range(count)]
+    changes = [max(largest_change(u[:, i], step) for one in recordings for u, _ in one.runs) for i in range(count)]
+    centre = np.array([np.mean([u[:, i].mean() for u, _ in reading.runs]) for i in range(count)])
+    shared = {"sample_rate": rate}
+    stage = {"axes": list(names), "type": plant.type, **matrices, "decoupling": tuple(decoupling.ravel().tolist())}
+    nodes: dict[str, dict] = {"/**": shared, f"/{STAGE}": stage}
+    deviations: dict[str, float] = {}
+    compensators, preloads = [], []
+    for i in range(count):
+        compensator, preload = _compensator(plant, i, float(min(lows[i], 0.0)), float(max(highs[i], 0.0)))
+        compensators.append(compensator)
+        preloads.append(preload)
+    if plant.type == INTERNAL:
+        preloads = _resting_offsets(plant, reading, centre)
+    elif loops is None:
+        preloads = (np.array(_means(reading)[1]) - plant.gain @ np.array(_means(reading)[0])).tolist()
+    ranges = _ranges(plant, compensators, decoupling, step)
+    for i, name in enumerate(names):
+        model, late = _linear(analyses[i].response, None, AXIS_ORDERS, AXIS_ENOUGH)
+        dynamics = replace(model.linear_parameters(), delay=late * step)
+        z = analyses[i].response.frequency
+        own = analyses[i].response.single
+        fitted = model.frequency_response(z)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * z * late * step)
+        relative = np.abs(own - fitted) / np.maximum(np.abs(fitted), 1e-12)
+        deviations[f"model_{name}_deviation_percent"] = 100.0 * float(np.median(relative))
+        values = {f"model.dynamics.{key}": value for key, value in dynamics.to_mapping().items() if value != ()}
+        values["model.dynamics.sample_time"] = step
+        compensator = compensators[i]
+        span = compensator["limits.maximum"] - compensator["limits.minimum"]
+        pace, resonant = slowest(dynamics, step)
+        slew = float(f"{safe_slew(span, pace, resonant, changes[i]).rate:.3g}")
+        low, high = ranges[i]
+        velocity, acceleration, jerk = safe_approach(slew, span, high - low, pace if resonant else 0.0)
+        offset = float(preloads[i])
+        limits = {key: value for key, value in compensator.items() if key.startswith("limits.")}
+        hysteresis = {key: value for key, value in compensator.items() if key.split(".")[0] in ("hysteresis", "creep")}
+        nodes[f"/{name}/plant_simulator"] = {
+            "joint": name,
+            **limits,
+            "limits.slew_rate": slew,
+            **hysteresis,
+            **({"dynamics.sample_time": step, "dynamics.delay": plant.delay * step} if plant.delay else {}),
+            **({"preload.A1": offset} if offset else {}),
+            **({"sensor.noise": float(noise[i]), "sensor.seed": i + 1} if noise is not None else {}),
+        }
+        nodes[f"/{name}/hysteresis_compensator"] = {**compensator, "limits.slew_rate": slew}
+        nodes[f"/{name}/motion_controller"] = {
+            "type": "open_loop",
+            **values,
+            **({"model.preload.A1": offset} if offset else {}),
+        }
+        nodes[f"/{name}/reference_generator"] = {
+            "minimum": low,
+            "maximum": high,
+            "initial_setpoint": float(f"{0.5 * (low + high):.4g}"),
+            "approach.maximum_velocity": velocity,
+            "approach.maximum_acceleration": acceleration,
+            "approach.maximum_jerk": jerk,
+            "waveform.type": "hold",
+        }
+        for other in ("hysteresis_compensator", "motion_controller", "reference_generator"):
+            nodes[f"/{name}/{other}"]["joint"] = name
+    return _HEADER + dump_configuration(_copied(nodes)), deviations
+
+
+def _copied(nodes: dict) -> dict:
+    """Return the nodes with arrays of their own: YAML would write a second reference as an alias."""
+    return {
+        node: {key: tuple(v) if isinstance(v, tuple) else v for key, v in values.items()}
+        for node, values in nodes.items()
+    }
+
+
+def _put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
+    """Return the text of a stage that keeps its plant and gets decoupling, compensators, controllers and references."""
+    given = StageParameters.from_configuration(into)
+    if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
+        raise ConfigurationError(
+            f"{into.source}: runs at {given.sample_rate:g} Hz, and the recording at {found.sample_rate:g} Hz; "
+            "record at the rate of the stage"
+        )
+    if given.names != found.names:
+        raise ConfigurationError(
+            f"{into.source}: has the axes {', '.join(given.names)}, and the recording {', '.join(found.names)}; name "
+            "them alike with --axes"
+        )
+    entries: list[tuple[str, dict]] = [
+        (f"{given.namespace}/{STAGE}", {"decoupling": found.stage.decoupling, "scan.kind": ""})
+    ]
+    for name, axis in zip(given.names, given.axes, strict=True):
+        for node in ("hysteresis_compensator", "motion_controller", "reference_generator"):
+            values = dict(designed.node(node, f"/{name}"))
+            values = {key: value for key, value in values.items() if key not in ("joint", "sample_rate")}
+            if node == "hysteresis_compensator":
+                # the limits are those of the stage, where it has them
+                own = axis.hysteresis_compensator.limits
+                values |= {"limits.minimum": own.minimum, "limits.maximum": own.maximum}
+                if own.slew_rate > 0.0:
+                    values["limits.slew_rate"] = own.slew_rate
+                values = {"creep.type": "none", **values}
+            elif node == "motion_controller":
+                values = {"damping.type": "none", "feedforward.type": "none", "learning.type": "none", **values}
+            entries.append((f"{given.namespace}/{name}/{node}", values))
+    whole = replace(into, entries=(*into.entries, *entries))
+    return _HEADER + StageParameters.from_configuration(whole).configuration_text()
+
+
+def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:
+    """Return the parameters of the compensator of an axis, and the zero of its sensor [m]."""
+    limits = {"limits.minimum": low, "limits.maximum": high}
+    one = plant.hysteresis[i]
+    if one is None:
+        gain = 1.0 if plant.type == INTERNAL else plant.small[i]
+        return {"hysteresis.type": "proportional", "hysteresis.proportional.gain": gain, **limits}, 0.0
+    chain = one.plant
+    creep = {} if chain.creep.type == "none" else block_mapping(chain.creep, "creep.")
+    hysteresis = block_mapping(chain.hysteresis, "hysteresis.")
+    return {**block_mapping(chain.inverse, "inverse."), **limits, **hysteresis, **creep}, float(chain.offset)
+
+
+def _means(reading: StageReading) -> tuple[list[float], list[float]]:
+    """Return the means of inputs [V] and outputs [m]."""
+    u, y = (np.concatenate([run[place] for run in reading.runs]) for place in (0, 1))
+    return u.mean(axis=0).tolist(), y.mean(axis=0).tolist()
+
+
+def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float]:
+    """Return the zeros of the sensors [m] of a structure with hysteresis, from its rest point at the mean voltage."""
+    block = Structure(plant.structure, plant.structure.sample_time)
+    block.settle(centre)
+    return (np.array(_means(reading)[1]) - block.step(centre)).tolist()
+
+
+def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
+    """Return the ranges of the degrees of freedom [m] that can be reached together, whatever the others do."""
+    ends = np.array(
+        [reachable_commands(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators]
+    )
+    middle, half = ends.mean(axis=1), 0.5 * np.abs(np.diff(ends, axis=1))[:, 0]
+    back = np.linalg.inv(decoupling)
+    centre = back @ middle
+    wide = np.abs(np.diag(back)) * half
+    share = USED * float(np.min(half / (np.abs(decoupling) @ wide)))
+    return [(float(f"{c - share * w:.4g}"), float(f"{c + share * w:.4g}")) for c, w in zip(centre, wide, strict=True)]
+
+
+def _designed(text: str, parameters: StageParameters, request: StageRequest, noise, analyses):
+    """Return the text with designed controllers, the designs, and why one is missing."""
+    if request.controller == "none":
+        return text, {}, []
+    level = request.noise or (float(np.max(noise)) if noise is not None else None)
+    dampings: Sequence[str | None] = (request.damping,) if request.damping else ("irc", None)
+    said: list[str] = []
+    for damping in dampings:
+        asked = DesignRequest(controller=request.controller, noise=level, damping=damping)
+        try:
+            designs = design_controllers(parameters, asked)
+            words = f"--controller {request.controller}" + (f" --damping {damping}" if damping else "")
+            source = parse_configuration(text, "the identified stage")
+            return controllers_file(source, designs, words), designs, _measured(designs, analyses)
+        except (HysteresisError, ValueError) as error:
+            said.append(f"{request.controller}, damping {damping or 'none'}: {error}")
+    if request.damping is not None or request.noise is not None:
+        raise ConfigurationError("; ".join(said))
+    return text, {}, [f"no controller could be designed, the loops are open: {'; '.join(said)}"]
+
+
+def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
+    """Return a warning for each loop whose margins on the measured response are not those that a design needs."""
+    found = []
+    for (name, design), analysis in zip(designs.items(), analyses, strict=True):
+        response = analysis.response
+        if response.degrees is None:
+            continue
+        controller, model = whole_loop(design.parameters, response.sample_time)
+        circle = response.radius()[:, 0, 0]
+        loop = loop_of(controller, response.frequency, response.single, circle, response.sample_time, model)
+        if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak:
+            found.append(
+                f"axis {name}: on the measured response the sensitivity reaches {loop.sensitivity_peak.low:.3g}, at "
+                f"most {REQUIRED.sensitivity_peak:g} is wanted: design again with a lower --bandwidth"
+            )
+    return found
+
+
+def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
+    """Return the figures of an identification by names with units."""
+    figures: dict = {
+        "type": plant.type,
+        "order": plant.structure.order,
+        "delay_samples": plant.delay,
+        "lines": int(responses[0].response.frequency.size),
+        "lowest_hz": float(responses[0].response.frequency[0]),
+        "highest_hz": float(responses[0].response.frequency[-1]),
+        "largest_condition": float(max(one.condition.max() for one in responses)),
+        "gain_m_per_v": [[float(v) for v in row] for row in plant.gain],
+        "relative_gains": [[float(v) for v in row] for row in relative_gain_array(plant.gain)],
+    }
+    if data is not None:
+        figures |= {"realisations": len(data.u), "period_s": data.period * data.sample_time}
+    for i, name in enumerate(names):
+        one = plant.hysteresis[i]
+        if held is not None:
+            figures[f"held_out_{name}_rmse_m"] = float(held[i])
+        if noise is not None:
+            figures[f"noise_{name}_m"] = float(noise[i])
+        if one is not None:
+            figures[f"loops_{name}_rmse_m"] = float(one.figures["rmse_m"])
+            figures[f"loops_{name}_rmse_percent_of_stroke"] = float(one.figures["rmse_percent_of_stroke"])
+    for name in ("noise", "total"):
+        values = getattr(responses[0], name)
+        if values is not None:
+            levels = responses[0].level(values)
+            word = "noise" if name == "noise" else "noise_and_distortion"
+            figures |= {f"{word}_in_response_{axis}_m": float(v) for axis, v in zip(names, levels, strict=True)}
+    return figures
+
+
+def _file_errors(parameters: StageParameters, data: StructureData, held_out: int, names) -> dict:
+    """Return the errors of the stage as written on what was held out, without its mean, by output [m]."""
+    chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
+    u = data.u[chosen].mean(axis=0) if len(chosen) == 1 else data.u[chosen[-1]]
+    y = data.y[chosen].mean(axis=0) if len(chosen) == 1 else data.y[chosen[-1]]
+    # several repetitions run in
+    whole = np.concatenate([u] * 4)
+    rest = simulated(parameters, whole)[-len(u) :] - y
+    rest -= rest.mean(axis=0)
+    return {f"file_{name}_rmse_m": float(v) for name, v in zip(names, np.sqrt(np.mean(rest**2, axis=0)), strict=True)}
+
+
+def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
+    """Return what the sensors of a stage read [m] without noise, under voltages ``u`` from rest, shape (N, n)."""
+    stage = Stage(parameters)
+    drives = np.empty_like(np.asarray(u, dtype=float))
+    for i, plant in enumerate(stage.plants):
+        one = plant.actuator
+        drives[:, i] = one.dynamics.simulate(one.creep.simulate(one.hysteresis.simulate(u[:, i])))
+    block = Structure(parameters.stage.structure, 1.0 / parameters.sample_rate)
+    preloads = np.array([axis.plant_simulator.preload.offset for axis in parameters.axes])
+    return product(block.simulate(drives) + preloads, parameters.stage.matrix("sensor_matrix").T)
+
+
+def _with_section(text: str, reading, loops, figures: dict, warnings) -> str:
+    """Return the text with its section ``/identification``."""
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    section: dict = {"source": reading.source, "date": now.isoformat()}
+    if loops is not None:
+        section["loops"] = loops.source
+    section |= {"inputs": list(reading.inputs), "outputs": list(reading.outputs)}
+    for name, value in figures.items():
+        if isinstance(value, list):
+            value = tuple(float(v) for v in np.ravel(value))
+        section[f"metrics.{name}"] = value
+    if warnings:
+        section["warnings"] = list(warnings)
+    return text.rstrip("\n") + "\n" + dump_configuration({SECTION: section})
+
+
+def _lines(found: IdentifiedStage) -> list[str]:
+    """Return the printed report of an identified stage."""
+    from hysteresis_ros.units import readable
+
+    figures, names = found.figures, found.parameters.names
+    response = found.responses[0].response
+    rows: list[tuple[str, str]] = [
+        ("axes", ", ".join(names)),
+        ("type", f"{figures['type']}, order {figures['order']}, {figures['delay_samples']} samples of delay before it"),
+        ("response", f"{figures['lines']} lines, {figures['lowest_hz']:.4g} … {figures['highest_hz']:.4g} Hz"),
+        ("condition of the inputs", f"{figures['largest_condition']:.3g} at most"),
+    ]
+    if "realisations" in figures:
+        rows.append(
+            ("excitation", f"{figures['realisations']} realisations, period {readable(figures['period_s'], 's')}")
+        )
+    width = 10
+    table = ["", "static gain [m/V]  " + "".join(f"{name:>{width + 2}}" for name in names)]
+    for name, row in zip(names, figures["gain_m_per_v"], strict=True):
+        table.append(f"  {name:<17}" + "".join(f"{value:>{width + 2}.4g}" for value in row))
+    table += ["", "response, largest over the lines [m/V]"]
+    peak = np.abs(response.response).max(axis=0)
+    where = response.frequency[np.abs(response.response).argmax(axis=0)]
+    for i, name in enumerate(names):
+        entries = [f"{peak[i, j]:.3g} at {where[i, j]:.4g} Hz" for j in range(len(names))]
+        table.append(f"  {name:<6}" + "  ".join(f"{entry:>22}" for entry in entries))
+    table += [
+        "",
+        f"{'output':<8}{'held out':>12}{'as written':>12}{'noise':>12}{'in response: noise':>20}{'and distortion':>16}",
+    ]
+
+    def shown(name: str) -> str:
+        return readable(figures[name], "m") if name in figures else "-"
+
+    for name in names:
+        table.append(
+            f"{name:<8}{shown(f'held_out_{name}_rmse_m'):>12}{shown(f'file_{name}_rmse_m'):>12}"
+            f"{shown(f'noise_{name}_m'):>12}{shown(f'noise_in_response_{name}_m'):>20}"
+            f"{shown(f'noise_and_distortion_in_response_{name}_m'):>16}"
+        )
+    for name in names:
+        if f"loops_{name}_rmse_m" in figures:
+            percent = figures[f"loops_{name}_rmse_percent_of_stroke"]
+            table.append(f"loops of {name}: RMS error {shown(f'loops_{name}_rmse_m')}, {percent:.2g} % of the stroke")
+    for name, design in found.designs.items():
+        table.append(f"controller of {name}: {design.parameters.type}, bandwidth {design.margins.bandwidth:.4g} Hz")
+    size = max(len(label) for label, _ in rows)
+    head = [f"{label:<{size}}  {text}" for label, text in rows]
+    return [*head, *table, "", *stage_lines(found.parameters), *(f"warning: {text}" for text in found.warnings)]

@@ -1,0 +1,351 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Recordings of several inputs and outputs: columns, units, and the periods and realisations in them.
+
+A realisation is a span in which all inputs repeat. Its first period only runs in, if there are enough others. One file
+may hold several realisations one after the other, as `hysteresis excite` records them, or each its own.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError, Problem, did_you_mean
+from hysteresis_ros.files import read_heads
+from hysteresis_ros.identification.coupled import StructureData
+from hysteresis_ros.identification.data import CONSTANT, DataError, check_uniform
+from hysteresis_ros.identification.frequency_response import SAME
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.recordings.foreign_tables import TABLE_SUFFIXES, Selection, choose_columns, open_table, split_choice
+from hysteresis_ros.units import conversion
+
+#: Signals of an axis of a stage that are its input and its output.
+INPUT, OUTPUT = "voltage", "measured"
+#: Sample times of files that differ by more than this part are different.
+SAME_RATE = 1e-6
+#: Most candidates for a period that are tried, and fewest samples of one.
+CANDIDATES, SHORTEST = 50, 16
+#: A span whose inputs move less than this part of their largest RMS holds no realisation.
+STILL = 0.02
+
+
+@dataclass(frozen=True)
+class StageColumns:
+    """Selection of several inputs and outputs in files.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of str
+        Columns as ``name`` or ``name:unit``; of the recording of a stage by default the voltages and measurements of
+        all its axes.
+    time : str, optional
+        Time column.
+    sample_time : float, optional
+        [s], for files without a time column.
+    period : float, optional
+        Period of the inputs [s]; found by default.
+    settle : int, optional
+        Periods of each realisation that only run in; by default one, or none where a realisation has two periods.
+    """
+
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    time: str | None = None
+    sample_time: float | None = None
+    period: float | None = None
+    settle: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "outputs"):
+            given = tuple(getattr(self, name))
+            object.__setattr__(self, name, given)
+            twice = sorted({one for one in given if given.count(one) > 1})
+            if twice:
+                allowed = f"'{twice[0]}' is there twice: name each column once"
+                raise IdentificationError(str(Problem(name, given, allowed)))
+
+
+@dataclass(frozen=True, eq=False)
+class StageReading:
+    """Recorded inputs [V] and outputs [m] of a stage, at one sample rate."""
+
+    inputs: tuple[str, ...]  #: Names of the inputs.
+    outputs: tuple[str, ...]  #: Names of the outputs.
+    runs: tuple[tuple[np.ndarray, np.ndarray], ...]  #: Of each run u, shape (N, m), and y, shape (N, q).
+    sample_time: float  #: [s]
+    source: str  #: Names of the files.
+    axes: tuple[str, ...] = ()  #: Names of the axes of a recorded stage.
+
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return inputs and outputs of the only run; DataError if there are several."""
+        if len(self.runs) != 1:
+            raise DataError("shape", f"{len(self.runs)} runs, and one is needed here: give one file")
+        return self.runs[0]
+
+
+def is_stage(path) -> bool:
+    """Return whether a file holds the recording of a stage, with signals of several axes."""
+    path = pathlib.Path(path)
+    if path.suffix.lower() == ".npz" and path.is_file():
+        try:
+            return any("/" in name for name in read_heads(path))
+        except (OSError, ValueError):
+            return False
+    if path.suffix.lower() == ".csv" and path.is_file():
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            return "/measured" in stream.readline()
+    if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
+        return bool(load_run(path).axes)
+    return False
+
+
+def read_stage(sources, columns: StageColumns | None = None) -> StageReading:
+    """Return the recordings of one or several files, or of recordings in memory."""
+    columns = columns or StageColumns()
+    if isinstance(sources, StageReading):
+        return sources
+    if isinstance(sources, (str, pathlib.Path, Recording)):
+        sources = [sources]
+    found = [_read(source, columns) for source in sources]
+    if not found:
+        raise DataError("short", "no recording is given; give one file at least")
+    first = found[0]
+    for other in found:
+        if (other.inputs, other.outputs) != (first.inputs, first.outputs):
+            raise DataError("columns", f"{other.source}: has other inputs or outputs than {first.source}")
+        if abs(other.sample_time / first.sample_time - 1.0) > SAME_RATE:
+            raise DataError(
+                "uniform",
+                f"{other.source}: a sample time of {other.sample_time:.9g} s, and {first.sample_time:.9g} s in "
+                f"{first.source}: all files must be sampled alike",
+            )
+    names = ", ".join(dict.fromkeys(one.source for one in found))
+    runs = tuple(run for one in found for run in one.runs)
+    return StageReading(first.inputs, first.outputs, runs, first.sample_time, names, first.axes)
+
+
+def _read(source, columns: StageColumns) -> StageReading:
+    axes: tuple[str, ...] = ()
+    inputs, outputs = columns.inputs, columns.outputs
+    if isinstance(source, Recording):
+        recording, name = source, str(source.metadata.get("source", "recording"))
+    else:
+        path = pathlib.Path(source)
+        name = path.name
+        if path.suffix.lower() == ".npy":
+            return _arrays(path, columns)
+        if not path.exists():
+            raise DataError("columns", f"{path}: no such file; give the path of a recording")
+        if path.suffix.lower() in TABLE_SUFFIXES and not is_stage(path):
+            _require(path, inputs, outputs)
+            selection = Selection((*inputs, *outputs), columns.time, columns.sample_time)
+            recording = choose_columns(open_table(path), selection)
+            taken = list(recording.signals)
+            if len(taken) != len(inputs) + len(outputs):
+                raise DataError("columns", f"{path}: a column is named as input and as output; name each once")
+            inputs, outputs = tuple(taken[: len(inputs)]), tuple(taken[len(inputs) :])
+        else:
+            recording = load_run(path)
+    if recording.axes:
+        axes = recording.axes
+        inputs = inputs or tuple(f"{axis}/{INPUT}" for axis in axes)
+        outputs = outputs or tuple(f"{axis}/{OUTPUT}" for axis in axes)
+    _require(name, inputs, outputs)
+    inputs, outputs = (tuple(_signal(recording, name, one) for one in names) for names in (inputs, outputs))
+    for role, names, unit in (("input", inputs, "V"), ("output", outputs, "m")):
+        for one in names:
+            if recording.units[one] != unit:
+                wanted = "a voltage" if unit == "V" else "a length"
+                text = f"{role} {one} is in '{recording.units[one]}', it must be {wanted}: give it as {one}:{unit}"
+                raise DataError("unit", f"{name}: {text}")
+    u, y = (np.column_stack([recording[one] for one in names]) for names in (inputs, outputs))
+    sample_time, _, findings = check_uniform(recording.time)
+    wrong = [finding.message for finding in findings if finding.severity == "error"]
+    if wrong:
+        raise DataError("uniform", f"{name}: {wrong[0]}")
+    return _trimmed(name, inputs, outputs, u, y, sample_time, axes)
+
+
+def _trimmed(name: str, inputs, outputs, u, y, sample_time: float, axes=()) -> StageReading:
+    """Return a reading without missing samples at its ends."""
+    finite = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+    if not finite.any():
+        raise DataError("nan", f"{name}: no sample has all inputs and outputs")
+    first, last = int(np.argmax(finite)), len(finite) - int(np.argmax(finite[::-1]))
+    if not finite[first:last].all():
+        place = first + int(np.argmin(finite[first:last]))
+        raise DataError("nan", f"{name}: sample {place} lacks an input or an output; leave it out or record again")
+    return StageReading(inputs, outputs, ((u[first:last], y[first:last]),), sample_time, name, axes)
+
+
+def _require(name, inputs, outputs) -> None:
+    for role, names in (("--input", inputs), ("--output", outputs)):
+        if not names:
+            raise DataError(
+                "columns", f"{name}: which columns are the {role[2:]}s? Name each, as {role} NAME:UNIT {role} NAME:UNIT"
+            )
+
+
+def _signal(recording: Recording, source: str, choice: str) -> str:
+    """Return the name of a signal; a given unit must be its SI unit."""
+    name, unit = (choice, None) if choice in recording else split_choice(choice)
+    if name not in recording.signals:
+        near = did_you_mean(name, recording.signals)
+        raise DataError("columns", f"{source}: no signal '{name}'{near}; there are {', '.join(recording.signals)}")
+    if unit is not None and recording.units[name] != unit:
+        raise DataError("unit", f"{source}: signal '{name}' is in '{recording.units[name]}', not in '{unit}'")
+    return name
+
+
+def _arrays(path: pathlib.Path, columns: StageColumns) -> StageReading:
+    """Return the runs of an array of shape (samples, columns) or (realisations, samples, columns)."""
+    _require(path, columns.inputs, columns.outputs)
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DataError("columns", f"{path}: not a readable array: {error}") from None
+    if array.ndim not in (2, 3) or array.dtype.kind not in "iuf":
+        raise DataError(
+            "shape", f"{path}: must be numbers of shape (samples, columns), or (realisations, samples, columns)"
+        )
+    if columns.sample_time is None:
+        raise DataError("uniform", f"{path}: an array has no times; give --sample-time")
+    table = np.asarray(array, dtype=float).reshape(-1, *array.shape[-2:])
+    groups, names = [], []
+    for role, chosen, wanted in (("input", columns.inputs, "V"), ("output", columns.outputs, "m")):
+        picked = []
+        for choice in chosen:
+            name, unit = split_choice(choice)
+            known = conversion(unit) if unit else None
+            if known is None or known[0] != wanted:
+                raise DataError(
+                    "unit", f"{path}: {role} {choice}: give its unit, such as {name}:{'V' if wanted == 'V' else 'um'}"
+                )
+            if not name.isdigit() or not 1 <= int(name) <= table.shape[2]:
+                raise DataError("columns", f"{path}: no column '{name}'; the columns are 1 … {table.shape[2]}")
+            picked.append(table[:, :, int(name) - 1] / known[1])
+        groups.append(np.stack(picked, axis=2))
+        names.append(tuple(split_choice(choice)[0] for choice in chosen))
+    u, y = groups
+    if not (np.isfinite(u).all() and np.isfinite(y).all()):
+        raise DataError("nan", f"{path}: has values that are not finite; leave them out or record again")
+    runs = tuple(zip(u, y, strict=True))
+    return StageReading(names[0], names[1], runs, float(columns.sample_time), path.name)
+
+
+def find_period(u: np.ndarray) -> int | None:
+    """Return the period with which the inputs ``u``, shape (N, m), repeat most [samples]; None: they do not."""
+    moved = u - u.mean(axis=0)
+    size = 2 * len(u)
+    correlation = np.fft.irfft((np.abs(np.fft.rfft(moved, size, axis=0)) ** 2).sum(axis=1))[: len(u) // 2 + 2]
+    inner = correlation[1:-1]
+    peaks = 1 + np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:]) & (inner > 0.0))
+    peaks = peaks[peaks >= SHORTEST]
+    best, covered = None, 0.0
+    for period in sorted(peaks[np.argsort(-correlation[peaks])][:CANDIDATES]):
+        share = float(sum(last - first for first, last in periodic_spans(u, int(period))))
+        # a multiple of the period covers no more
+        if share > 1.02 * covered:
+            best, covered = int(period), share
+    return best
+
+
+def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
+    """Return the spans, first sample and the one after the last, in which moving inputs repeat for two periods."""
+    size = float(np.sqrt(np.mean(np.var(u, axis=0))))
+    apart = np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], apart, [True]]).astype(np.int8)))
+    found = []
+    for first, behind in zip(edges[::2], edges[1::2], strict=True):
+        if behind - first < period:
+            continue
+        span = u[first : behind + period]
+        if np.sqrt(np.mean(np.var(span[:period], axis=0))) > STILL * size:
+            found.append((int(first), int(behind) + period))
+    return found
+
+
+def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
+    """Return the realisations of recordings as whole periods; None where the inputs do not repeat.
+
+    A stated period that the inputs do not have is refused.
+    """
+    columns = columns or StageColumns()
+    step = reading.sample_time
+    stated = columns.period
+    if stated is None:
+        found = next((one for one in (find_period(u) for u, _ in reading.runs) if one is not None), None)
+        if found is None:
+            return None
+        period = found
+    else:
+        period = round(stated / step)
+        if period < SHORTEST or abs(period * step / stated - 1.0) > 1e-6:
+            allowed = f"must be a whole number of at least {SHORTEST} samples of {step:g} s"
+            raise DataError("shape", f"--period {stated:g} s: {allowed}")
+    spans = [(u[first:last], y[first:last]) for u, y in reading.runs for first, last in _split(u, period)]
+    if not spans:
+        raise DataError("shape", f"the inputs do not repeat with a period of {period * step:g} s; leave --period out")
+    counts = [len(u) // period for u, _ in spans]
+    fewest = min(counts)
+    settle = (1 if fewest > 2 else 0) if columns.settle is None else columns.settle
+    if not 0 <= settle < fewest:
+        raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods, one at least must count")
+    kept = slice(settle * period, fewest * period)
+    u, y = (np.array([span[place][kept] for span in spans]) for place in (0, 1))
+    return StructureData(u, _without_drift(y, period), step, period)
+
+
+def _without_drift(y: np.ndarray, period: int) -> np.ndarray:
+    """Return outputs without the drift from period to period, of creep, say; what repeats in each period stays."""
+    R, count, q = y.shape
+    if count < 2 * period:
+        return y
+    means = y.reshape(R, -1, period, q).mean(axis=2)
+    number = np.arange(means.shape[1]) - 0.5 * (means.shape[1] - 1)
+    slope = np.einsum("p,rpq->rq", number, means) / (number @ number) / period
+    time = np.arange(count) - 0.5 * (count - 1)
+    return y - time[None, :, None] * slope[:, None, :]
+
+
+def _split(u: np.ndarray, period: int) -> list[tuple[int, int]]:
+    """Return spans of whole periods; a run that is two periods or a single one of a stated length counts whole."""
+    found = periodic_spans(u, period)
+    return [(last - (last - first) // period * period, last) for first, last in found]
+
+
+def loops_of(reading: StageReading) -> list[tuple[int, int]]:
+    """Return for each input the span in which it moves alone, from a sample to the one after the last.
+
+    Raises
+    ------
+    DataError
+        An input never moves alone; the message names it.
+    """
+    u, _ = reading.whole()
+    reach = np.ptp(u, axis=0)
+    found = []
+    for i, name in enumerate(reading.inputs):
+        # where the others are at what they have before and after their own turn
+        moving = np.abs(u - u[0]) > 1e-3 * np.maximum(reach, CONSTANT)
+        alone = np.flatnonzero(moving[:, i] & ~np.delete(moving, i, axis=1).any(axis=1))
+        others = np.flatnonzero(moving[:, i] & np.delete(moving, i, axis=1).any(axis=1))
+        if alone.size < SHORTEST or others.size > 0.01 * alone.size:
+            raise DataError(
+                "columns",
+                f"{reading.source}: input {name} does not move alone; record one axis after the other "
+                "(hysteresis excite STAGE --recipe triangles)",
+            )
+        found.append((int(alone[0]), int(alone[-1]) + 1))
+    return found

@@ -1,0 +1,345 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A stage from its recording: periods found, a response without periods, a plant of another class in a loop."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "loop"))
+from coupled_stages import as_values, configured, internal_structure  # noqa: E402
+
+import hysteresis_ros as hr  # noqa: E402
+from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
+from hysteresis_ros.designs.stage_identification import StageRequest, identify_stage  # noqa: E402
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError  # noqa: E402
+from hysteresis_ros.identification.data import DataError  # noqa: E402
+from hysteresis_ros.identification.excitations import orthogonal_multisines  # noqa: E402
+from hysteresis_ros.identification.linear_systems import LinearModel  # noqa: E402
+from hysteresis_ros.identification.local_polynomial import local_polynomial_response  # noqa: E402
+from hysteresis_ros.identification.stage_data import (  # noqa: E402
+    StageColumns,
+    StageReading,
+    find_period,
+    loops_of,
+    read_stage,
+    realisations,
+)
+from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
+from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage  # noqa: E402
+from hysteresis_ros.recordings.files import save_run  # noqa: E402
+
+STEP = 1e-4
+CROSSTALK = np.array([[1.0, 0.05], [0.03, 1.0]])
+
+
+def hysteresis(*words, code=0):
+    answer = subprocess.run(
+        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
+    )
+    assert answer.returncode == code, answer.stdout + answer.stderr
+    return answer.stdout + answer.stderr
+
+
+def plant(gain=CROSSTALK) -> LinearModel:
+    """Two modes, 400 and 600 Hz, with the static gain 0.4 µm/V times ``gain``, and a sample of delay more."""
+    A, B, C = np.zeros((6, 6)), np.zeros((6, 2)), np.zeros((2, 6))
+    for i, turn in enumerate((0.04, 0.06)):
+        pole = np.exp(2.0 * np.pi * turn * (-0.05 + 1j))
+        mode = slice(2 * i, 2 * i + 2)
+        A[mode, mode] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+        own = np.linalg.solve(np.eye(2) - A[mode, mode], [0.0, 1.0])
+        A[2 * i : 2 * i + 2, 4 + i] = [0.0, 1.0]
+        B[4 + i, i] = 1.0
+        C[:, 2 * i] = 0.4e-6 * np.asarray(gain)[:, i] / own[0]
+    return LinearModel(A, B, C, np.zeros((2, 2)), STEP)
+
+
+def recorded(u, model=None, noise=2e-9, seed=3) -> StageReading:
+    """Return a run of a linear plant with noise of the sensors."""
+    y = (model or plant()).simulate(u) + noise * np.random.default_rng(seed).standard_normal(u.shape)
+    return StageReading(("u1", "u2"), ("y1", "y2"), ((u, y),), STEP, "arrays")
+
+
+def excitation(period=500, runs=4, repeats=3) -> np.ndarray:
+    """Return realisations of orthogonal multisines one after the other, between rests, shape (N, 2) [V]."""
+    table = 5.0 * orthogonal_multisines(2, period, np.arange(1, 241), runs)
+    played = np.concatenate([np.tile(one, (repeats, 1)) for one in table])
+    return np.concatenate([np.zeros((137, 2)), played, np.zeros((80, 2))])
+
+
+def test_orthogonal_multisines_are_orthogonal_at_each_line():
+    lines = np.arange(3, 90)
+    for inputs in (1, 2, 3):
+        table = orthogonal_multisines(inputs, 256, lines, 2 * inputs)
+        assert np.max(np.abs(table)) == pytest.approx(1.0)
+        spectra = np.fft.rfft(table, axis=1)
+        for group in (spectra[:inputs], spectra[inputs:]):
+            np.testing.assert_allclose(np.linalg.cond(group[:, lines].transpose(1, 0, 2)), 1.0, atol=1e-9)
+        others = np.delete(spectra, lines, axis=1)
+        assert np.max(np.abs(others)) < 1e-9 * np.max(np.abs(spectra))
+    assert not np.allclose(table[:3], table[3:])
+
+
+def test_periods_and_realisations_are_found_in_one_recording():
+    u = excitation()
+    assert find_period(u) == 500
+    data = realisations(recorded(u))
+    assert data.u.shape == (4, 1000, 2)
+    # the first period of each realisation runs in
+    np.testing.assert_array_equal(data.u[1], u[137 + 1500 + 500 : 137 + 3000])
+    assert realisations(recorded(u), StageColumns(settle=2)).u.shape == (4, 500, 2)
+    assert realisations(recorded(np.random.default_rng(0).standard_normal((4000, 2)))) is None
+    with pytest.raises(DataError, match=r"do not repeat with a period of 0.0301 s"):
+        realisations(recorded(u), StageColumns(period=0.0301))
+
+
+def test_a_drift_from_period_to_period_is_no_response():
+    u = excitation()
+    reading = recorded(u, noise=0.0)
+    ramp = 1e-9 * np.arange(len(u))[:, None] * np.array([1.0, -2.0])
+    drifting = replace(reading, runs=((u, reading.runs[0][1] + ramp),))
+    still, moved = realisations(reading).y, realisations(drifting).y
+    still = still - still.mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(moved - moved.mean(axis=1, keepdims=True), still, atol=1e-10)
+
+
+def test_the_local_polynomial_bands_contain_the_truth_in_95_of_100_lines():
+    """Counted over seeds, for each entry, with noise that the sensors share and inputs that never repeat."""
+    model, inside, ratio = plant(), [], []
+    mixing = np.array([[1.0, 0.0], [0.8, 0.6]])
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        u = random.standard_normal((1, 8192, 2))
+        clean = model.simulate(u[0])[None]
+        noise = 0.02 * clean.std() * random.standard_normal(clean.shape) @ mixing.T
+        found = local_polynomial_response(u, clean + noise, STEP)
+        truth = model.frequency_response(found.response.frequency)
+        inside.append(np.mean(np.abs(found.response.response - truth) <= found.response.radius(0.95), axis=0))
+        expected = (0.02 * clean.std()) ** 2 * mixing @ mixing.T / 8192
+        ratio.append(np.median(found.total.real, axis=0) / expected)
+    assert np.all(np.abs(np.mean(inside, axis=0) - 0.95) < 0.015)
+    # the median of a chi-square of 24 degrees is 0.97 of its mean
+    np.testing.assert_allclose(np.diag(np.mean(ratio, axis=0)), 0.97, atol=0.05)
+
+
+def test_a_transient_does_not_bias_the_local_polynomial_response():
+    """The transient of what was before is smooth in frequency; a plain quotient of spectra has it as error."""
+    model, random = plant(), np.random.default_rng(1)
+    u = random.standard_normal((2, 3000, 2))
+    y = np.array([model.simulate(one) for one in u])[:, 1000:]
+    found = local_polynomial_response(u[:, 1000:], y, STEP)
+    truth = model.frequency_response(found.response.frequency)
+    # lines away from the narrow modes
+    calm = np.abs(found.response.frequency[:, None] - [400.0, 600.0]).min(axis=1) > 60.0
+    U, Y = (np.fft.rfft(one[:, :, :], axis=1)[:, 1:1000].transpose(1, 2, 0) for one in (u[:, 1000:], y))
+    plain = Y @ np.linalg.inv(U)
+    error, without = (np.median(np.abs(one[calm] - truth[calm])) for one in (found.response.response, plain))
+    assert error < 2e-3 * np.abs(truth[calm]).mean()
+    assert without > 10.0 * error
+
+
+def test_correlated_inputs_have_no_local_polynomial_response():
+    u = np.random.default_rng(0).standard_normal((1, 4000, 1)) * np.ones((1, 1, 2))
+    with pytest.raises(IdentificationError, match=r"correlated: condition number \S+ of the inputs around \S+ Hz"):
+        local_polynomial_response(u, u, STEP)
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """A linear stage identified with and without periods."""
+    u = excitation()
+    periodic = recorded(u)
+    random = recorded(np.random.default_rng(5).standard_normal((6000, 2)))
+    request = StageRequest(controller="none")
+    return (
+        identify_stage(periodic, realisations(periodic), request),
+        identify_stage(random, realisations(random), request),
+    )
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_linear_stage_is_found_again(linear, which):
+    found = linear[which]
+    stage = found.parameters.stage
+    assert (stage.type, found.figures["order"]) == ("hammerstein", 4)
+    # a sample in the plant, and one until a voltage has changed the velocities
+    assert found.figures["delay_samples"] in (1, 2)
+    np.testing.assert_allclose(found.figures["gain_m_per_v"], 0.4e-6 * CROSSTALK, atol=0.4e-8)
+    turns = np.abs(np.angle(stage.structure.linear.poles)) / (2.0 * np.pi * STEP)
+    np.testing.assert_allclose(np.unique(np.round(turns, 3))[[0, -1]], [400.0, 600.0], rtol=2e-3)
+    # the decoupled commands are displacements
+    gain = stage.structure.linear.dc_gain @ stage.matrix("decoupling")
+    np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
+
+
+def test_noise_is_told_from_the_response(linear):
+    figures = linear[0].figures
+    for name in "xy":
+        assert figures[f"noise_{name}_m"] == pytest.approx(2e-9, rel=0.1)
+        # one realisation held out, the mean of two periods
+        assert figures[f"held_out_{name}_rmse_m"] == pytest.approx(2e-9 / np.sqrt(2.0), rel=0.3)
+    # one realisation of the second group is held out
+    assert figures["largest_condition"] < 1.5
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda u: recorded(u[:, [1, 1]]), r"correlated: condition number \S+ of the inputs at"),
+        (
+            lambda u: recorded(u, plant([[1.0, 1.0], [1.0, 1.0]])),
+            r"static gain.*is singular: the direction .*0.71 actuator x.*0.71 actuator y moves no sensor",
+        ),
+        (lambda u: recorded(u, plant([[0.0, 1.0], [1.0, 0.0]])), "name inputs and outputs in the order of the axes"),
+        (lambda u: recorded(u, plant([[-1.0, 0.0], [0.0, 1.0]])), "axis x: y1 falls when u1 rises"),
+        (lambda u: recorded(u[:3200]), "2 realisations of a level: 2 inputs and 1 held out need 3"),
+    ],
+    ids=["correlated", "singular", "order", "sign", "few"],
+)
+def test_recordings_that_give_no_stage_are_refused(make, words):
+    reading = make(excitation())
+    with pytest.raises(HysteresisError, match=words):
+        identify_stage(reading, realisations(reading), StageRequest(order=4, controller="none"))
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"axes": ("x", "x")}, "'x' is there twice: give each actuator a name of its own"),
+        ({"axes": ("x",)}, "must be 2 names"),
+        ({"order": 3}, "order = 3: must be an even number"),
+        ({"type": "internal", "plays": 0}, "plays = 0: must be ≥ 1 with type internal"),
+    ],
+)
+def test_requests_that_fit_no_stage_are_refused(request_, words):
+    reading = recorded(excitation())
+    with pytest.raises(IdentificationError, match=words):
+        identify_stage(reading, realisations(reading), StageRequest(**request_))
+
+
+def test_files_of_a_stage_are_refused_by_name(tmp_path):
+    u = excitation()
+    y = recorded(u).runs[0][1]
+    time = STEP * np.arange(len(u))
+    columns = {"t_s": time, "a_V": u[:, 0], "b_V": u[:, 1], "p_um": 1e6 * y[:, 0], "q_um": 1e6 * y[:, 1]}
+    np.savez(tmp_path / "good.npz", **columns)
+    np.savez(tmp_path / "slow.npz", **columns | {"t_s": 2.0 * time})
+    np.savez(tmp_path / "gap.npz", **columns | {"t_s": time + 0.01 * (np.arange(len(time)) > 900)})
+    np.save(tmp_path / "table.npy", np.column_stack([u, 1e6 * y]))
+    names = ("--input", "a_V", "--input", "b_V", "--output", "p_um", "--output", "q_um", "-o", tmp_path / "s.yaml")
+    identify = ("identify", tmp_path / "good.npz")
+    for words, said in (
+        ((*identify, tmp_path / "slow.npz", *names), "slow.npz: a sample time of 0.0002 s, and 0.0001 s in good.npz"),
+        (("identify", tmp_path / "gap.npz", *names), "gap.npz: not uniformly sampled"),
+        ((*identify, "--input", "a_V", "--input", "a_V", *names[4:]), "'a_V' is there twice"),
+        ((*identify, *names[:6], "-o", "s.yaml"), "2 inputs and 1 outputs"),
+        ((*identify, *names, "--axes", "x,x"), "'x' is there twice: give each actuator a name of its own"),
+        (("validate", "kim2009", tmp_path / "good.npz", *names[:4]), "this command takes one column"),
+    ):
+        assert said in hysteresis(*words, code=2)
+    chosen = StageColumns(("1:V", "2:V"), ("3:um", "4:um"), sample_time=STEP)
+    np.testing.assert_allclose(read_stage(tmp_path / "table.npy", chosen).runs[0][1], y)
+    with pytest.raises(DataError, match="an array has no times; give --sample-time"):
+        read_stage(tmp_path / "table.npy", replace(chosen, sample_time=None))
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory):
+    """A scanner whose hysteresis acts inside its structure, a class that the identified model does not have.
+
+    Its plays lag behind the motion and soften the modes with the level.
+    """
+    structure = internal_structure()
+    structure = replace(structure, C_z=tuple(-value for value in structure.C_z))
+    own = {"hysteresis__type": "proportional", "creep__type": "none"}
+    configuration = configured(
+        stage={"type": "internal", "decoupling": []} | as_values(structure),
+        plant_simulator=own | {"hysteresis__proportional__gain": 1.0},
+        hysteresis_compensator=own | {"hysteresis__proportional__gain": 0.4e-6},
+        motion_controller={"type": "open_loop", "damping__type": "none"},
+        reference_generator={"waveform__type": "hold"},
+    )
+    path = tmp_path_factory.mktemp("truth") / "truth.yaml"
+    path.write_text(StageParameters.from_configuration(configuration).configuration_text(), encoding="utf-8")
+    for name in ("multisine", "decaying"):
+        found = excited_stage(load_configuration(path), StageExcitation(name), path.with_name(name))
+        save_run(simulate_stage(found.stage, duration=found.duration), path.with_name(f"{name}.npz"))
+    return path
+
+
+def test_one_axis_after_the_other_goes_through_its_range(truth):
+    reading = read_stage(truth.with_name("decaying.npz"))
+    u, _ = reading.whole()
+    spans = loops_of(reading)
+    assert spans[0][1] < spans[1][0]
+    for i, (first, last) in enumerate(spans):
+        assert np.ptp(u[first:last, i]) == pytest.approx(100.0, rel=1e-3)
+        assert np.ptp(u[first:last, 1 - i]) == 0.0
+    with pytest.raises(DataError, match="input x/voltage does not move alone"):
+        loops_of(read_stage(truth.with_name("multisine.npz")))
+
+
+def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(truth):
+    """Recorded, identified by the command, closed on the true plant: hysteresis and cross-talk of 5 % are gone."""
+    closed, figures = truth.with_name("closed.yaml"), truth.with_name("figures.json")
+    words = ("--loops", truth.with_name("decaying.npz"), "--into", truth, "-o", closed, "--json", figures)
+    said = hysteresis("identify", truth.with_name("multisine.npz"), *words)
+    assert "hammerstein, order 4, 1 samples of delay before it" in said
+    assert "warning" not in said
+    found = json.loads(figures.read_text())
+    for name in "xy":
+        # motion of 1.5 µm RMS; the nonlinear part is the rest
+        assert found[f"held_out_{name}_rmse_m"] < 1e-7
+        assert found[f"loops_{name}_rmse_percent_of_stroke"] < 0.1
+        assert found[f"noise_{name}_m"] == pytest.approx(5e-9, rel=0.1)
+    scan = {"waveform__type": "triangle", "waveform__frequency": 10.0, "waveform__amplitude": 6e-6}
+    scan |= {"waveform__cycles": 3, "waveform__polarity": "symmetric"}
+    configuration = load_configuration(closed).override("x/reference_generator", **scan)
+    parameters = StageParameters.from_configuration(configuration)
+    assert parameters.stage.type == "internal"
+    (coupled,) = coupling_errors(parameters, 0.45)
+    run = simulate_stage(parameters, duration=0.45)
+    error = (run["x/displacement"] - run["x/reference"])[1500:]
+    assert coupled.scanned > 11e-6
+    assert coupled.part < 4e-4
+    assert error.std() < 1.5e-7
+    untouched = replace(parameters, stage=replace(parameters.stage, decoupling=()))
+    assert coupling_errors(untouched, 0.45)[0].part > 5.0 * coupled.part
+
+
+def test_excitations_that_a_stage_cannot_play_are_refused(truth):
+    configuration = load_configuration(truth)
+    for asked, words in (
+        (StageExcitation(realisations=1), "--realisations 1: must be at least 2, one for each of the axes x, y"),
+        (StageExcitation("decaying", one_by_one=True), "belong to the recipe multisine"),
+        (StageExcitation(amplitude=6.0), "amplitude 6: must be above 0 and at most 5"),
+        (StageExcitation(frequency=2000.0), "must be at most 312.5 Hz"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            excited_stage(configuration, asked, truth)
+
+
+def test_hr_identify_takes_several_inputs_and_outputs(truth):
+    found = hr.identify(
+        truth.with_name("multisine.npz"), columns=hr.StageColumns(), options={"controller": "none", "order": 4}
+    )
+    assert found.parameters.names == ("x", "y")
+    assert found.parameters.axes[0].motion_controller.type == "open_loop"
+    with pytest.raises(HysteresisError, match="rank: no such option of a stage"):
+        hr.identify(truth.with_name("multisine.npz"), columns=hr.StageColumns(), options={"rank": 2})
