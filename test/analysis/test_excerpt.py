@@ -191,7 +191,7 @@ KINDS = ("plant_simulator", "hysteresis_compensator", "motion_controller", "refe
         ({"record": "bag"}, [["--recorder"]], "fused"),
         (
             {"rate": "lockstep"},
-            [["plant_simulator"], ["hysteresis_compensator"], ["motion_controller"], None],
+            [["plant_simulator"], ["hysteresis_compensator"], ["motion_controller"], ["reference_generator"]],
             "lockstep",
         ),
         ({"factor": "0.02", "composed": "true", "record": "bag"}, [[], ["recorder"]], "realtime"),
