@@ -22,6 +22,8 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage import Stage
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph
 
@@ -29,6 +31,7 @@ for name in ("kim2009", "inchworm_travel"):
     axis = single_axis(load_configuration(name).override("", exit_at_end=True)).with_duration(0.02)
     simulate(axis, describe=False)
     FusedLoop(Axis(axis.with_time_mode("fused")))
+FusedLoop(Stage(StageParameters.from_configuration(load_configuration("xy_scanner"))))
 if importlib.util.find_spec("rclpy"):
     # nodes call kernels one by one, and compile other forms of them
     axis = single_axis(load_configuration("kim2009").override("", exit_at_end=True)).with_duration(0.02)
