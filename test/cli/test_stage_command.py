@@ -110,8 +110,8 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "10000 samples/s are too many for the messages between the nodes of a stage"),
-        (("--fused",), "a stage has no fused loop"),
+        (("--rate", "realtime"), "10000 samples/s are too many for the messages between the nodes of a stage"),
+        (("--composed",), "10000 samples/s are too many for the messages between the nodes of a stage"),
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
