@@ -39,6 +39,7 @@ from hysteresis_ros.designs.controller import DesignRequest, design_axis
 from hysteresis_ros.designs.coupled import design_stage_learning
 from hysteresis_ros.designs.learning import LearningRequest
 from hysteresis_ros.designs.trials import FEWEST, CoupledLearning, Trial, trial
+from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.laboratory.comparison.rows import Bench, excitation
 from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
@@ -282,12 +283,17 @@ def learned_together(plant: Plant, parameters: StageParameters, folder: pathlib.
     """Return the stage with corrections of all axes after :data:`RUNS` runs, from measurements alone."""
     learning = CoupledLearning.of(parameters, LearningRequest("coupled", maximum=MAXIMUM))
     trials: list[Trial] = []
+    now = parameters
     while True:
         corrections = learning.after(trials)
         files = {name: str(folder / f"{name}_{len(trials)}.yaml") for name in NAMES}
         for name, correction in learning.learned(corrections).items():
             write_learned(files[name], correction)
-        now = with_learning(parameters, learning.chosen(corrections, files))
+        try:
+            now = with_learning(parameters, learning.chosen(corrections, files))
+        except ConfigurationError as error:
+            print(f"  after {len(trials)} runs: {error}; the corrections before stay", flush=True)
+            return now
         if len(trials) == RUNS:
             return now
         trials.append(trial(parameters, run_on(plant, now)[1], corrections))
