@@ -157,7 +157,7 @@ def test_a_run_of_a_stage_has_a_run_of_each_axis(run):
     assert run["x"].units["voltage"] == "V"
     assert run.between(0.1, 0.15)["y"].time.size == 501
     figures = hr.metrics(run)
-    assert set(figures) == {"x", "y"}
+    assert set(figures) == {"x", "y", "plane"}
     assert hr.metrics(run, namespace="x")["rms_error_m"] < 0.3e-6
     with pytest.raises(AttributeError, match="no signal or attribute 'z'"):
         _ = run.z
@@ -239,7 +239,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--scan", "raster", "width=50um", "depth=10um"), "out of range"),
+        (("--scan", "raster", "width=50um", "depth=10um"), "exceeds the range by 8.906e-06 m"),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),

@@ -107,7 +107,7 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
     for words in (
         "axis stopped",
         "at 100 Hz",
-        "which holds",
+        "which is enough for",
         "lower sample_rate or real_time_factor",
         "run the nodes composed",
     ):
