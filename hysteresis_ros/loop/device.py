@@ -308,7 +308,7 @@ class DrivenPlant(Plant):
     def failure(self) -> str:
         """Error of a device that has stopped the axis, and the voltage that it may still output."""
         left = self._left  # the device is released in the background
-        return f"{self._failure}; and it {left}" if left else self._failure
+        return f"{self._failure}; the device {left}" if left else self._failure
 
     def _require(self, can: Capabilities) -> None:
         """Raise a DriverError unless the device meets the requirements of the axis."""

@@ -73,7 +73,7 @@ def test_a_singular_gain_names_the_direction_that_is_lost():
     gain = np.array([[1.0, 2.0], [2.0, 4.0]])
     assert lost_direction(gain, "xy") == "+0.89 x, -0.45 y"
     np.testing.assert_allclose(gain @ [0.894427191, -0.4472135955], 0.0, atol=1e-9)
-    with pytest.raises(ParameterError, match=r"\+0\.89 x, -0\.45 y moves nothing"):
+    with pytest.raises(ParameterError, match=r"\+0\.89 x, -0\.45 y causes no motion"):
         static_decoupling(gain, "xy")
     assert lost_direction(np.diag([1.0, 1e-5]), "xy") == ""
 

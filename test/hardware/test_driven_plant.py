@@ -80,7 +80,7 @@ def test_a_device_that_cannot_be_made_safe_either_is_said_to_be_so(device):
     plant = DrivenPlant(parameters())
     device.failing = "read safe"
     run(plant, [1.0] * 3)
-    assert plant.failure.endswith("and it cannot be made safe: OSError: silent")
+    assert plant.failure.endswith("the device cannot be made safe: OSError: silent")
     with pytest.raises(DriverError, match="cannot be made safe"):
         plant.make_safe()
 

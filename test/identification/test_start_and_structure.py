@@ -191,7 +191,7 @@ def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
     truth, model = (hysteresis_block(law, T).simulate(small) for law in (stack(0.8), one.plant.hysteresis))
     ratio = (truth[-1] - truth[-51]) / (model[-1] - model[-51])
     assert low < 100.0 * (ratio - 1.0) < high and high - low > 5.0
-    assert any("decaying" in text and "prior" in text for text in one.warnings)
+    assert any("decaying" in text and "default" in text for text in one.warnings)
     assert "ambiguity_rms_m" in one.text
     settled = doubt(DECAYING, 0.8)
     assert settled.figures["ambiguity_rms_m"] < 0.4 * one.figures["ambiguity_rms_m"]
@@ -216,7 +216,7 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     found = identify(data(DECAYING, recorded(DECAYING)), "auto", linear="none")
     errors = [found.figures[f"held_out_{name}_rmse_m"] for name in tried]
     assert errors[0] > 3.0 * errors[1] and found.figures["model"] == "prandtl_ishlinskii"
-    with pytest.raises(IdentificationError, match="auto has none"):
+    with pytest.raises(IdentificationError, match="auto has no options"):
         parse_options("auto", ["widths=3"])
 
 
