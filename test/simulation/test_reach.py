@@ -83,7 +83,7 @@ def test_references_beyond_the_stroke_are_named_with_value_and_reach(changed, na
 def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are_named():
     with pytest.raises(ParameterError, match=r"reference_generator: waveform\.frequency = 1600.0: must be ≤ 1500 Hz"):
         axis(reference_generator=sine(1e-7, 1600.0, 1e-6))
-    with pytest.raises(ParameterError, match=r"waveform\.frequency = 600.0: must be ≤ 500 Hz.*answers a sample late"):
+    with pytest.raises(ParameterError, match=r"waveform\.frequency = 600.0: must be ≤ 500 Hz.*responds a sample late"):
         axis(reference_generator=sine(1e-7, 600.0, 1e-6))
     axis(reference_generator=sine(1e-7, 600.0, 1e-6), motion_controller={"type": "open_loop"})
     axis(
