@@ -160,6 +160,8 @@ JUDGES = {
     "references/scans/lissajous.py": {"np.sin", "math.hypot", "@", "np.cos"},
     "references/scans/rosette.py": {"math.sin", "@", "np.exp"},
     "references/scans/spiral.py": {"np.exp"},
+    # figures of a stage that are printed, and limits beyond which its scans are refused or warned of
+    "loop/stage_response.py": {"np.linalg", "np.exp", "@"},
     # samples that are written into files; a contraction that is refused
     "references/recipes.py": {"np.exp", "np.cos"},
     "references/inchworm_parameters.py": {"np.linalg"},
