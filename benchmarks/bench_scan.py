@@ -31,15 +31,17 @@ import common
 import numpy as np
 
 from hysteresis_ros.analysis.scan_report import ScanRun, scan_figures
-from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.coupling import static_decoupling
 from hysteresis_ros.control.learning import LearningParameters, write_learned
-from hysteresis_ros.designs.controller import DesignRequest, design_axis
-from hysteresis_ros.designs.coupled import design_stage_learning
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, response_uncertainty
+from hysteresis_ros.designs.coupled import Uncertainties, design_stage_learning, response_uncertainties
 from hysteresis_ros.designs.learning import LearningRequest
+from hysteresis_ros.designs.measured import entries
 from hysteresis_ros.designs.trials import FEWEST, CoupledLearning, Trial, trial
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.laboratory.comparison.rows import Bench, excitation
 from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
@@ -161,9 +163,9 @@ def recorded(plant: Plant, place: int, seed: int) -> np.ndarray:
     return np.array([voltage, *measured])
 
 
-def identified(plant: Plant, seed: int) -> StageParameters:
-    """Return the stage that recordings of the plant give, with its decoupling."""
-    configuration, blocks, cross = load_configuration("xy_scanner"), [], np.eye(2)
+def identified(plant: Plant, seed: int) -> tuple[StageParameters, Uncertainties]:
+    """Return the stage that recordings of the plant give, with its decoupling, and what is known of its responses."""
+    configuration, blocks, cross, known = load_configuration("xy_scanner"), [], np.eye(2), {}
     for place, name in enumerate(NAMES):
         voltage, *measured = recorded(plant, place, 100 * seed + place)
         own, other = measured[place], measured[1 - place]
@@ -172,7 +174,8 @@ def identified(plant: Plant, seed: int) -> StageParameters:
         # at rest and slowly the structure only adds: what the other sensor sees is a part of what this one sees
         smooth = [np.convolve(one, np.full(100, 0.01), "valid") for one in (own, other)]
         cross[1 - place, place] = np.polyfit(*smooth, 1)[0]
-        axis = single_axis(parse_configuration(found.text, "the identified axis"))
+        written = parse_configuration(found.text, "the identified axis")
+        axis, known[name] = single_axis(written), response_uncertainty(written)
         compensator = axis.hysteresis_compensator.to_mapping()
         kept = {
             key: value for key, value in compensator.items() if key.startswith(("hysteresis.", "creep.", "inverse."))
@@ -205,25 +208,30 @@ def identified(plant: Plant, seed: int) -> StageParameters:
     # at 0 V the hysteresis leaves up to 8 µm of the way
     place = {"minimum": RANGE[0], "maximum": RANGE[1], "initial_setpoint": 0.5 * (RANGE[0] + RANGE[1])}
     configuration = configuration.override("reference_generator", waveform__type="hold", **place)
-    return StageParameters.from_configuration(configuration.override("stage", **values))
+    return StageParameters.from_configuration(configuration.override("stage", **values)), known
 
 
-def controlled(parameters: StageParameters) -> StageParameters:
-    """Return the stage with controllers designed for its models."""
+def controlled(parameters: StageParameters, known: Uncertainties) -> StageParameters:
+    """Return the stage with controllers designed for its models, as far as these are known."""
     axes = []
-    for axis in parameters.axes:
-        designed = design_axis(axis, DesignRequest("pid", noise=5e-9, damping="none")).parameters
+    for name, axis in zip(NAMES, parameters.axes, strict=True):
+        designed = design_axis(axis, DesignRequest("pid", noise=5e-9, damping="none"), known.get(name)).parameters
         own = {name: getattr(designed, name) for name in ControllerParameters.__dataclass_fields__}
         axes.append(replace(axis, motion_controller=replace(axis.motion_controller, **own)))
     return replace(parameters, axes=tuple(axes))
 
 
-def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> StageParameters:
+def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> tuple[StageParameters, Uncertainties]:
     """Return the identified stage with its controllers, from a file of an earlier run if there is one."""
     path = folder / f"identified_{seed}.yaml"
     if not path.exists():
-        path.write_text(controlled(identified(plant, seed)).configuration_text(), encoding="utf-8")
-    return StageParameters.from_configuration(load_configuration(str(path)))
+        parameters, known = identified(plant, seed)
+        section = {key: value for name, one in known.items() for key, value in entries(one, name).items()}
+        text = controlled(parameters, known).configuration_text() + dump_configuration({SECTION: section})
+        path.write_text(text, encoding="utf-8")
+    configuration = load_configuration(str(path))
+    parameters = StageParameters.from_configuration(configuration)
+    return parameters, response_uncertainties(configuration, parameters)
 
 
 def with_learning(parameters: StageParameters, learned: dict[str, LearningParameters]) -> StageParameters:
@@ -303,7 +311,7 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
     """Return the figures of all scans on one plant, for these ways of control."""
     begun = time.perf_counter()
     plant = drawn(seed)
-    parameters = modelled(plant, seed, models)
+    parameters, known = modelled(plant, seed, models)
     kinds = "/".join(actuator.hysteresis for actuator in plant.actuators)
     print(f"plant {seed} ({kinds}): identified and designed, {time.perf_counter() - begun:.0f} s", flush=True)
     rows = []
@@ -311,7 +319,7 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
         following = parameters.following(StageScanParameters(kind, values, periods=periods[0]))
         chosen, left = {"feedback": {}}, {}
         if {"inverse", "learning"} & set(ways):
-            found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM))
+            found = design_stage_learning(following, LearningRequest("inversion", maximum=MAXIMUM), known)
             files = {}
             for axis, correction in found.corrections.items():
                 files[axis] = str(folder / f"{seed}_{axis}.yaml")

@@ -30,6 +30,7 @@ from hysteresis_ros.analysis.parts import (
     part_figures,
     scan_start,
     step_figures,
+    stop_is_recorded,
     stopped,
     within,
 )
@@ -277,6 +278,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     if judged.size < off.size:
         lost = float(np.sum(np.diff(time)[off[1:]]))
         text = f"errors, steps and loops do not count {lost:.4g} s of shutdown: the axis was stopped"
+        if not stop_is_recorded(recording):
+            text += " (not recorded, but its voltage left a settled hold and then stood still)"
         notes["recording"] = [*notes["recording"], text]
     command, voltage = _signals(recording, good)
     figures.update(chattering_figures(time, reference, command, voltage, notes))

@@ -31,6 +31,8 @@ from hysteresis_ros.units import quantity
 HOLD_SAMPLES = 10
 #: Fraction of a hold, at its end, over which the final value is averaged.
 FINAL_PART = 0.1
+#: An axis has left its hold when its error exceeds this fraction of the stroke.
+LEFT = 0.1
 #: The reference jumps when its movement per sample changes by more than this fraction of its stroke.
 JUMP = 0.01
 #: A reversal of a scan is at least this fraction of its stroke.
@@ -199,10 +201,13 @@ def stopped(recording: Recording) -> np.ndarray:
     """Return whether the axis is stopped at each sample, shape (N,).
 
     The plant, or a node between reference and voltage, reports a stop. A node without input also counts if a stop of
-    the axis follows, or if the run ends in that state. Without these signals the recorded causes of the stop are used.
+    the axis follows, or if the run ends in that state. Without these signals the recorded causes of the stop are used,
+    and without those the samples are judged: see :func:`stop_is_recorded`.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
+    if not stop_is_recorded(recording):
+        return _left_its_hold(recording)
     if not said and not tripped.size:
         return _stopped_by_changes(recording)
     certain = tripped if tripped.size else np.zeros(len(recording), dtype=bool)
@@ -216,6 +221,35 @@ def stopped(recording: Recording) -> np.ndarray:
         if last < safe.size and not certain[first:last].any():
             safe[first:last] = False
     return safe
+
+
+def stop_is_recorded(recording: Recording) -> bool:
+    """Return whether the recording can say that the axis was stopped, as one of a node does and a table does not."""
+    return any(map(recording.has, (*MODES, "tripped"))) or "changes" in recording.metadata
+
+
+def _left_its_hold(recording: Recording) -> np.ndarray:
+    """Return the samples after a settled hold that the axis leaves for a constant voltage, though the reference stays.
+
+    No loop does that, and an open one holds its voltage: at the end of a run it is a shutdown.
+    """
+    found = np.zeros(len(recording), dtype=bool)
+    if len(recording) < 2 or not all(map(recording.has, ("reference", "voltage", "displacement"))):
+        return found
+    reference, voltage = recording["reference"], recording["voltage"]
+    stroke = float(np.nanmax(reference) - np.nanmin(reference))
+    held = int(np.max(np.flatnonzero(np.diff(reference)), initial=-1)) + 1
+    constant = int(np.max(np.flatnonzero(np.diff(voltage)), initial=-1)) + 1
+    if found.size - constant < HOLD_SAMPLES or constant <= held:
+        return found
+    away = np.abs(voltage[held : constant + 1] - voltage[-1])
+    left = held + int(np.max(np.flatnonzero(np.diff(away) >= 0.0), initial=0)) + 1
+    error = np.abs(reference - recording["displacement"])
+    if left - held < HOLD_SAMPLES or not np.nanmedian(error[left - HOLD_SAMPLES : left]) <= SETTLING_BAND * stroke:
+        return found
+    if np.nanmedian(error[constant:]) > LEFT * stroke:
+        found[left:] = True
+    return found
 
 
 def _stopped_by_changes(recording: Recording) -> np.ndarray:

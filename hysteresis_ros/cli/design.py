@@ -166,6 +166,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         controllers_file,
         design_controllers,
         design_stage_learning,
+        response_uncertainties,
         stage_learning_file,
         stage_lines,
     )
@@ -177,6 +178,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     if response is not None:
         raise ConfigurationError("--response is for a single axis, and this is a stage: omit it")
     parameters = StageParameters.from_configuration(configuration)
+    known = response_uncertainties(configuration, parameters)
     wanted = options.get("controller") or options.get("learning")
     if not wanted:
         given = [name for name, value in options.items() if value]
@@ -197,7 +199,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
             _learn_together(configuration, learns, runs, output)
             return
         with shown("designing"):
-            result = design_stage_learning(parameters, learns)
+            result = design_stage_learning(parameters, learns, known)
         place = pathlib.Path(output).expanduser().resolve()
         files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in result.designs}
         for name, correction in result.corrections.items():
@@ -213,7 +215,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
     with shown("designing"):
-        designs = design_controllers(parameters, request, chosen=namespace or None)
+        designs = design_controllers(parameters, request, known, namespace or None)
         text = controllers_file(configuration, designs, f"--controller {request.controller}")
         lines = stage_lines(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
     write_file(output, text)

@@ -120,23 +120,25 @@ OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
 Design = Callable[[float | None, float | None], Designed]
 
 
-def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | None:
-    """Return the uncertainty of the response that an identification has written into a parameter file, or None."""
+def response_uncertainty(configuration: Configuration, axis: str = "") -> ResponseUncertainty | None:
+    """Return the uncertainty of the response that an identification has written into a parameter file, or None.
+
+    An identified stage has one for each ``axis``.
+    """
     found = next((values for name, values in configuration.entries if name == SECTION), {})
-    if "response.uncertainty" not in found:
+    start = f"{axis}.response." if axis else "response."
+    if f"{start}uncertainty" not in found:
         return None
     try:
-        frequencies, relative = (
-            np.array(found[f"response.{name}"], dtype=float) for name in ("frequencies", "uncertainty")
-        )
-        known_to = float(found.get("response.known_to", np.inf))
+        frequencies, relative = (np.array(found[start + name], dtype=float) for name in ("frequencies", "uncertainty"))
+        known_to = float(found.get(f"{start}known_to", np.inf))
     except (KeyError, TypeError, ValueError):
         frequencies, relative, known_to = np.ones(1), np.zeros(0), 0.0
     rising = frequencies.shape == relative.shape and frequencies.ndim == 1 and bool(np.all(np.diff(frequencies) > 0.0))
     if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
         raise ConfigurationError(
-            f"{configuration.source}: {SECTION}: response.frequencies and response.uncertainty must be as many numbers,"
-            " frequencies rising, uncertainties not below 0; identify again, or remove the entries response.*"
+            f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must be as many numbers,"
+            f" frequencies rising, uncertainties not below 0; identify again, or remove the entries {start}*"
         )
     return ResponseUncertainty(frequencies, relative, known_to)
 

@@ -19,7 +19,7 @@ model does not predict.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,13 +28,23 @@ from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins, relative_gain_array, singular_values
 from hysteresis_ros.control.learning import LONGEST, SAME, Learned
 from hysteresis_ros.control.uncertainty import ResponseUncertainty
-from hysteresis_ros.designs.controller import AxisDesign, DesignRequest, design_axis, design_text, learning_text
+from hysteresis_ros.designs.controller import (
+    AxisDesign,
+    DesignRequest,
+    design_axis,
+    design_text,
+    learning_text,
+    response_uncertainty,
+)
 from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.loop.stage_response import SMALLEST, scanned_paths, stage_loop, stage_plant, stage_response
 from hysteresis_ros.models.linear_algebra import product
+
+#: What is known of the response of each axis, by its name; an axis without an entry has an exact model.
+Uncertainties = Mapping[str, ResponseUncertainty]
 
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
@@ -70,15 +80,21 @@ def stage_lines(parameters: StageParameters) -> list[str]:
     return [f"{name:<{width}}  {text}" for name, text in rows]
 
 
+def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:
+    """Return the uncertainty of the response of each axis that an identification has written into a parameter file."""
+    found = {name: response_uncertainty(configuration, name) for name in parameters.names}
+    return {name: known for name, known in found.items() if known is not None}
+
+
 def design_controllers(
     parameters: StageParameters,
     request: DesignRequest,
-    known: ResponseUncertainty | None = None,
+    known: Uncertainties,
     chosen: str | None = None,
 ) -> dict[str, AxisDesign]:
     """Design the controllers of all axes, or of one axis, each for the model of its own axis."""
     names = parameters.names if chosen is None else (parameters.names[parameters.place(chosen)],)
-    return {name: design_axis(parameters.axes[parameters.place(name)], request, known) for name in names}
+    return {name: design_axis(parameters.axes[parameters.place(name)], request, known.get(name)) for name in names}
 
 
 def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign], words: str) -> str:
@@ -152,9 +168,7 @@ def decoupled(parameters: StageParameters, paths: np.ndarray) -> np.ndarray:
     return np.fft.irfft(corrected, count, axis=1)
 
 
-def design_stage_learning(
-    parameters: StageParameters, request: LearningRequest, known: ResponseUncertainty | None = None
-) -> StageLearning:
+def design_stage_learning(parameters: StageParameters, request: LearningRequest, known: Uncertainties) -> StageLearning:
     """Design the learning of every axis that scans, for the period of its own path, with the initial corrections."""
     paths, rate = scanned_paths(parameters), parameters.sample_rate
     corrections = decoupled(parameters, paths)
@@ -165,7 +179,7 @@ def design_stage_learning(
         if period > LONGEST:
             found.left[name] = f"its path repeats after {period} samples, but learning stores at most {LONGEST}"
             continue
-        design = design_learning(axis, replace(request, period=period / rate), known)
+        design = design_learning(axis, replace(request, period=period / rate), known.get(name))
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
         # effects that another axis causes once in its longer period do not belong to this period
         own = corrections[place].reshape(-1, period).mean(axis=0)

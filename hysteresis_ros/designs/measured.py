@@ -109,12 +109,13 @@ def with_measured_dynamics(
     return MeasuredDynamics(text, figures, fit.warnings)
 
 
-def entries(found: ResponseUncertainty) -> dict:
-    """Return the values of an uncertainty for a parameter file, for a later design."""
-    known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
+def entries(found: ResponseUncertainty, axis: str = "") -> dict:
+    """Return the values of an uncertainty for a parameter file, for a later design; a stage has them for each axis."""
+    start = f"{axis}.response." if axis else "response."
+    known = {f"{start}known_to": found.known_to} if np.isfinite(found.known_to) else {}
     return {
-        "response.frequencies": tuple(float(f"{value:.6g}") for value in found.frequencies),
-        "response.uncertainty": tuple(float(f"{value:.3g}") for value in found.relative),
+        f"{start}frequencies": tuple(float(f"{value:.6g}") for value in found.frequencies),
+        f"{start}uncertainty": tuple(float(f"{value:.3g}") for value in found.relative),
         **known,
     }
 

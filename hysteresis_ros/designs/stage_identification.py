@@ -33,9 +33,10 @@ import numpy as np
 from hysteresis_ros.configuration import STAGE, Configuration, dump_configuration, parse_configuration
 from hysteresis_ros.control.coupling import lost_direction, relative_gain_array, static_decoupling
 from hysteresis_ros.control.linearisation import whole_loop
-from hysteresis_ros.control.margins import REQUIRED, loop_of
+from hysteresis_ros.control.margins import REQUIRED, loop_of, plant_state_space
 from hysteresis_ros.designs.controller import AxisDesign, DesignRequest
-from hysteresis_ros.designs.coupled import controllers_file, design_controllers, stage_lines
+from hysteresis_ros.designs.coupled import Uncertainties, controllers_file, design_controllers, stage_lines
+from hysteresis_ros.designs.measured import entries
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError, ParameterError, Problem
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import StructureData, StructureEstimator
@@ -49,7 +50,7 @@ from hysteresis_ros.identification.frequency_response import (
 )
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
-from hysteresis_ros.identification.response_check import LOWEST
+from hysteresis_ros.identification.response_check import LOWEST, measured_plant
 from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, slowest
 from hysteresis_ros.identification.stage_data import StageReading, loops_of
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
@@ -281,7 +282,8 @@ def identify_stage(
     noise = _noise(responses[0], data)
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
-    text, designs, why = _designed(text, parameters, request, noise, analyses)
+    known = _uncertainties(parameters, analyses)
+    text, designs, why = _designed(text, parameters, request, noise, analyses, known)
     warnings += why
     designed = parse_configuration(text, "the identified stage")
     parameters = StageParameters.from_configuration(designed)
@@ -291,7 +293,7 @@ def identify_stage(
     if into is not None:
         text = _put_into(into, designed, parameters)
     warnings = list(dict.fromkeys(warnings))
-    text = _with_section(text, reading, loops, figures, warnings)
+    text = _with_section(text, reading, loops, figures, warnings, known)
     return IdentifiedStage(text, parameters, responses, analyses, designs, figures, tuple(warnings))
 
 
@@ -718,7 +720,19 @@ def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[
     return [(float(f"{c - share * w:.4g}"), float(f"{c + share * w:.4g}")) for c, w in zip(centre, wide, strict=True)]
 
 
-def _designed(text: str, parameters: StageParameters, request: StageRequest, noise, analyses):
+def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
+    """Return how far the model of each axis may be from its response, where this was measured."""
+    found = {}
+    for name, axis, analysis in zip(parameters.names, parameters.axes, analyses, strict=True):
+        response = analysis.response
+        if response.degrees is not None:
+            z = np.exp(2j * np.pi * response.frequency * response.sample_time)
+            model = plant_state_space(axis.motion_controller.model.dynamics).response(z)[:, 0, 0]
+            found[name] = measured_plant(analysis, model).uncertainty(model, response.sample_time)
+    return found
+
+
+def _designed(text: str, parameters: StageParameters, request: StageRequest, noise, analyses, known: Uncertainties):
     """Return the text with designed controllers, the designs, and why one is missing."""
     if request.controller == "none":
         return text, {}, []
@@ -728,7 +742,7 @@ def _designed(text: str, parameters: StageParameters, request: StageRequest, noi
     for damping in dampings:
         asked = DesignRequest(controller=request.controller, noise=level, damping=damping)
         try:
-            designs = design_controllers(parameters, asked)
+            designs = design_controllers(parameters, asked, known)
             words = f"--controller {request.controller}" + (f" --damping {damping}" if damping else "")
             source = parse_configuration(text, "the identified stage")
             return controllers_file(source, designs, words), designs, _measured(designs, analyses)
@@ -814,7 +828,7 @@ def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
     return product(block.simulate(drives) + preloads, parameters.stage.matrix("sensor_matrix").T)
 
 
-def _with_section(text: str, reading, loops, figures: dict, warnings) -> str:
+def _with_section(text: str, reading, loops, figures: dict, warnings, known: Uncertainties) -> str:
     """Return the text with its section ``/identification``."""
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     section: dict = {"source": reading.source, "date": now.isoformat()}
@@ -827,6 +841,8 @@ def _with_section(text: str, reading, loops, figures: dict, warnings) -> str:
         section[f"metrics.{name}"] = value
     if warnings:
         section["warnings"] = list(warnings)
+    for name, uncertainty in known.items():
+        section |= entries(uncertainty, name)
     return text.rstrip("\n") + "\n" + dump_configuration({SECTION: section})
 
 

@@ -164,6 +164,43 @@ def test_what_stopped_the_nodes_counts_where_no_signal_says_it():
     assert [part.kind for part in find_parts(STEPS, off=stopped(known))].count(Kind.SHUTDOWN) == 1
 
 
+def a_table(**other):
+    """Return a run without modes, as from a table: steps that settle, then the voltage falls to 0 V in 50 samples."""
+    reference = np.concatenate([STEPS[:1000], np.full(400, STEPS[999])])
+    fall = np.concatenate([np.ones(1000), np.linspace(1.0, 0.0, 50), np.zeros(350)])
+    rng = np.random.default_rng(3)
+    displacement = reference * fall + rng.normal(0.0, 2e-9, 1400)
+    voltage = reference * fall * 1e7 + rng.normal(0.0, 0.02, 1400) * (fall == 1.0)
+    return run(reference, displacement, **{"voltage": voltage} | other)
+
+
+def test_a_table_that_ends_in_a_shutdown_shows_it_in_its_voltage():
+    recording = a_table()
+    begins = int(np.flatnonzero(stopped(recording))[0])
+    assert 995 <= begins <= 1001 and stopped(recording)[begins:].all()
+    figures = compute_metrics(recording)
+    assert figures["parts"][-1]["part"] == "shutdown" and figures["max_error_m"] < 0.1e-6
+    assert "not recorded, but its voltage left a settled hold" in " ".join(figures["notes"]["recording"])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        pytest.param({"plant_mode": np.zeros(1400)}, id="a recording that says it was running"),
+        pytest.param({"voltage": STEPS * 1e7}, id="a voltage that does not leave"),
+        pytest.param({"voltage": np.random.default_rng(1).normal(size=1400)}, id="a voltage that does not stand still"),
+    ],
+)
+def test_an_axis_that_is_not_shown_to_be_stopped_is_judged(other):
+    assert not stopped(a_table(**other)).any()
+
+
+def test_saturation_is_no_shutdown():
+    reference = np.repeat([0.0, 5e-6, 9e-6], 400)
+    reached = np.minimum(reference, 7e-6)
+    assert not stopped(run(reference, reached, voltage=reached * 1e7)).any()
+
+
 def test_a_node_that_waits_for_input_for_a_while_has_not_stopped_the_axis():
     mode = np.zeros(1400)
     mode[700:760] = 2.0

@@ -128,7 +128,7 @@ def test_the_period_of_an_axis_is_that_of_its_own_path():
 
 def test_each_axis_learns_over_the_period_of_its_own_path():
     values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
-    found = design_stage_learning(stage("raster", values), LearningRequest("inversion"))
+    found = design_stage_learning(stage("raster", values), LearningRequest("inversion"), {})
     assert found.designs["x"].parameters.period == pytest.approx(0.05), "a line"
     assert found.designs["y"].parameters.period == pytest.approx(0.4), "a frame"
     assert len(found.corrections["x"].correction) == 500 and len(found.corrections["y"].correction) == 4000
@@ -136,9 +136,9 @@ def test_each_axis_learns_over_the_period_of_its_own_path():
 
 def test_what_cannot_learn_is_said():
     with pytest.raises(ConfigurationError, match="the stage follows no scan: give scan.kind"):
-        design_stage_learning(stage(), LearningRequest("inversion"))
+        design_stage_learning(stage(), LearningRequest("inversion"), {})
     with pytest.raises(ConfigurationError, match="x: its model needs corrections of .* give a larger --maximum"):
-        design_stage_learning(stage(*SPIRAL), LearningRequest("inversion", maximum=1e-9))
+        design_stage_learning(stage(*SPIRAL), LearningRequest("inversion", maximum=1e-9), {})
     fed = stage(*SPIRAL, motion_controller={"feedforward__type": "static"})
     with pytest.raises(ConfigurationError, match=r"feedforward.type = static: must be none"):
         decoupled(fed, scanned_paths(fed))
