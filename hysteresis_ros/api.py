@@ -221,7 +221,7 @@ class StageRun(Run):  # numpydoc ignore=PR02
     units : dict of str to str, optional
         Unit of each signal.
     metadata : dict, optional
-        Whatever JSON can hold.
+        Values that JSON can hold.
 
     Raises
     ------
@@ -240,7 +240,7 @@ class StageRun(Run):  # numpydoc ignore=PR02
         return Run.of(self.axis(name)) if name in self.axes else super().__getitem__(name)
 
     def __getattr__(self, name: str) -> Any:
-        # before the fields exist (copying, unpickling) there are no axes
+        # while a run is copied or unpickled, it has no signals and therefore no axes yet
         if "signals" in self.__dict__ and name in self.axes:
             return self[name]
         return super().__getattr__(name)
@@ -276,7 +276,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         intersample: str | None = None,
         initial: str | None = None,
     ) -> np.ndarray:
-        """Return the displacement that the model predicts under a voltage, with the kernels of the nodes.
+        """Return the displacement that the model predicts for a voltage; the nodes use the same kernels.
 
         Parameters
         ----------
@@ -299,7 +299,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         Raises
         ------
         IdentificationError
-            The dynamics are known only for another sample time, or a choice does not exist.
+            The dynamics are known only for another sample time, or ``intersample`` or ``initial`` has an unknown value.
         RecordingError
             The recording has no signal ``voltage``.
         HysteresisError
@@ -341,7 +341,7 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
 
 
 class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
-    """The result of :func:`identify`: a :class:`Compared` with the parameter file and the path to it.
+    """The result of :func:`identify`: a :class:`Compared` with the identification and its parameter file.
 
     Parameters
     ----------
@@ -360,9 +360,9 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
     warnings : tuple of str
         Warnings, one sentence each.
     identification : Identification
-        The result with standard deviations, assumptions and, for searches, the path of the parameters.
+        The result with standard deviations, assumptions and, for iterative fits, the parameters after each iteration.
     text : str
-        The parameter file: a whole axis, as plant, compensator and controller load it.
+        Text of the parameter file: a complete axis, which plant, compensator and controller load.
     response : ResponseCheck, optional
         How well the recording determines the frequency response; None for a model whose hysteresis contains the
         dynamics.
@@ -403,7 +403,7 @@ class DesignedFile:  # numpydoc ignore=PR02
         Raises
         ------
         HysteresisError
-            It cannot be written.
+            The file cannot be written.
         """
         write_file(path, self.text)
 
@@ -446,7 +446,7 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
-    """A designed learning over the periods of a scan and the configuration that contains it.
+    """A design of learning over the periods of a scan, and the configuration that contains it.
 
     Parameters
     ----------
@@ -467,12 +467,12 @@ class Response(AxisResponse):  # numpydoc ignore=PR02
     Parameters
     ----------
     plan : Plan
-        Place of the excitation in the recording.
+        Position of the excitation in the recording.
     plant : Analysis
         Response from voltage or command to the measured displacement, with its uncertainty:
         ``plant.response.frequency`` [Hz], ``plant.response.response``.
     loop : MeasuredLoop, optional
-        Loop transfer function, sensitivity and margins; of a closed loop only.
+        Loop transfer function, sensitivity and margins; only for a closed loop.
     model : ndarray of complex, shape (F,), optional
         Response of the controller's model of the plant at the same frequencies.
     model_loop : ndarray of complex, shape (F,), optional
@@ -566,18 +566,18 @@ def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Confi
         A parameter file (``.yaml``) or the bare name of a shipped one (``kim2009``); or a recording: a bag (folder,
         ``.mcap``, ``.db3``) or a table (``.npz``, ``.csv`` with units in its header).
     namespace : str, optional
-        The axis, where a bag contains several.
+        The axis to use, if a bag contains several.
 
     Returns
     -------
     Configuration or Run
-        A configuration goes into :func:`simulate` and :func:`design`, also with changes:
+        :func:`simulate` and :func:`design` accept a configuration, also with changed parameters:
         ``load("kim2009").override("motion_controller", type="open_loop")``.
 
     Raises
     ------
     ConfigurationError
-        The file is neither, or the parameter file cannot be read.
+        The file is neither a configuration nor a recording, or the parameter file cannot be read.
     RecordingError
         The recording cannot be read.
 
@@ -643,38 +643,41 @@ def simulate(
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
     threads: int = 1,
 ) -> Run | ArrayRun:
-    """Run an axis, or a stage of coupled axes, offline from rest. For an axis: bit for bit like its nodes in lockstep.
+    """Run an axis, or a stage of coupled axes, offline from rest.
 
-    When the axis may not be able to follow its reference, Python warnings say so.
+    An axis gives the same bits as its nodes in lockstep. If the axis may be unable to follow its reference, a Python
+    warning reports this.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
         The axis: a parameter file, the name of a shipped one, a result of :func:`load`, :func:`identify` or
-        :func:`design`, or a run, whose axis runs again.
+        :func:`design`, or a run, whose axis is then simulated.
     duration : float, optional
         Duration [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
     setpoints : array_like, shape (N,), or mapping of str to array_like, optional
-        Setpoint at each sample [m]; after them the last one is held. For a stage: a mapping by the names of its axes.
+        Setpoint at each sample [m]; the last one is held until the end of the run. For a stage: a mapping by the names
+        of its axes.
     requests : array_like, shape (N,), optional
         Requests to an inchworm's sequencer at each sample.
     speeds : array_like, shape (N,), optional
         Requested walking speed of an inchworm at each sample [m/s]; NaN: no request.
     faults : sequence of Fault or str
-        Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or as in the commands ``"stale:0.1:0.3"``:
-        ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
+        Faults to inject: ``hr.Fault("stale", 0.1, 0.3)``, or a text ``NAME:START:DURATION[:VALUE]`` with times in
+        seconds, such as ``"stale:0.1:0.3"``. ``docs/topics.md`` lists the names.
     scan : Scan, optional
-        Scan that a stage follows about its setpoints, such as
+        Scan that a stage follows around its setpoints, such as
         ``hysteresis_ros.references.scans.scan_of("raster", {"width": 30e-6, "depth": 30e-6})``; by default that of its
-        configuration. :func:`report` then judges the scan.
+        configuration. :func:`report` then evaluates the scan.
     namespace : str, optional
-        The axis, where a configuration contains several; for a stage, the axis that has the faults.
+        The axis to use, if a configuration contains several; for a stage, the axis in which faults are injected.
     axes : int, optional
-        Number of independent axes like this one, 1 … 4096, in one call; setpoints may then be of shape (axes, N).
+        Run this number of independent axes like this one (1 … 4096) in one call; setpoints may then have the shape
+        (axes, N).
     each : mapping of str to sequence, optional
         Parameters in which these axes differ, as in :func:`axis_array`.
     threads : int
-        Threads that share these axes.
+        Number of threads that compute these axes.
 
     Returns
     -------
@@ -709,7 +712,7 @@ def simulate(
             samples = array.parameters[0].with_duration(duration).plant_simulator.samples
         return array.run(setpoints, samples)
     if each is not None:
-        raise ConfigurationError("each: values for each axis need a number of axes: give axes")
+        raise ConfigurationError("each: the number of axes is missing: give axes")
     if scan is not None:
         configuration = with_scan(configuration, *scan_words(scan))
     if configuration.stage is not None:
@@ -722,7 +725,7 @@ def simulate(
             warnings.warn(text, stacklevel=2)
         return Run.of(simulate_stage(stage, duration=duration, setpoints=setpoints))
     if isinstance(setpoints, Mapping):
-        raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one row")
+        raise ConfigurationError("setpoints by names are for a stage, and this is a single axis: give one array")
     axis = single_axis(configuration, namespace)
     if faults:
         axis = axis.with_faults(tuple(map(str, faults)))
@@ -740,25 +743,25 @@ def axis_array(
     faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
 ) -> AxisArray:
-    """Return many independent axes, such as the actuators of a deformable mirror, that one call advances.
+    """Return many independent axes that one call advances, such as the actuators of a deformable mirror.
 
-    Every axis has the bits that it has alone, with any number of axes and threads.
+    Every axis gives the same bits as alone, whatever the number of axes and threads.
 
     Parameters
     ----------
     config : path-like, Configuration, Identified, Design or Recording
-        The axis, see :func:`simulate`: a simulated actuator.
+        The axis, a simulated actuator; see :func:`simulate`.
     axes : int
         Number of axes, 1 … 4096.
     each : mapping of str to sequence, optional
         Parameters in which the axes differ, by ``NODE.PARAMETER``, with a value for each axis:
         ``{"plant_simulator.sensor.seed": range(1, 1025)}``. Axes with equal seeds have equal noise.
     threads : int
-        Threads that share the axes.
+        Number of threads that compute the axes.
     faults : sequence of Fault or str
         Faults of every axis, see :func:`simulate`.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------
@@ -789,9 +792,9 @@ def _parameters_of_array(
     faults: Sequence[str | Fault],
     namespace: str | None,
 ) -> list[AxisParameters]:
-    """Return the parameters of each axis of an array; Python warnings say when they cannot follow their reference."""
+    """Return the parameters of each axis of an array; warn if the axes cannot follow their reference."""
     if configuration.stage is not None:
-        raise ConfigurationError("axes: a stage has the coupled axes of its file; independent ones need another file")
+        raise ConfigurationError("axes: this is a stage of coupled axes: give the file of a single axis, or omit axes")
     axis = single_axis(configuration, namespace)
     if faults:
         axis = axis.with_faults(tuple(map(str, faults)))
@@ -842,7 +845,7 @@ def identify(
     progress: Any = None,
     **conditions: Unpack[Conditions],
 ) -> Identified | IdentifiedStage:
-    """Identify a model of the hysteresis and of the dynamics behind it from a recording, or a stage of coupled axes.
+    """Identify a model of an axis (hysteresis and the dynamics after it), or a stage of coupled axes, from recordings.
 
     Parameters
     ----------
@@ -851,31 +854,31 @@ def identify(
         ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
         Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
-        ``generalised_play`` if it predicts data outside the fit better; ``auto``: the best of all models.
+        ``generalised_play`` if it predicts held-out data better; ``auto``: the best of all models.
     columns : Columns or StageColumns, optional
         Columns of a file, their units, and the part to use: ``hr.Columns("ch1:V", "ch2:um")``. With
-        ``hr.StageColumns()`` several inputs and outputs are identified as a stage, of one file or of several.
+        ``hr.StageColumns()`` several inputs and outputs, from one file or several, are identified as a stage.
     loops : path-like or Recording, optional
-        Of a stage: a recording in which one actuator after the other goes through its range.
+        For a stage: a recording in which the actuators move through their ranges one after the other.
     into : str, path-like or Configuration, optional
-        A stage that keeps its plants and gets everything else.
+        For a stage: a configuration whose plants are kept; everything else is taken from the result.
     linear : str, optional
-        Linear dynamics behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
+        Linear dynamics after the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances, if
         they predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
-        Options of the model, such as ``{"play_count": 20}``; of a stage those of :class:`.StageRequest`.
+        Options of the model, such as ``{"play_count": 20}``; for a stage those of :class:`.StageRequest`.
     inverse : str, optional
-        Inverse of the compensator; the model's first by default.
+        Inverse of the compensator; by default the first inverse of the model.
     progress : callable, optional
-        Called as ``progress(number, text)`` while the fit runs, of a stage as ``progress(text)``.
+        Called as ``progress(number, text)`` while the fit runs; for a stage as ``progress(text)``.
     **conditions
         ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
 
     Returns
     -------
     Identified or IdentifiedStage
-        With ``parameters``, ``figures``, ``warnings`` and ``save(path)``. Of a single axis also ``predicted`` and
-        ``converged``; :func:`simulate`, :func:`design` and :func:`report` take it as it is.
+        With ``parameters``, ``figures``, ``warnings`` and ``save(path)``; for a single axis also ``predicted`` and
+        ``converged``. :func:`simulate`, :func:`design` and :func:`report` accept the result of a single axis directly.
 
     Raises
     ------
@@ -932,7 +935,7 @@ def validate(
     columns : Columns, optional
         Columns of a file, see :func:`identify`.
     namespace : str
-        The axis, where a file contains several.
+        The axis to use, if a file contains several.
     inverse : bool
         Also validate the inverse.
     **conditions
@@ -968,7 +971,7 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
         A recording, or a result of :func:`simulate`, :func:`identify` or :func:`validate`. Several runs are compared: a
         sequence of files, or a mapping of names to runs.
     namespace : str, optional
-        The axis, where a bag contains several.
+        The axis to use, if a bag contains several.
 
     Returns
     -------
@@ -976,7 +979,7 @@ def metrics(source: Reported | ArrayRun, *, namespace: str | None = None) -> dic
         Figures in SI units, by names that contain their unit: ``rms_error_m``, ``settling_time_s`` …; for an inchworm
         its moves and steps. For several runs, and for the axes of a stage, one such dictionary each, by name; for a
         stage that follows a scan also ``scan``, errors in the plane (:func:`scan_run`). For many independent axes each
-        figure is an array, shape (n,), with NaN where an axis does not have it.
+        figure is an array, shape (n,), with NaN for an axis that lacks the figure.
 
     Raises
     ------
@@ -1019,12 +1022,12 @@ def report(
         A recording, or a result of :func:`simulate`, :func:`identify` or :func:`validate`. Several runs are compared: a
         sequence of files, or a mapping of names to runs.
     path : path-like, optional
-        HTML file to write, complete in itself. Plots need Matplotlib and Jinja2 (``pip install
+        Self-contained HTML file to write. Plots need Matplotlib and Jinja2 (``pip install
         "hysteresis_ros[report]"``).
     title : str, optional
         Heading of the page of a run; by default the name of the recording, or of all recordings.
     namespace : str, optional
-        The axis, where a bag contains several.
+        The axis to use, if a bag contains several.
 
     Returns
     -------
@@ -1094,20 +1097,20 @@ def scan_run(
 ) -> ScanRun | None:
     """Return a recorded scan of a stage, for :func:`~hysteresis_ros.analysis.scan_report.scan_figures`.
 
-    A simulated run is judged between its samples too, against the path in closed form, undelayed.
+    A simulated run is also evaluated between its samples, against the undelayed path in closed form.
 
     Parameters
     ----------
     source : path-like or Recording
-        The whole run of a stage.
+        The complete run of a stage.
     first, last : float, optional
-        Part of the run that counts [s]; by default all samples after the first period of the path, or after its first
+        Part of the run to evaluate [s]; by default all samples after the first period of the path, or after its first
         line if the run has fewer than two periods.
 
     Returns
     -------
     ScanRun or None
-        None for a run that follows no scan.
+        None if the run does not follow a scan.
 
     Raises
     ------
@@ -1158,7 +1161,7 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
         ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage``, ``loops`` (before and after
         compensation), ``spectrum``, ``histogram`` …, as on the page of :func:`report`.
     namespace : str, optional
-        The axis, where a bag contains several.
+        The axis to use, if a bag contains several.
 
     Returns
     -------
@@ -1210,7 +1213,7 @@ def configuration_of(source: Source) -> Configuration:
         return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
     if isinstance(source, Recording):
         if not source.configuration:
-            raise ConfigurationError("the recording does not hold the configuration of its axis; give the file")
+            raise ConfigurationError("the recording does not contain the configuration of its axis; give the file")
         return parse_configuration(source.configuration, "the configuration in the recording")
     return load_configuration(source)
 

@@ -358,7 +358,7 @@ STAGE = "stage"
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``).
+    """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 requires ``5.0e-6``).
 
     A duplicate key in a mapping is refused, because one of its two values would be lost silently.
     """
@@ -459,7 +459,7 @@ class Configuration:
         others = [space for space in found if space != found[0]]
         if others:
             raise ConfigurationError(
-                f"{self.source}: two stages, {found[0]}/{STAGE} and {others[0]}/{STAGE}: a file describes one"
+                f"{self.source}: two stages, {found[0]}/{STAGE} and {others[0]}/{STAGE}: a file may describe only one"
             )
         return found[0] if found else None
 
@@ -610,7 +610,7 @@ def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML that both parsers read as the same numbers: every double has a decimal point, and there are no aliases."""
+    """YAML that PyYAML and ROS read as the same numbers: every double has a decimal point, and there are no aliases."""
 
     def ignore_aliases(self, data) -> bool:
         """Write every value out, because ROS does not read aliases."""
@@ -625,7 +625,7 @@ def _represent_float(dumper, value):
 
 
 _Dumper.add_representer(float, _represent_float)
-# the parser of ROS takes these for true and false, as YAML 1.1 says
+# the parser of ROS reads these as true and false, as YAML 1.1 specifies
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("[yYnN]"), list("yYnN"))
 _Dumper.add_representer(
     tuple, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", list(value), flow_style=True)

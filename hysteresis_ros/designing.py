@@ -116,7 +116,7 @@ def design(
         Measured frequency response, see :func:`frequency_response`: the design tolerates its difference from the model,
         and its margins are evaluated on it.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def design_learning(
     maximum : float, optional
         Largest correction [m]; by default 10 % of the stroke.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def design_learning(
     Raises
     ------
     ConfigurationError
-        The learning does not exist, the period is unknown, or no learning converges.
+        The kind of learning does not exist, the period is unknown, or no learning converges.
     ParameterError
         The period is not a whole number of samples.
 
@@ -204,7 +204,7 @@ def design_learning(
     if learning not in KINDS:
         there = ", ".join(sorted(KINDS))
         raise ConfigurationError(
-            f"no learning '{learning}' to design; there are: {there}{did_you_mean(learning, KINDS)}"
+            f"learning '{learning}' does not exist; there are: {there}{did_you_mean(learning, KINDS)}"
         )
     configuration = _written(configuration_of(config), namespace)
     axis = single_axis(configuration, namespace)
@@ -224,7 +224,7 @@ def frequency_response(
     offset: str | float | None = None,
     namespace: str | None = None,
 ) -> Response:
-    """Measure the frequency response of the simulated plant of a configuration, or take it from a recording.
+    """Measure the frequency response of the simulated plant of a configuration, or estimate it from a recording.
 
     Parameters
     ----------
@@ -237,13 +237,13 @@ def frequency_response(
     loop : str, optional
         ``open`` or ``closed``; by default ``open`` for a configuration.
     at : str, optional
-        Where the excitation is added: ``voltage``, ``command`` or ``reference``.
+        Signal to which the excitation is added: ``voltage``, ``command`` or ``reference``.
     amplitude : str or float, optional
         Peak of the excitation: ``"2V"``, ``"500nm"``, or a fraction of the range; by default 0.05.
     offset : str or float, optional
         Operating point: ``"40V"``, ``"30um"``, or a fraction of the range; by default its middle.
     namespace : str, optional
-        The axis, where there are several.
+        The axis to use, if there are several.
 
     Returns
     -------
@@ -270,7 +270,9 @@ def frequency_response(
         recorded = path.suffix.lower() in RECORDINGS or path.is_dir()
     if recorded:
         if (experiment, amplitude, offset) != (None, None, None):
-            raise ConfigurationError("a recording was excited already; leave out experiment, amplitude and offset")
+            raise ConfigurationError(
+                "the excitation of a recording cannot be changed; leave out experiment, amplitude and offset"
+            )
         return _of_recording(source, loop, at, namespace)
     sizes = (None if size is None else str(size) for size in (amplitude, offset))
     asked = ResponseRequest(experiment or Experiment(), loop or "open", at, *sizes)
@@ -294,7 +296,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a random plant around the configured one: gain, loop width, creep and times vary, the models stay.
+    """Draw a random plant around the configured one: gain, loop width, creep and times vary, the models do not.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespa
     seed : int
         Equal seeds give equal plants.
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------

@@ -52,7 +52,7 @@ def to_control(
     node : str
         For an axis: ``plant_simulator`` (the plant) or ``motion_controller`` (the controller's model of it).
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------
@@ -76,9 +76,7 @@ def to_control(
     try:
         import control
     except ImportError:
-        raise MissingExtraError(
-            "python-control", "control", "the exchange of linear systems with it needs it"
-        ) from None
+        raise MissingExtraError("python-control", "control", "to_control needs it") from None
     model, sample_time = sampled_dynamics(source, node, namespace)
     return control.StateSpace(model.A, model.B, model.C, model.D, sample_time, remove_useless_states=False)
 
@@ -95,7 +93,7 @@ def to_scipy(
     node : str
         For an axis: ``plant_simulator`` (the plant) or ``motion_controller`` (the controller's model of it).
     namespace : str, optional
-        The axis, where a configuration contains several.
+        The axis to use, if a configuration contains several.
 
     Returns
     -------
@@ -219,7 +217,7 @@ def with_dynamics(config: Source, dynamics: LinearParameters, *, node: str = "pl
 
 
 def _group(node: str) -> str:
-    """Return the group of parameters that holds the linear dynamics of a node."""
+    """Return the parameter group with the linear dynamics of a node."""
     if node not in NODES:
         there = ", ".join(NODES)
         raise ConfigurationError(f"node = {node!r}: must be one of {there}{did_you_mean(node, NODES)}")
@@ -232,7 +230,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
     if isinstance(source, Compared):
         if not source.plant.invertible:
             kind = source.plant.hysteresis.type
-            raise ConfigurationError(f"{kind}: its dynamics are inside the hysteresis, they are not linear")
+            raise ConfigurationError(f"{kind}: its dynamics are part of the hysteresis and not linear")
         if node != "plant_simulator":
             raise ConfigurationError(f"node = {node!r}: an identification gives the plant; leave node out")
         dynamics, sample_time = source.plant.dynamics, source.plant.sample_time
@@ -243,7 +241,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
             value = getattr(value, part)
         hysteresis = getattr(getattr(axis, node), "hysteresis", None)
         if hysteresis is not None and hysteresis.type != "none" and not hysteresis.model.block.invertible:
-            raise ConfigurationError(f"{hysteresis.type}: its dynamics are inside the hysteresis, they are not linear")
+            raise ConfigurationError(f"{hysteresis.type}: its dynamics are part of the hysteresis and not linear")
         dynamics, sample_time = value, 1.0 / axis.plant_simulator.sample_rate
     model = dynamics.state_space.scaled(dynamics.output_scale / dynamics.resolved_input_scale)
     return (model.held() if np.any(model.D) else model), sample_time
@@ -256,7 +254,7 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
         import control
 
         if not isinstance(system, (control.StateSpace, control.TransferFunction)):
-            raise ConfigurationError(f"a {type(system).__name__}: must be a StateSpace or a TransferFunction")
+            raise ConfigurationError(f"system is a {type(system).__name__}: must be a StateSpace or a TransferFunction")
         found = control.ss(system)
         stated = None if found.isctime() else found.dt
     elif home == "scipy" and hasattr(system, "to_ss"):
@@ -264,7 +262,7 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
         stated = found.dt
     else:
         raise ConfigurationError(
-            f"a {type(system).__name__}: must be a StateSpace or TransferFunction of python-control, or a system of "
+            f"system is a {type(system).__name__}: must be a StateSpace or TransferFunction of python-control, or of "
             "scipy.signal"
         )
     A, B, C, D = (np.atleast_2d(np.asarray(part, dtype=float)) for part in (found.A, found.B, found.C, found.D))

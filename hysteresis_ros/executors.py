@@ -225,7 +225,9 @@ class Cluster(Executor):
             raise self._gone() from None
 
     def _gone(self) -> HysteresisError:
-        return HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again, and repeat")
+        return HysteresisError(
+            f"--scheduler {self.address}: the scheduler no longer answers; start it again, and repeat the command"
+        )
 
     def submit(self, job: Job) -> Future:
         """Start a job and return its future."""
@@ -251,8 +253,8 @@ class Cluster(Executor):
             self._seen = time.monotonic()
         if time.monotonic() - self._seen > PATIENCE:
             raise HysteresisError(
-                f"--scheduler {self.address}: no worker for {PATIENCE:g} s; start some with `dask worker "
-                f"{self.address} --nthreads 1`, and repeat"
+                f"--scheduler {self.address}: no worker for {PATIENCE:g} s; start workers with `dask worker "
+                f"{self.address} --nthreads 1`, and repeat the command"
             )
 
 

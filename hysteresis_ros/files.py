@@ -151,7 +151,7 @@ def _sound(array: np.ndarray) -> np.ndarray:
     if array.dtype.kind == "U":
         points = np.ascontiguousarray(array).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
         if np.any((points > 0x10FFFF) | (points >> 11 == 0xD800 >> 11)):
-            raise ArchiveError("holds texts with invalid code points")
+            raise ArchiveError("contains texts with invalid code points")
     return array
 
 

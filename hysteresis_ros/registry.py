@@ -90,7 +90,7 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 def resolved(path: str) -> Any:
     """Import the module of a dotted path ``package.module:name`` and return the named object.
 
-    So a declaration can name an object of a folder that it must not import.
+    With such a path a declaration can name an object of a folder that it must not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)

@@ -235,18 +235,18 @@ STATE_FIRST = {
     PLANT: ("displacement", "measured", "voltage"),
 }
 
-#: External requests to an axis besides setpoints: inputs of its replay.
+#: External requests to an axis in addition to setpoints; a replay uses them as inputs.
 REQUESTS = ("request", "speed")
 
 
 @dataclass(frozen=True)
 class AxisKind:
-    """What differs between the axes of an actuator and of an inchworm motor: nodes, row, topics and inputs."""
+    """Differences between the axes of an actuator and of an inchworm motor: nodes, row, topics and inputs."""
 
     source: str  #: Node that writes the reference.
     row: tuple[Signal, ...]  #: Signals of a row, in order.
-    given: tuple[int, ...]  #: Indices in a row of the signals that a run is given.
-    motor: bool  #: Whether it is an inchworm motor, which walks and takes requests besides setpoints.
+    given: tuple[int, ...]  #: Indices in a row of the inputs of a run.
+    motor: bool  #: Whether it is an inchworm motor, which walks and accepts requests in addition to setpoints.
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -255,13 +255,13 @@ class AxisKind:
 
     @property
     def voltages(self) -> tuple[tuple[str, int, str], ...]:
-        """Topic, place in a row and writer of each voltage that the plant receives."""
+        """Topic, index in a row and writer of each voltage that the plant receives."""
         found = [signal for signal in self.row if signal.unit == "V" and signal.topic]
         return tuple((signal.topic, place(signal.name), signal.writer) for signal in found)
 
     @property
     def own_topics(self) -> tuple[str, ...]:
-        """Float64 topics that other axes do not have; its source publishes them."""
+        """Float64 topics that other axes do not have; the node ``source`` publishes them."""
         return tuple(signal.topic for signal in self.row if signal.motor and signal.topic)
 
     def state(self, node: str) -> dict[str, str]:
@@ -285,11 +285,9 @@ def place(name: str) -> int:
     return _PLACES[name]
 
 
-#: Values of the ``mode`` signals: RUNNING: normal operation; HOLDING: no usable input in this sample, the output is
-#: held;
-#: STALE: no usable input for the time-out; STOPPED: by a request; TRIPPED: the plant has stopped the axis; with these
-#: three
-#: the output goes to its safe value; FOLLOWING: no node reports achieved commands, the command follows the
+#: Values of the ``mode`` signals. RUNNING: normal operation. HOLDING: no usable input in this sample; the output is
+#: held. STALE: no usable input for the time-out. STOPPED: stopped by a request. TRIPPED: stopped by the plant. In these
+#: three modes the output goes to its safe value. FOLLOWING: no node reports achieved commands; the command follows the
 #: displacement.
 MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING = range(6)
 

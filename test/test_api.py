@@ -252,7 +252,7 @@ def test_load_tells_configurations_from_recordings_and_refuses_the_rest(tmp_path
 
 
 def test_a_recording_without_configuration_cannot_be_simulated():
-    with pytest.raises(ConfigurationError, match="does not hold the configuration"):
+    with pytest.raises(ConfigurationError, match="does not contain the configuration"):
         hr.simulate(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), duration=0.01)
 
 
@@ -294,7 +294,7 @@ def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
     design = hr.design("kim2009", "offset_free", response=tmp_path / "response.npz")
     assert any(line.startswith("measured") for line in design.lines)
     assert str(hr.design("kim2009", "offset_free", response=found)) == str(design)
-    with pytest.raises(HysteresisError, match="excited already"):
+    with pytest.raises(HysteresisError, match="excitation of a recording cannot be changed"):
         hr.frequency_response(hr.simulate("kim2009", duration=0.01), amplitude=0.1)
 
 
@@ -357,7 +357,7 @@ def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
             "no compensator 'exact invers'.*did you mean exact inverse.*there are: none",
         ),
         (lambda: hr.reproduce("kim2010"), "no paper 'kim2010'; .* did you mean kim2009?"),
-        (lambda: hr.design_learning("kim2009", "inverse"), "no learning 'inverse'.*did you mean inversion?"),
+        (lambda: hr.design_learning("kim2009", "inverse"), "'inverse' does not exist.*did you mean inversion?"),
         (lambda: hr.plot(hr.Run([0.0, 1.0], {"displacement": [0.0, 0.0]}), "trace"), "did you mean traces?"),
     ],
 )

@@ -71,7 +71,7 @@ def test_what_takes_a_single_axis_refuses_a_stage(namespace):
 
 def test_two_stages_in_a_file_are_refused():
     text = configured().text + "\n/other/stage:\n  ros__parameters:\n    axes: [x]\n"
-    with pytest.raises(ConfigurationError, match="two stages, /stage and /other/stage: a file describes one"):
+    with pytest.raises(ConfigurationError, match="two stages, /stage and /other/stage: a file may describe only one"):
         StageParameters.from_configuration(parse_configuration(text, "the text"))
 
 
