@@ -93,22 +93,22 @@ SILENCE = 5.0
     type=click.Choice(["own", "external"]),
     help="external: your own running node replaces plant_simulator; by default as in the file.",
 )
-@click.option("--offline", is_flag=True, help="Rehearse on the simulated plant of the file, without ROS, at once.")
+@click.option("--offline", is_flag=True, help="Rehearse on the simulated plant of the file, as fast as possible.")
 @click.option(
     "--model",
     default="auto",
     show_default=True,
-    help="Model to identify; auto: by cross-validation on held-out blocks.",
+    help="Model to identify; auto: chosen by cross-validation on held-out blocks.",
 )
 @click.option(
-    "--against", metavar="NAME", multiple=True, help="Another model that the controller must tolerate; or `none`."
+    "--against", metavar="NAME", multiple=True, help="Another model that the controller must tolerate, or `none`."
 )
 @click.option(
-    "--controller", default="auto", show_default=True, help="Controller to design; auto: the best in the scan."
+    "--controller", default="auto", show_default=True, help="Controller to design; auto: smallest error of the scan."
 )
-@click.option("--scan-stroke", metavar="LENGTH", help="Triangle of the scan from peak to peak, such as 70um.")
+@click.option("--scan-stroke", metavar="LENGTH", help="Peak-to-peak displacement of the scan, such as 70um.")
 @click.option("--scan-frequency", metavar="FREQUENCY", help="Frequency of the triangle, such as 5Hz.")
-@click.option("--namespace", default="", help="Which axis of the file, when it describes several.")
+@click.option("--namespace", default="", help="Axis to use, if the file describes several.")
 @click.pass_context
 def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
     """Measure, model and control the axis of FILE.
@@ -195,7 +195,7 @@ class Terminal:
     def told(self, stage: str, outcome, done_before: bool) -> None:
         """Print the outcome of a stage."""
         if done_before:
-            self._progress.say(f"{stage}: done before")
+            self._progress.say(f"{stage}: already done")
             return
         for text in outcome.lines:
             self._progress.say(f"  {text}")

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What delays a loop on this machine: for each setting, what it is, what it costs, and the line that changes it.
+"""Settings of this machine that delay a loop: the state of each setting, its cost, and the command that changes it.
 
-The cost is measured with the fused loop itself, at :data:`RATE`, where a short run can show it.
+The cost is measured with the fused loop at :data:`RATE`, at which a short run can show it.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ from hysteresis_ros.loop.pacing import Lateness
 
 #: Rate of the loop [Hz], and duration of a run [s].
 RATE, SECONDS = 3e3, 0.5
-#: Rate [Hz] and duration [s] of the run that takes a whole core: longer than the period of the throttling.
+#: Rate [Hz] and duration [s] of the run that uses a core all the time; it is longer than the period of the throttling.
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
 #: Largest number of cores that are measured one by one.
 MOST_CORES = 4
-#: Settings of the processors, and the system's other files.
+#: Folder with the settings of the processors, and folder with the other files of the system.
 PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")
 
 NOT_MEASURED = "not measured"
 
-#: Runs the loop and returns its lateness; ``spin`` [s], ``cpu`` (-1: any), ``whole``: looks at the clock all the time.
+#: Function that runs the loop and returns its lateness. Arguments: ``spin`` [s], ``cpu`` (-1: any core), ``whole``
+#: (whether the loop looks at the clock all the time).
 Run = Callable[..., Lateness]
 
 
@@ -47,9 +48,9 @@ class Delay:
     """One setting of the machine."""
 
     name: str
-    state: str  #: What it is.
-    cost: str  #: What it costs, measured here or :data:`NOT_MEASURED`, with the reason.
-    change: str  #: The line that changes it; empty when nothing is to be changed.
+    state: str  #: Its present value.
+    cost: str  #: Its cost, as measured on this machine, or :data:`NOT_MEASURED` with the reason.
+    change: str  #: The command that changes it; empty if no change is needed.
 
 
 def _text(path: pathlib.Path) -> str:
@@ -105,7 +106,7 @@ def _looking(run: Run) -> Delay:
     without, with_it = run(spin=0.0), run(spin=-1.0)
     state = "off: no priority, or no core to spare"
     if with_it.ahead:
-        state = f"from {1e6 * with_it.ahead:.0f} µs before, {100.0 * with_it.looked * RATE:.2g} % of a core"
+        state = f"from {1e6 * with_it.ahead:.0f} µs before a deadline, {100.0 * with_it.looked * RATE:.2g} % of a core"
     cost = f"lateness {_late(without)} without it, {_late(with_it)} with it"
     return Delay("looks at the clock", state, cost, "" if with_it.ahead else "see the advice at the end")
 
@@ -170,7 +171,7 @@ def _sleep_states(run: Run) -> Delay:
 def _governor() -> Delay:
     governor = _text(PROCESSORS / "cpu0" / "cpufreq" / "scaling_governor")
     change = "" if governor in ("", "performance") else "as root: cpupower frequency-set -g performance"
-    why = f"{NOT_MEASURED}: it would have to be changed" if change else "nothing"
+    why = f"{NOT_MEASURED}: this would require a change of the governor" if change else "nothing"
     return Delay("frequency governor", governor or "none (the host decides)", why, change)
 
 
@@ -186,7 +187,7 @@ def _siblings(run: Run) -> Delay:
     alone = run(spin=0.0, cpu=core)
     with _busy(other):
         beside = run(spin=0.0, cpu=core)
-    cost = f"a sample takes {1e6 * alone.cost:.2f} µs, beside a busy sibling {1e6 * beside.cost:.2f} µs"
+    cost = f"a sample takes {1e6 * alone.cost:.2f} µs, with a busy sibling {1e6 * beside.cost:.2f} µs"
     change = f"as root: echo 0 > {PROCESSORS}/cpu{other}/online; then realtime.cpu: {core}"
     return Delay("SMT siblings", state, cost, change)
 
@@ -231,7 +232,7 @@ def _preemption(by_core: dict[int, Lateness]) -> Delay:
 
 
 def lines_of(delay: Delay) -> Iterator[str]:
-    """Yield the lines about a setting, its name in a column of its own."""
+    """Yield the lines about a setting; its name is in the first column."""
     width = 22
     yield f"  {delay.name:{width}}{delay.state}"
     yield f"  {'':{width}}{delay.cost}"

@@ -95,7 +95,7 @@ def urdf(config, namespace):
 @click.option("-o", "--output", required=True, type=click.Path(path_type=pathlib.Path), help="Policy file to write.")
 @click.option("--processes/--composed", "processes", default=None, help="Processes of the nodes, as with `up`.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode, as with `up`.")
-@click.option("--record", is_flag=True, help="With a recorder.")
+@click.option("--record", is_flag=True, help="Include a recorder.")
 @click.option("--plant", type=click.Choice(["own", "external"]), default="own", show_default=True, help="As with `up`.")
 @click.option("--namespace", help="Only the axis in this namespace.")
 @click.option("--remap", multiple=True, metavar="FROM:=TO", help="Remapping of the nodes; repeatable.")

@@ -25,7 +25,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
 
 @click.command(short_help="Design a controller from the model in a configuration.")
 @click.argument("config", type=ConfigurationName())
-@click.option("--controller", metavar="NAME", help=f"What to design: {', '.join(sorted(DESIGNS))}.")
+@click.option("--controller", metavar="NAME", help=f"Controller to design: {', '.join(sorted(DESIGNS))}.")
 @click.option(
     "--learning",
     metavar="NAME",
@@ -44,7 +44,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
     help=f"Damp the resonance of the model first, and design for the damped plant: {', '.join(damping.KINDS)}, none.",
 )
 @click.option(
-    "--period", type=Quantity("s"), help="With --learning: period of the reference.  [default: of the waveform]"
+    "--period", type=Quantity("s"), help="With --learning: period of the reference.  [default: that of the waveform]"
 )
 @click.option(
     "--maximum",
@@ -59,7 +59,7 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--q", type=float, help="Kalman filter: ratio of the input noise variance to the measurement noise variance."
 )
-@click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor; the fastest design is chosen for it.")
+@click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor, which limits the bandwidth.")
 @click.option(
     "--criterion",
     type=click.Choice(["iae", "ise", "itae"]),
@@ -73,11 +73,11 @@ from hysteresis_ros.designs.learning_filters import KINDS
 )
 @click.option("--gain-range", type=float, help="Relative uncertainty of the gain.  [default: 0.05]")
 @click.option(
-    "--hysteresis-range", type=float, help="Relative uncertainty of the slope by residual hysteresis.  [default: 0.1]"
+    "--hysteresis-range", type=float, help="Relative uncertainty of the slope from residual hysteresis.  [default: 0.1]"
 )
 @click.option("--resonance-range", type=float, help="Relative uncertainty of resonances and lags.  [default: 0.1]")
 @click.option("--delay-range", type=float, help="Additional delay beyond that of the model [samples].  [default: 1]")
-@click.option("--draws", type=int, help="Number of random plants, besides the model and the corners.  [default: 20]")
+@click.option("--draws", type=int, help="Number of random plants, in addition to model and corners.  [default: 20]")
 @click.option("--seed", type=int, help="Seed of the random plants.  [default: 1]")
 @click.option(
     "--response",
@@ -94,8 +94,8 @@ def design(config, namespace, output, response, runs, **options):
 
     For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
     With --learning it designs learning for the period of the scan of the stage, starting with the corrections for which
-    the coupled model follows that scan. With --learning coupled, the axes learn
-    together from recorded runs (--run). Without -o it only prints.
+    the coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
+    Without --controller and --learning it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (
@@ -122,8 +122,8 @@ def design(config, namespace, output, response, runs, **options):
         return
     if runs or options["learning"] == COUPLED:
         raise ConfigurationError(
-            f"--learning {COUPLED} and --run are for a stage, and {configuration.source} describes a single axis: take "
-            f"{', '.join(sorted(KINDS))}"
+            f"--learning {COUPLED} and --run are for a stage, and {configuration.source} describes a single axis: give "
+            f"--learning {', '.join(sorted(KINDS))}"
         )
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
@@ -238,7 +238,7 @@ def _learn_together(configuration, request, runs, output: str) -> None:
         recordings = [load_run(path) for path in runs]
         learning, corrections, trials = learned_from(configuration, request, recordings)
         files = {name: f"{place.with_suffix('')}_{name}.yaml" for name in learning.parameters.names}
-        # an earlier run has its corrections in these files, and later runs are learned from together with it
+        # the next learning needs the corrections of the earlier runs, so their files must not be replaced
         for path, recording in zip(runs, recordings, strict=True):
             if any(file in recording.metadata["configuration"] for file in files.values()):
                 raise ConfigurationError(

@@ -86,7 +86,7 @@ def _limit(name: str) -> int | None:
     """Return a soft limit of this process; -1: unlimited; None: unknown on this system."""
     try:
         import resource
-    except ImportError:  # no Unix
+    except ImportError:  # not a Unix system
         return None
     kind = getattr(resource, name, None)
     if kind is None:
@@ -139,8 +139,8 @@ def advice(found: dict, permitted: bool) -> list[str]:
         lines.append(f'{" and ".join(names)} missing: pip install "{what}"')
     if not permitted:
         lines.append(
-            f"no priority for the loop: a line '@GROUP - rtprio {PRIORITY}' in /etc/security/limits.conf and a new "
-            "login, or CAP_SYS_NICE"
+            f"no priority for the loop: add a line '@GROUP - rtprio {PRIORITY}' to /etc/security/limits.conf and log "
+            "in again, or grant CAP_SYS_NICE"
         )
     if system_["cores"] < 2:
         lines.append("one core: any other process delays the loop; add a second core (realtime.cpu)")
@@ -153,7 +153,7 @@ def advice(found: dict, permitted: bool) -> list[str]:
 
 #: Tested rates [Hz], and the duration of each test [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
-#: Numbers of samples of the lockstep runs of nodes that exchange messages: in one process, in a process for each node.
+#: Number of samples of a lockstep run of nodes that exchange messages: in one process, and in a process for each node.
 COMPOSED, PROCESSES = 1000, 600
 #: Rate [Hz] and number of samples of their runs in real time.
 MESSAGE_RATE, ANSWERED = 300.0, 300
@@ -172,15 +172,15 @@ def doctor(path: pathlib.Path | None) -> None:
     """Measure the rates at which this machine runs an axis and how late samples begin; list versions and limits.
 
     Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
-    half a period and fewer than 0.5 % are skipped. What delays a loop: for each setting of the machine what it is, what
-    it costs, and the line that changes it. Composed and as processes: samples per second in lockstep; in real
-    time at 300 Hz the time from a measurement to its voltage, and how many voltages are late.
+    half a period and fewer than 0.5 % are skipped. For each setting of the machine that delays a loop: its state, its
+    cost, and the command that changes it. Composed and as processes: samples per second in lockstep; in real time at
+    300 Hz the time from a measurement to its voltage, and how many voltages are late.
     """
     if path is not None and not path.absolute().parent.is_dir():
         raise click.UsageError(f"--json {path}: the folder does not exist; choose another one")
     begun = time.monotonic()
     progress = Progress(steady=True)
-    progress.say("rates that this machine achieves (Kim's axis, simulated); it takes up to a minute")
+    progress.say("rates that this machine achieves (Kim's axis, simulated); the measurement takes up to a minute")
     with progress.during("checking the installation"):
         found: dict = {"system": system(), "libraries": versions(), "middleware": middleware()}
     for line in _installed(found):
@@ -299,7 +299,7 @@ def _delays(progress: Progress) -> list[dict]:
     from hysteresis_ros.cli import delays
 
     progress.say(
-        "what delays a loop here: what is, what it costs, → what changes it (lateness p50 / p99 at "
+        "what delays a loop here: state, cost, → change (lateness p50 / p99 at "
         f"{delays.RATE:g} Hz, {delays.SECONDS:g} s each, load {os.getloadavg()[0]:.1f})"
     )
     rows: list[dict] = []

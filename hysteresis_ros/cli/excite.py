@@ -31,9 +31,13 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option(
     "--realisations", type=int, help="Stage, multisine: number of realisations.  [default: three for each axis]"
 )
-@click.option("--periods", type=int, default=2, show_default=True, help="Stage, multisine: periods of each that count.")
-@click.option("--settle", type=int, default=1, show_default=True, help="Stage, multisine: periods before them.")
-@click.option("--one-by-one", is_flag=True, help="Stage, multisine: one axis after the other.")
+@click.option(
+    "--periods", type=int, default=2, show_default=True, help="Stage, multisine: evaluated periods of each realisation."
+)
+@click.option(
+    "--settle", type=int, default=1, show_default=True, help="Stage, multisine: periods for settling before them."
+)
+@click.option("--one-by-one", is_flag=True, help="Stage, multisine: excite one axis after the other.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Stage, multisine: seed of the phases.")
 @split_options
 @click.option(
@@ -209,7 +213,7 @@ def _stages(axis, length: float):
     needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
-        # less than the elapsed fraction, because the nodes have to start first
+        # an upper bound, because the nodes have to start first
         return None if needed is None else min((time.monotonic() - begun) / needed, 1.0)
 
     return f"the nodes start and run {length:.4g} s", str, part

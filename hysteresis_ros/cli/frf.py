@@ -27,7 +27,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.command(short_help="Measure the frequency response of an axis.")
 @click.argument("source", metavar="CONFIG|RECORDING", type=ConfigurationName())
 @click.option(
-    "--loop", type=click.Choice(["open", "closed"]), help="Measured loop; for a configuration open by default."
+    "--loop", type=click.Choice(["open", "closed"]), help="Loop to measure; by default open for a configuration."
 )
 @click.option(
     "--at",

@@ -48,7 +48,8 @@ class FitState:
     "--model",
     default="usual",
     show_default=True,
-    help="Model, see `hysteresis models`; usual: prandtl_ishlinskii or generalised_play, auto: any, by held-out data.",
+    help="Model, see `hysteresis models`; chosen on held-out data: usual from prandtl_ishlinskii and generalised_play, "
+    "auto from all models.",
 )
 @click.option(
     "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."
@@ -61,18 +62,18 @@ class FitState:
     metavar="CONFIG",
     type=ConfigurationName(),
     help="For a response of `hysteresis frf`: the axis whose dynamics are fitted to it; the hysteresis of the axis is "
-    "kept. For a stage: the stage that keeps its plants and gets everything else.",
+    "kept. For a stage: a configuration whose plants are kept; everything else is taken from the result.",
 )
 @click.option(
     "--order",
     type=int,
-    help="Order of these dynamics, or of the structure of a stage; by default the lowest order with almost the best "
-    "fit.",
+    help="Order of the dynamics that are fitted to a response, or of the structure of a stage; by default the lowest "
+    "order with almost the best fit.",
 )
 @click.option(
     "--loops",
     type=click.Path(path_type=pathlib.Path),
-    help="Stage: recording in which one actuator after the other goes through its range; its hysteresis.",
+    help="Stage: recording of the hysteresis, in which the actuators move through their ranges one after the other.",
 )
 @click.option(
     "--type",
@@ -81,11 +82,11 @@ class FitState:
     help="Stage: hysteresis in front of the structure or inside it; inside by default for several levels.",
 )
 @click.option("--axes", help="Stage: names of the axes, such as x,y; by default those of the recording.")
-@click.option("--period", type=Quantity("s"), help="Stage: period of the inputs; found by default.")
-@click.option("--settle", type=int, help="Stage: periods of each realisation that only run in.  [default: 1 of 3]")
-@click.option("--held-out", type=int, default=1, show_default=True, help="Stage: realisations that only judge.")
+@click.option("--period", type=Quantity("s"), help="Stage: period of the inputs; detected by default.")
+@click.option("--settle", type=int, help="Stage: periods of each realisation for settling.  [default: 1 of 3]")
+@click.option("--held-out", type=int, default=1, show_default=True, help="Stage: realisations held out for validation.")
 @click.option("--plays", type=int, default=8, show_default=True, help="Stage, internal: plays of each hysteresis.")
-@click.option("--hystereses", type=int, default=2, show_default=True, help="Stage, internal: of each actuator.")
+@click.option("--hystereses", type=int, default=2, show_default=True, help="Stage, internal: hystereses per actuator.")
 @click.option("--steps", type=int, default=20, show_default=True, help="Stage, internal: steps of the last search.")
 @click.option("--controller", default="pid", show_default=True, help="Stage: controller to design, or none.")
 @click.option("--damping", help="Stage: damping to design.  [default: irc, if it can be designed]")
@@ -125,9 +126,9 @@ def identify(
 ):
     """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
 
-    Several inputs and outputs, or the recording of a stage: a stage of coupled axes, with its decoupling and
-    controllers. Several files are further realisations or levels. NPY files hold an array (samples, columns) or
-    (realisations, samples, columns), whose columns are named 1, 2 …
+    From several inputs and outputs, or from the recording of a stage, it identifies a stage of coupled axes, with
+    decoupling and controllers. Several files are further realisations or levels. An NPY file contains an array
+    (samples, columns) or (realisations, samples, columns), whose columns are named 1, 2 …
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
@@ -141,7 +142,7 @@ def identify(
 
         if (model, linear, options, inverse, report_path) != ("usual", None, (), None, None) and loops is None:
             raise click.UsageError(
-                "--model belongs to the --loops of a stage, and --linear, -p, --inverse, --report to a single axis"
+                "--model needs --loops for a stage; --linear, -p, --inverse and --report are for a single axis"
             )
         asked = StageRequest(
             type=kind,

@@ -92,7 +92,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Hardware": {
         "emulate": (
             "hysteresis_ros.laboratory.emulation.command:emulate",
-            "Emulate a device, with a plant inside and faults.",
+            "Emulate a device with a simulated plant and faults.",
         ),
         "ioc": ("hysteresis_ros.laboratory.epics.command:ioc", "Serve axes as EPICS motor records."),
         "camera": ("hysteresis_ros.cli.camera:camera", "Measure displacements in a video or a folder of pictures."),

@@ -171,14 +171,19 @@ def data_options(command):
                 help="Exclude the first N samples from the error; the model still simulates them.",
             ),
             click.option(
-                "--offset", type=click.Choice(["kept", "free"]), default="kept", help="free: remove one constant."
+                "--offset",
+                type=click.Choice(["kept", "free"]),
+                default="kept",
+                help="free: remove a constant from the output.",
             ),
             click.option(
-                "--intersample", type=click.Choice(["zoh", "linear", "bandlimited"]), help="Input between the samples."
+                "--intersample",
+                type=click.Choice(["zoh", "linear", "bandlimited"]),
+                help="Assumed input between the samples.",
             ),
             click.option("--initial", type=click.Choice(["zero", "periodic", "estimate"]), help="Initial state."),
             click.option(
-                "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them only."
+                "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead."
             ),
         )
     ):
@@ -215,7 +220,7 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
 
 
 def _one(option: str, given: tuple[str, ...]) -> str | None:
-    """Return the only column that is given, None without one."""
+    """Return the given column, or None if there is no column; refuse several columns."""
     if len(given) > 1:
         raise click.UsageError(f"{option} {' '.join(given)}: this command takes one column; name one")
     return given[0] if given else None
@@ -299,12 +304,12 @@ PARAMETERS = {
 }
 HELP = {
     "--amplitude": "Height above the offset, e.g. 70um.",
-    "--frequency": "E.g. 5Hz.",
+    "--frequency": "Frequency, e.g. 5Hz.",
     "--offset": "Offset, e.g. 10um.",
-    "--cycles": "Number of cycles before it rests; 0: endless.",
+    "--cycles": "Number of cycles, after which the reference is constant; 0: endless.",
     "--polarity": "unipolar: from the offset upwards; symmetric: to both sides.",
     "--values": "Levels of steps, e.g. 2um,0,2um.",
-    "--times": "When the steps begin, e.g. 0s,0.4s,0.8s.",
+    "--times": "Times at which the steps begin, e.g. 0s,0.4s,0.8s.",
     "--file": "CSV, NPZ or NPY file of --reference file.",
 }
 
@@ -353,7 +358,7 @@ class AskedReference:
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
-        """Return a problem of the waveform with the name of its option and the text of the command line."""
+        """Raise a problem of the waveform again, with the name of its option and the text of the command line."""
         from hysteresis_ros.errors import ParameterError
 
         try:

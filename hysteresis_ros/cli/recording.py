@@ -84,7 +84,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
 
 
 def _scanned(run, axes, output, title: str, json_path: str | None, part) -> bool:
-    """Evaluate the run of a stage that follows a scan, in the plane; return False for any other."""
+    """Evaluate the run of a stage that follows a scan, in the plane; return False for any other run."""
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures, write_scan_report
     from hysteresis_ros.analysis.side_by_side import report_several
     from hysteresis_ros.api import scan_run
@@ -150,9 +150,9 @@ def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int
 def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
 
-    A lockstep run made on one machine is repeated on any other. Ends with exit code 0 when all samples are equal, 1
-    when some differ or are missing, 2 when the recording cannot be repeated. Files named by parameters are read from
-    the recording, not from the disk.
+    A lockstep run of one machine can be verified on any other. Exit code 0: all samples are equal; 1: some differ or
+    are missing; 2: the recording cannot be repeated. Files named by parameters are read from the recording, not from
+    the disk.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.loop.repeated import recorded_axis, recorded_stage
@@ -169,7 +169,7 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         mode = found.stage.time_mode if run.axes else found.plant_simulator.time_mode
         if not simulated and mode == "realtime":
             raise RecordingError(
-                f"{recording}: a run in real time, whose result depends on the times of messages; only lockstep and "
+                f"{recording}: was run in real time, so its result depends on the times of messages; only lockstep and "
                 "fused runs can be repeated"
             )
         for note in notes:

@@ -82,7 +82,7 @@ def scan(kind, parameters, limits, fastest, count, rate, frames, output, plot, j
                 check_limits(made, allowed)
             if best == math.inf:
                 raise ConfigurationError(
-                    "--fastest: no limit determines a largest frame rate; give one, e.g. --limit velocity=10mm/s"
+                    "--fastest: no limit determines a largest frame rate; give a limit, e.g. --limit velocity=10mm/s"
                 )
             values.pop("line_rate", None)
             made = scan_of(kind, values | {"frame_rate": best})

@@ -44,7 +44,9 @@ from hysteresis_ros.cli.progress import shown
     metavar="GAIN OPENING",
     help="Relative change of gain and loop width of the plant's hysteresis over the run, such as 0.2 -0.1.",
 )
-@click.option("--scan", metavar="KIND", help="Scan that a stage follows; NAME=VALUE are its parameters, as in scan.")
+@click.option(
+    "--scan", metavar="KIND", help="Scan that a stage follows; NAME=VALUE are its parameters, see `hysteresis scan`."
+)
 @reference_options
 @click.option(
     "--namespace",
@@ -118,7 +120,7 @@ def simulate(
 
 
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
-    """Run a stage, write its recording, and print the errors of its axes and those that scans cause in others."""
+    """Run a stage, write its recording, and print the errors of its axes and those that a scan causes in other axes."""
     from hysteresis_ros.analysis.metrics import axes_figures
     from hysteresis_ros.analysis.scan_report import format_scan, scan_figures
     from hysteresis_ros.api import scan_run

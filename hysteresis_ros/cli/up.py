@@ -250,7 +250,7 @@ def _say_limited(graph) -> None:
 
 def _say_recorded(graph) -> None:
     """Print the bags. A bag whose recorder died or ran out of disk space is incomplete, which is an error."""
-    short = "; it ends before the run; if the bag was cut off, hysteresis repair completes it" if graph.lost else ""
+    short = "; it ends before the run; if the bag was cut off, use hysteresis repair" if graph.lost else ""
     for bag in graph.bags:
         click.echo(f"recorded: {bag}{short}")
     if graph.lost:

@@ -241,7 +241,7 @@ def test_nothing_moves_that_nobody_allows(tmp_path):
             return stage == "noise"
 
     bench = ForeignBench()
-    with pytest.raises(NotAllowedError, match="stopped before the stage gain, which has moved nothing"):
+    with pytest.raises(NotAllowedError, match="stopped before the stage gain, before any of its movements"):
         commission(sitting(tmp_path), bench, Unwilling())
     assert len(bench.runs) == 1
 

@@ -33,7 +33,7 @@ TRIPPED = {
     WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the sample rate; lower "
     "sample_rate, leave a core free, or use a compiled driver (docs/hardware.md)",
     BEYOND_TRAVEL: "the sensor measured more than the actuator's range: check its scaling, sign and cable",
-    HALTED: "a stop was requested; begin again when the axis may move",
+    HALTED: "a stop was requested; start again when the axis may move",
     DEVICE_FAILED: "the device failed, see the line above; repair it and begin again",
     PARTNER_LOST: "a node of the axis was lost, see the line above; begin again",
 }
@@ -69,7 +69,7 @@ class OfflineBench(Bench):
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
-    """Return a recording of regular samples that all have a measurement; a few missing ones are interpolated."""
+    """Return a recording of regular samples that all have a measurement; a few missing samples are interpolated."""
     if recording.has("tripped"):
         codes = recording["tripped"]
         stopped = np.flatnonzero(codes > 0.0)  # codes below zero: the sensor is being homed

@@ -294,7 +294,7 @@ def measured_plant(situation: Situation) -> MeasuredPlant | None:
     except (IdentificationError, RecordingError):
         return None
     loop = cast("MeasuredLoop", found.loop)
-    # the elements between plant and loop are the same in both
+    # both loops contain the same other elements, which cancel in the ratio
     return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
 
 
@@ -303,9 +303,9 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
-        # later stages do not depend on this result
+        # no error, because later stages do not depend on this result
         return Outcome([f"margins not measured: {error}; `small` in /commissioning sets the amplitude"])
-    # present, because the plan closes the loop and the axis is known
+    # these are not None, because the plan closes the loop and the axis is known
     known = found.loop, found.margins, found.model_loop
     loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
     peak, expected = loop.sensitivity_peak, margins.sensitivity_peak
@@ -341,7 +341,7 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Return which samples are events or follow an event within ``lasts`` samples."""
+    """Return which samples are events or follow an event within ``samples`` samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples

@@ -40,7 +40,7 @@ SAMPLES_A_CYCLE = 100
 #: Largest number of other models with which controllers are checked, and their largest error on held-out blocks
 #: relative to that of the best model.
 OTHERS, AS_LIKELY = 2, 3.0
-#: Models that are included without a trial.
+#: Other models that are used when no compared model has a similar error.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
 #: Stages that move in open loop, before the design.
 MOVED = ("gain", "resonance", "hysteresis", "creep")
@@ -94,7 +94,7 @@ def identify_stage(situation: Situation) -> Outcome:
 
     found = fitted(situation.model)
     if not found.converged:
-        raise CommissioningError(f"identification: {found.reason}; choose another with --model (hysteresis models)")
+        raise CommissioningError(f"identification: {found.reason}; choose another model: --model (hysteresis models)")
     write_file(situation.folder.path / IDENTIFIED, commissioned_text(situation, found))
     if found.response is not None and not found.response.fit_for_feedback:
         raise CommissioningError(
@@ -238,7 +238,7 @@ def design_stage(situation: Situation) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A tried design, with the file of its axis and its scan on the worst plant."""
+    """A tried design, with the file of its axis and its RMS error [m] of the scan on the worst plant."""
 
     words: str
     design: AxisDesign
@@ -248,7 +248,7 @@ class _Tried:
 
 
 def _plant(situation: Situation, name: str) -> dict:
-    """Return the plant's parameters of another model."""
+    """Return the parameters of the plant that another model describes."""
     configuration = load_configuration(_other_file(situation, name))
     return configuration.node("plant_simulator", situation.axis.namespace)
 
@@ -256,7 +256,7 @@ def _plant(situation: Situation, name: str) -> dict:
 def _tried(
     situation: Situation, configuration: Configuration, plants: dict[str, dict], request: DesignRequest, words: str
 ) -> _Tried:
-    """Return a design that keeps its margins, with the file of its axis and its scan on the worst plant."""
+    """Return a design that keeps its margins, with the file of its axis and its scan error on the worst plant."""
     namespace = situation.axis.namespace
     axis = single_axis(configuration, namespace)
     request = replace(request, noise=situation.figure("noise", "noise_rms_m") or None)
@@ -280,7 +280,7 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
-    # the amplifier is the same
+    # the limits belong to the amplifier, which is the same
     limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
     plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})

@@ -25,8 +25,8 @@ from hysteresis_ros.references.recipes import EXCITED, REST, SMALL, WAY, hold, r
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 from hysteresis_ros.units import readable
 
-#: Duration of a small step, and of the holds around it [s]; duration of the creep step [s], and the fraction of its
-#: hold for which the return is measured.
+#: Duration of a small step, and of the holds around it [s]; duration of the creep step [s], and hold after its return
+#: as a fraction of the creep duration.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Number of periods of the multisine, and their length [s]; the first period is for settling.
@@ -87,9 +87,9 @@ def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
     return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
 
 
-#: Largest noise of the sensor, as a fraction of the stroke, and largest zero offset, in strokes.
+#: Largest noise of the sensor, as a fraction of the stroke, and largest zero offset, as a multiple of the stroke.
 NOISY, FAR_AWAY = 0.02, 20.0
-#: Smallest movement that counts as one, relative to the noise and to the expected movement.
+#: Smallest movement that counts as a response, relative to the noise and to the expected movement.
 SEEN, LEAST_MOVEMENT = 6.0, 0.02
 #: Largest factor between measured and expected gain, and largest remaining movement, as a fraction of a small step.
 EXPECTED, RINGING = 3.0, 0.25
@@ -177,7 +177,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
     if left > max(SEEN * noise, RINGING * abs(moved)):
         raise CommissioningError(
             f"the stage does not settle after a step of {step:+.3g} V: it still moves by {readable(left, 'm')} "
-            "RMS; check that no other controller is on, and check the stage's mounting"
+            "RMS; switch off any other controller, and check the stage's mounting"
         )
     gain = moved / applied
     lines = [f"{applied:+.3g} V moved it by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]
@@ -232,7 +232,7 @@ def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
     phase = np.degrees(np.unwrap(np.angle(found.single)))
     pictures = [
         Picture("Response to small voltages", "frequency [Hz]", "gain [µm/V]", traces, "xy"),
-        Picture("Its phase", "frequency [Hz]", "phase [degrees]", [line("measured", found.frequency, phase)], "x"),
+        Picture("Phase", "frequency [Hz]", "phase [degrees]", [line("measured", found.frequency, phase)], "x"),
     ]
     return Outcome(lines, figures, pictures)
 

@@ -126,7 +126,7 @@ def new_text(axis: NewAxis) -> str:
     gain, first = axis.stroke / (axis.maximum - axis.minimum), safe_slew(axis.maximum - axis.minimum)
     slew = first.rate
     velocity, acceleration = FIRST_PART * gain * slew, gain * slew
-    # each of the two averages of the approach takes 2 V/A
+    # each of the two averages of the approach lasts 2 · velocity / acceleration
     jerk = acceleration**2 / velocity
     numbers = {
         "rate": axis.sample_rate,
@@ -161,8 +161,8 @@ def _require_plausible(axis: NewAxis) -> None:
     ):
         if not low <= value <= high:
             raise ConfigurationError(
-                f"{option}: {words}{value:.4g} {unit}: actuators have {low:g} to {high:g} {unit}; check the units, as "
-                "in --stroke 100um --voltage 0:100V --rate 2kHz"
+                f"{option}: {words}{value:.4g} {unit}: must be {low:g} to {high:g} {unit}; check the units, as in "
+                "--stroke 100um --voltage 0:100V --rate 2kHz"
             )
     if axis.external:
         require_message_rate(axis.sample_rate, "--plant external")
@@ -190,7 +190,7 @@ def _scalar(text: str) -> str:
 
 
 def write_new(path, axis: NewAxis) -> None:
-    """Write the parameter file of a new axis, after a check that the axis can be built; never overwrite a file."""
+    """Write the parameter file of a new axis; delete it if the axis cannot be built; never overwrite a file."""
     path = pathlib.Path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"{path}: give a name that ends in .yaml")

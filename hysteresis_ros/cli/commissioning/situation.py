@@ -199,7 +199,7 @@ class Folder:
         try:
             found = read_json(read_text(path))
             if not isinstance(found, dict):
-                raise ValueError("no mapping")
+                raise ValueError("not a mapping")
             return found
         except (OSError, ValueError) as error:
             raise ConfigurationError(f"{path}: cannot be read: {error}; begin anew in another --directory") from None
@@ -238,7 +238,7 @@ class Folder:
 
 #: Fraction of the stroke by which readings of the sensor may exceed the displacements that a stage expects.
 OVERTRAVEL = 0.5
-#: Fraction of the range that a stage without movement allows, because limits must not be empty.
+#: Half width of the voltage limits of a stage without movement, as a fraction of the range; limits must not be empty.
 NOTHING = 1e-4
 
 
@@ -284,7 +284,7 @@ class Situation:
         high = min(float(voltages.max()) + room, self.plan.maximum)
         configuration = self.within(self.configuration, low, high)
         if "noise" not in self.found:
-            # done before any movement: it refuses a device whose own range is narrower
+            # the first stage has the full range, so a device with a narrower range is refused before any movement
             whole = {"limits.minimum": self.plan.minimum, "limits.maximum": self.plan.maximum}
             configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
@@ -297,7 +297,7 @@ class Situation:
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
-        """Return parameters with which the travel monitor of a device is right, whatever model the file contains."""
+        """Return parameters that make the travel monitor of a device valid, whatever model the file contains."""
         # plausible measurements follow from the expected gain
         values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
         values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}

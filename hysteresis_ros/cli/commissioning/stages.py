@@ -32,7 +32,7 @@ from hysteresis_ros.units import readable
 class Stage:
     """A stage that moves the axis."""
 
-    title: str  #: A few words.
+    title: str  #: Title on the page.
     words: Callable[[Situation], str]  #: ``words(situation)``: describes the next movement and its size.
     #: ``axis(situation)``: the axis to run; or an outcome, if nothing has to move.
     axis: Callable[[Situation], AxisParameters | Outcome]
@@ -44,7 +44,7 @@ class Stage:
 class Computation:
     """A stage without movement."""
 
-    title: str  #: A few words.
+    title: str  #: Title on the page.
     compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: the outcome.
 
 
@@ -195,7 +195,7 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
     samples = axis.plant_simulator.samples
     seconds = samples / situation.rate
     if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):
-        raise NotAllowedError(f"stopped before the stage {name}, which has moved nothing; continue with --resume")
+        raise NotAllowedError(f"stopped before the stage {name}, before any of its movements; continue with --resume")
     try:
         recording = require_sound(bench.run(axis), samples)
     except HysteresisError as error:
