@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, or a stage of coupled axes, set by one file.
+"""Launch one axis, or a stage of coupled axes, that a parameter file describes.
 
 An axis has a plant (or driver), a compensator, a controller and a reference generator (or sequencer).
 
@@ -57,40 +57,42 @@ ARGUMENTS = (
     DeclareLaunchArgument("namespace", default_value="", description="namespace of the axis"),
     DeclareLaunchArgument("record", default_value="", description="folder of a new bag; empty: nothing is recorded"),
     DeclareLaunchArgument(
-        "composed", default_value="false", choices=["true", "false"], description="the nodes in one process"
+        "composed", default_value="false", choices=["true", "false"], description="true: all nodes in one process"
     ),
     DeclareLaunchArgument(
         "rate",
         default_value="",
         choices=["", "realtime", "lockstep", "fused"],
-        description="empty: as the parameter file says, but fused where messages are too slow for its rate",
+        description="time mode; empty: that of the parameter file, or fused if messages are too slow for its rate",
     ),
     DeclareLaunchArgument(
         "plant",
         default_value="own",
         choices=["own", "external"],
-        description="external: a node of yours replaces plant_simulator and publishes joint_states",
+        description="external: your own node replaces plant_simulator and publishes joint_states",
     ),
-    DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
+    DeclareLaunchArgument(
+        "samples", default_value="", description="length of the run [samples]; empty: that of the parameter file"
+    ),
     DeclareLaunchArgument(
         "fused", default_value="false", choices=["true", "false"], description="true: the same as rate:=fused"
     ),
     DeclareLaunchArgument(
         "factor",
         default_value="",
-        description="seconds of the axis a second of the wall clock; empty: as the file says",
+        description="seconds of the axis per second of the wall clock; empty: that of the parameter file",
     ),
     DeclareLaunchArgument(
         "autostart",
         default_value="",
         choices=["", "true", "false"],
-        description="false: the nodes wait for configure and activate (ros2 lifecycle set); empty: as the file says",
+        description="false: the nodes wait for configure and activate (ros2 lifecycle set); empty: as in the file",
     ),
     DeclareLaunchArgument(
         "description",
         default_value="false",
         choices=["true", "false"],
-        description="true: robot_state_publisher besides, for tf and RViz",
+        description="true: also start robot_state_publisher, for tf and RViz",
     ),
     DeclareLaunchArgument(
         "log_level",
@@ -107,14 +109,14 @@ def generate_launch_description():
 
 
 def axis(context):
-    """Return the processes of the axis for the arguments given.
+    """Return the processes of the axis for the given arguments.
 
     Raises
     ------
     FileNotFoundError
         The parameter file is missing.
     ValueError
-        ``samples`` or ``factor`` is no positive number, or arguments contradict each other or the file.
+        ``samples`` or ``factor`` is not a positive number, or arguments contradict each other or the file.
     """
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
@@ -136,14 +138,14 @@ def axis(context):
             )
     if external and given["rate"] not in ("", "realtime"):
         raise ValueError(
-            f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only"
+            f"rate:={given['rate']} with plant:=external: your own node sets the time, in real time only; leave it out"
         )
     if external and given["factor"]:
-        raise ValueError(f"factor:={given['factor']} with plant:=external: a node of yours keeps the time")
+        raise ValueError(f"factor:={given['factor']} with plant:=external: your own node sets the time; leave it out")
     chosen = given["rate"] or external or given["composed"] == "true"
     if not chosen and too_fast_for_messages(config, given["factor"]):
         given["rate"] = "fused"
-        text = "starts fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
+        text = "starts fused: messages between nodes are too slow for its rate in real time (to override: rate:=)"
         said.append(LogInfo(msg=text))
     fused = not external and (given["rate"] == "fused" or describes(config, "time_mode", "fused"))
     composed = given["composed"] == "true" or fused
@@ -197,7 +199,7 @@ def axis(context):
             options["arguments"] = ["--recorder"]
         if name == "hysteresis_axis" and external:
             options["arguments"] = ["--external-plant"]
-        # hysteresis_axis holds four nodes, which keep their own names.
+        # hysteresis_axis contains four nodes, which keep their own names.
         actions.append(Node(**options) if name == "hysteresis_axis" else LifecycleNode(name=name, **options))
 
     if given["description"] == "true":
@@ -210,9 +212,10 @@ def axis(context):
 
 
 def override(given: dict, config: str) -> dict:
-    """Return the parameters which the arguments ``given`` set, in the shape of a parameter file (JSON is YAML).
+    """Return the parameters that the arguments ``given`` set, as the content of a parameter file (JSON is YAML).
 
-    A file, because ``-p node:name:=value`` reaches no node in a namespace and the composed process has four nodes.
+    They are passed in a file, because ``-p node:name:=value`` does not reach a node in a namespace, and the composed
+    process has four nodes.
     """
     common, keeper, recorder, source = {}, {}, {}, {}
     if given["rate"]:
@@ -220,7 +223,7 @@ def override(given: dict, config: str) -> dict:
     if given["plant"] == "external":
         common |= {"external_plant": True, "time_mode": "realtime"}
     if given["description"] == "true":
-        source = {"publish_description": False}  # robot_state_publisher does
+        source = {"publish_description": False}  # robot_state_publisher publishes it
     if given["autostart"]:
         common["autostart"] = given["autostart"] == "true"
     if given["factor"]:
@@ -229,10 +232,10 @@ def override(given: dict, config: str) -> dict:
         common["exit_at_end"] = True
         keeper["samples"] = int(given["samples"])
     if given["record"]:
-        # In lockstep the plant waits for the recorder, so that no message is lost.
+        # in lockstep the plant waits for the recorder, so that no message is lost
         keeper["wait_for_recorder"] = True
         recorder = {"path": given["record"], "configuration": config}
-    # the node that owns the run: with an external plant the reference source
+    # the node that begins and ends the run; with an external plant it is the reference generator
     keeps = "reference_generator" if given["plant"] == "external" else "plant_simulator"
     patterns = {"/**": common, "/**/reference_generator": source, "/**/inchworm_sequencer": source}
     patterns |= {f"/**/{keeps}": {**patterns.get(f"/**/{keeps}", {}), **keeper}, "/**/recorder": recorder}
@@ -245,14 +248,14 @@ def state_publisher(config: str, namespace: str):
     Raises
     ------
     ValueError
-        It is not installed.
+        robot_state_publisher is not installed.
     """
     try:
         get_package_prefix("robot_state_publisher")
     except PackageNotFoundError:
         raise ValueError(
             "description:=true needs robot_state_publisher (sudo apt install ros-jazzy-robot-state-publisher); "
-            "the topic robot_description is there without it"
+            "the topic robot_description exists without it"
         ) from None
     command = [ExecutableInPackage("hysteresis", PACKAGE), f" urdf '{config}' --namespace '{namespace}'"]
     prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
@@ -274,7 +277,7 @@ def coupled_axes(config: str) -> list:
 
 
 def by_axis(overrides: dict, axes: list) -> dict:
-    """Return overrides of a stage under the full names of its sections: whoever reads them needs no pattern."""
+    """Return overrides of a stage under the full names of its sections, so that no patterns have to be matched."""
     common = overrides.get("/**", {}).get("ros__parameters", {})
     found = {"/stage": dict(common)}
     for axis in axes:
@@ -318,10 +321,10 @@ def describes(config: str, name: str, value) -> bool:
 
 
 def too_fast_for_messages(config: str, factor: str = "") -> bool:
-    """Return whether the parameter file requests real time at a rate that is too high for nodes with messages.
+    """Return whether the parameter file requests real time at a rate that is too high for nodes that exchange messages.
 
-    A driver may be one that only they can call, and without Numba nothing faster is there. A ``factor`` that is given
-    counts in the place of the file's.
+    False with a driver, which perhaps only such nodes can call, and without Numba, because then nothing is faster. A
+    given ``factor`` replaces that of the file.
     """
     with open(config, encoding="utf-8") as stream:
         content = yaml.safe_load(stream)
@@ -360,7 +363,7 @@ def configuration(text: str) -> str:
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no parameter file.
+        The file is not a parameter file.
     """
     installed = CONFIGURATIONS / f"{text}.yaml"
     for path in (pathlib.Path(text).expanduser(), installed):
@@ -372,7 +375,7 @@ def configuration(text: str) -> str:
 
 
 def require_parameters(path: pathlib.Path) -> None:
-    """Refuse a file that holds no parameters of ROS 2 nodes.
+    """Refuse a file without parameters of ROS 2 nodes.
 
     Raises
     ------
@@ -385,12 +388,14 @@ def require_parameters(path: pathlib.Path) -> None:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         why = " ".join(str(error).split())
     if why or not all(isinstance(section, dict) for section in content.values()):
-        reason = why or "a section is no mapping"
-        raise ValueError(f"config:={path}: no ROS 2 parameter file ({reason}); give one, or the name of a shipped one")
+        reason = why or "a section is not a mapping"
+        raise ValueError(
+            f"config:={path}: not a ROS 2 parameter file ({reason}); give one, or the name of a shipped one"
+        )
 
 
 def farewell(name: str, running: set, dispensable: bool = False):
-    """Return the actions when the process ``name`` exits: no node of an axis runs without the others.
+    """Return the actions when the process ``name`` exits: the other nodes of the axis are stopped.
 
     A recorder in real time is ``dispensable``: when it dies, recording ends and the axis continues. A recorder that
     fails to start (exit code 2) ends the axis.
@@ -401,13 +406,13 @@ def farewell(name: str, running: set, dispensable: bool = False):
         if context.is_shutdown:
             return None
         if dispensable and event.returncode not in (0, 2) and running:
-            return [LogInfo(msg=f"{name} died: nothing is recorded any more, the axis goes on")]
+            return [LogInfo(msg=f"{name} died: the recording has ended, the axis continues")]
         if event.returncode != 0:
-            # An exception, not an event: only this makes `ros2 launch` itself leave with an exit code other than 0.
+            # only an exception makes `ros2 launch` itself exit with a code other than 0; an event does not
             raise RuntimeError(f"{name} died with exit code {event.returncode}; the rest of the axis is stopped")
         if not running:
             return [EmitEvent(event=Shutdown(reason="the axis has finished"))]
-        message = f"{name} has left; the rest of the axis is stopped"
+        message = f"{name} has exited; the rest of the axis is stopped"
         stop = [LogInfo(msg=message), EmitEvent(event=Shutdown(reason=message))]
         return [TimerAction(period=PATIENCE, actions=stop)]
 

@@ -259,5 +259,5 @@ def test_a_launch_file_refuses_what_is_no_parameter_file(monkeypatch, tmp_path):
         "x: 1\ny: {ros__parameters: {}}\n",
     ):
         (tmp_path / "given").write_text(text)
-        with pytest.raises(ValueError, match="config:=.*given: no ROS 2 parameter file"):
+        with pytest.raises(ValueError, match="config:=.*given: not a ROS 2 parameter file"):
             module.configuration(str(tmp_path / "given"))
