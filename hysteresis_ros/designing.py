@@ -284,7 +284,7 @@ def frequency_response(
 
 
 def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
-    """Return the response of a recording or of its file; the plan of the excitation may be in a file beside it."""
+    """Return the response of a recording or of its file; the plan of the excitation may be in a file next to it."""
     if isinstance(source, Recording):
         return _response(recorded_response(source, None, loop, at))
     plan = read_plan(plan_file(source)) if plan_file(source).exists() else None

@@ -248,7 +248,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete one that states none."""
+    """Return A, B, C, D and the sample time: None if the system is continuous, True if it is discrete without one."""
     home = type(system).__module__.partition(".")[0]
     if home == "control":
         import control

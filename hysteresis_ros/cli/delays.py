@@ -216,7 +216,7 @@ def _throttling(run: Run) -> Delay:
     )
     if not whole.looked:
         cost = f"{NOT_MEASURED}: no priority, or no core to spare"
-    change = "only for a loop that takes a whole isolated core, as root: sysctl kernel.sched_rt_runtime_us=-1"
+    change = "only for a loop that uses an isolated core all the time, as root: sysctl kernel.sched_rt_runtime_us=-1"
     return Delay("real-time throttling", f"{runtime} of {period} µs", cost, change)
 
 

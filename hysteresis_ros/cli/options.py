@@ -316,7 +316,7 @@ HELP = {
 
 @dataclass(frozen=True)
 class AskedReference:
-    """Options of the waveform; ``kind`` None: the user gave none."""
+    """Options of the waveform; ``kind`` is None if the user chose no waveform."""
 
     kind: str | None  #: Name of the waveform.
     given: dict[str, str]  #: Text of each of its parameters.

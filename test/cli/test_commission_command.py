@@ -61,7 +61,7 @@ def test_stages_alone_offline_say_what_they_move_and_leave_a_page(tmp_path):
     answer = called(path, "--offline", "--yes", "--stage", "noise", "--stage", "gain")
     assert answer.exit_code == 0, answer.output
     assert "a step of +5 V from 0 V and back, about 1 µm; 2.35 s" in answer.output
-    assert "+5 V moved it by 1 µm: 0.2 µm/V, the sign is right" in answer.output
+    assert "+5 V moved the stage by 1 µm: 0.2 µm/V, the sign is right" in answer.output
     folder = tmp_path / "stage_commissioning"
     page = (folder / "report.html").read_text()
     assert "the sign is right" in page and page.count("data:image/png") == 2 and "Commissioning of stage.yaml" in page

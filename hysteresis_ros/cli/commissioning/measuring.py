@@ -158,7 +158,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
         )
     if abs(moved) < max(SEEN * noise, LEAST_MOVEMENT * abs(expected)):
         raise CommissioningError(
-            f"the sensor does not move with the actuator: {step:+.3g} V moved it by {readable(moved, 'm')}, "
+            f"the sensor does not move with the actuator: {step:+.3g} V changed its reading by {readable(moved, 'm')}, "
             f"but {readable(expected, 'm')} were expected{_name_unit(moved, expected)}; check "
             "amplifier, cables, "
             "servo switch, and whether this sensor measures this actuator"
@@ -180,7 +180,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
             "RMS; switch off any other controller, and check the stage's mounting"
         )
     gain = moved / applied
-    lines = [f"{applied:+.3g} V moved it by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]
+    lines = [f"{applied:+.3g} V moved the stage by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]
     traces = [
         line("measured", time, MICRO * (measured - np.mean(before))),
         line(
