@@ -248,7 +248,7 @@ class Parameters:
     def with_values(self, values, prefix: str = ""):
         """Return the parameters with some values changed, built and checked as by :meth:`from_mapping`.
 
-        Unchanged values are not converted again, so this is ten times as fast.
+        Unchanged values are not converted again, so this is ten times as fast as :meth:`from_mapping`.
         """
         result = self._changed(values)
         problems = result.problems(prefix)
@@ -419,7 +419,7 @@ class Configuration:
         return merged
 
     def describes(self, name: str, namespace: str = "") -> bool:
-        """Return whether the file has a section for the node ``name`` itself, not just one for all nodes."""
+        """Return whether the file has a section for the node ``name`` itself, not only a section for all nodes."""
         full = f"{normalised_namespace(namespace)}/{name}"
         return any(pattern.rsplit("/", 1)[-1] == name and matches(pattern, full) for pattern, _ in self.entries)
 
@@ -433,7 +433,7 @@ class Configuration:
         return replace(self, entries=(*self.entries, (pattern, flat)))
 
     def under(self, *others: Configuration) -> Configuration:
-        """Return this configuration overlaid by others; the value of a later one wins."""
+        """Return this configuration overlaid with others; values of later configurations win."""
         return replace(self, entries=(*self.entries, *(entry for other in others for entry in other.entries)))
 
     def namespaces(self) -> tuple[str, ...]:

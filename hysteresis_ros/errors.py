@@ -87,7 +87,7 @@ class MissingExtraError(HysteresisError):
 
 
 class LoopError(HysteresisError):
-    """The thread that runs the loop has failed, or a call of its device does not return; nothing can be changed."""
+    """The thread that runs the loop has failed, or a call of its device does not return; changes are refused."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

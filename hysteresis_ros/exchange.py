@@ -133,7 +133,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     Returns
     -------
     LinearParameters
-        ``A``, ``B``, ``C``, ``D`` and ``sample_time`` as parameter files have them, for :func:`with_dynamics`.
+        ``A``, ``B``, ``C``, ``D`` and ``sample_time`` as in parameter files, for :func:`with_dynamics`.
 
     Raises
     ------

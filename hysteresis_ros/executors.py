@@ -11,7 +11,7 @@
 
 Each result arrives when its job ends, with the number of the job, so that no result depends on the order of execution.
 A worker process exits when the process that started it exits. Another worker repeats the jobs of a lost worker; an
-error is raised when no worker is left or the scheduler is gone.
+error is raised when no worker is left or the scheduler no longer answers.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def _ended() -> HysteresisError:
 
 @contextlib.contextmanager
 def _alone() -> Iterator[None]:
-    """Start processes in the block that ignore interrupts and compute with one thread each.
+    """Let the processes that start in the block ignore interrupts and compute with one thread each.
 
     The processes do not run the user's main script, so it needs no ``if __name__ == "__main__"``.
     """

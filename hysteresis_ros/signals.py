@@ -303,7 +303,7 @@ def state_signals(node: str) -> dict[str, str]:
 
 
 def float_topics() -> dict[str, str]:
-    """Return the Float64 topics that carry one number a sample: topic → signal, in the order of a sample.
+    """Return the Float64 topics that carry one number per sample: topic → signal, in the order of a sample.
 
     The origin is published before the reference to which it belongs.
     """
@@ -313,7 +313,7 @@ def float_topics() -> dict[str, str]:
 
 
 def sources(name: str) -> tuple[tuple[str, str], ...]:
-    """Return where a recording may contain a signal: (node, name in its ``~/state``), best first."""
+    """Return (node, name in its ``~/state``) for each place of a signal in a recording, the preferred place first."""
     signal = SIGNALS[place(name)]
     substitute = SUBSTITUTES.get(name)
     return signal.state + (SIGNALS[place(substitute)].state if substitute else ())

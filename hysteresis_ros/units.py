@@ -16,7 +16,7 @@ import re
 
 from hysteresis_ros.errors import did_you_mean
 
-#: Accepted units besides the SI ones: name → (SI unit, number of them in one SI unit).
+#: Accepted units in addition to SI units: name → (SI unit, number of these units in one SI unit).
 SUBUNITS = {
     "mm": ("m", 1e3),
     "um": ("m", 1e6),
@@ -30,7 +30,7 @@ SUBUNITS = {
     "mV": ("V", 1e3),
 }
 
-#: Units of a column: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
+#: Units of a column: name → (SI unit, number of these units in one SI unit); ``1`` is dimensionless.
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
@@ -92,7 +92,7 @@ _QUANTITY = re.compile(r"^\s*(?P<number>[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?
 
 
 def conversion(unit: str) -> tuple[str, float] | None:
-    """Return the SI unit of a unit and the number of them in one SI unit; None when the unit is unknown.
+    """Return the SI unit of a unit, and how many of the given units are one SI unit; None when the unit is unknown.
 
     ``10um/V`` is a sensitivity: the column is in V, and 1 V is 10 µm.
     """

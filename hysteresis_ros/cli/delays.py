@@ -112,7 +112,7 @@ def _looking(run: Run) -> Delay:
 
 
 def _by_core(run: Run) -> tuple[dict[int, Lateness], dict[int, float]]:
-    """Return the lateness on each core, and its interrupts per second meanwhile."""
+    """Return the lateness on each core, and the interrupts per second of the core during that run."""
     by_core, rates = {}, {}
     for core in _usable()[:MOST_CORES]:
         before = _interrupts().get(core)

@@ -52,7 +52,7 @@ def parameter_lines(nodes: list[str]):
     for name in nodes:
         yield f"\n## {name}\n"
         rows = [row for row in _tables()[name].table() if row.name not in shared]
-        # the parameters of a stage cannot change live
+        # the parameters of a stage cannot change while it runs
         yield from _table([replace(row, read_only=True) for row in rows] if name == STAGE else rows)
     yield ""
 
@@ -80,7 +80,7 @@ def _yaml(value) -> str:
 def urdf(config, namespace):
     """Print the URDF of CONFIG: a base, and a prismatic joint with the limits of the axis.
 
-    The reference source publishes the same text on robot_description.
+    A running axis publishes the same text on robot_description.
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.loop.description import robot_description

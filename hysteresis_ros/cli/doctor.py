@@ -45,7 +45,7 @@ LIBRARIES = {
 }
 #: Modules of the libraries that ROS 2 from apt also provides.
 MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}
-#: Priority that a fused loop asks for by default.
+#: Priority that a fused loop requests by default.
 PRIORITY = 80
 #: Longest wait for the name of the middleware [s].
 PATIENCE = 10.0
@@ -155,7 +155,7 @@ def advice(found: dict, permitted: bool) -> list[str]:
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
 #: Number of samples of a lockstep run of nodes that exchange messages: in one process, and in a process for each node.
 COMPOSED, PROCESSES = 1000, 600
-#: Rate [Hz] and number of samples of their runs in real time.
+#: Rate [Hz] and number of samples of a real-time run of these nodes.
 MESSAGE_RATE, ANSWERED = 300.0, 300
 #: Fraction of skipped samples above which no higher rate is tested.
 HOPELESS = 0.1

@@ -48,7 +48,7 @@ def main() -> None:
 
         command(prog_name="hysteresis")
     except (KeyboardInterrupt, Exception) as error:
-        # a compiler fails with its own message soon after an interrupted callback
+        # after an interrupt that was lost in a callback, the compiler fails with an error of its own
         if not dropped and not isinstance(error, KeyboardInterrupt):
             raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _leave_at_once() -> NoReturn:
-    """Exit with the code of Ctrl-C; otherwise Python, interrupted in ``exec``, would be ended by the signal."""
+    """Exit at once with the exit code of Ctrl-C; in a normal exit Python could end itself by the signal instead."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(INTERRUPTED)

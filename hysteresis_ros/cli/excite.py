@@ -220,7 +220,7 @@ def _stages(axis, length: float):
 
 
 def _of_recipe(reference) -> dict:
-    """Return the options of a recipe."""
+    """Return the options of a recipe as numbers in SI."""
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.units import quantity
 

@@ -30,7 +30,7 @@ UNKNOWN = 60.0
 
 
 class FitState:
-    """Progress of a fit of unknown length: each report fills a fraction of the rest of the bar."""
+    """Progress of a fit of unknown length: each report fills a fraction of the remaining bar."""
 
     def __init__(self) -> None:
         self.text = ""
@@ -124,7 +124,7 @@ def identify(
     noise,
     **columns,
 ):
-    """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
+    """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as a ROS 2 parameter file.
 
     From several inputs and outputs, or from the recording of a stage, it identifies a stage of coupled axes, with
     decoupling and controllers. Several files are further realisations or levels. An NPY file contains an array
@@ -132,7 +132,7 @@ def identify(
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 4: the recording shows that the model is not accurate enough for the fastest feedback that it
-    would allow; a line names the frequency, and designs stay below it. 2: wrong input.
+    would allow; a message states the crossover that it allows, and designs stay below that. 2: wrong input.
     """
     from hysteresis_ros.identification.frequency_response import holds_response
 

@@ -137,7 +137,7 @@ ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
 
 
 def data_options(command):
-    """Add the options to a command; it gets them as keyword arguments."""
+    """Add the options for data to a command, which gets them as keyword arguments."""
     for option in reversed(
         (
             click.option(
@@ -291,7 +291,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     return "\n".join(lines + texts)
 
 
-#: Option → help, for the usual parameters of a waveform; ``--waveform NAME=VALUE`` sets any other one.
+#: Option → parameter, for the usual parameters of a waveform; ``--waveform NAME=VALUE`` sets any other parameter.
 PARAMETERS = {
     "--amplitude": "amplitude",
     "--frequency": "frequency",
@@ -332,7 +332,7 @@ class AskedReference:
             return asked_waveform(str(self.kind), self.given, gain)
 
     def put_into(self, configuration, namespace: str | None = None):
-        """Return a configuration whose axes follow the waveform; unchanged without a waveform option.
+        """Return a configuration whose axes follow the waveform; without a waveform option it is unchanged.
 
         In a stage, only the axis in ``namespace`` follows it, if a namespace is given.
         """
@@ -388,7 +388,7 @@ def _option(name: str) -> str:
 
 
 def reference_options(command):
-    """Add the options to a command, which gets them as ``reference``, an :class:`AskedReference`."""
+    """Add the options for a waveform to a command, which gets them as ``reference``, an :class:`AskedReference`."""
 
     @functools.wraps(command)
     def with_reference(reference, further, **words):

@@ -44,7 +44,7 @@ def _bar(err: bool) -> Any:
 
 
 def shown(what: str) -> contextlib.AbstractContextManager[None]:
-    """Show a bar during an operation that is usually short, on terminals only; print results after it."""
+    """Show a bar during an operation that is usually short, on terminals only; callers print results after it."""
     return Progress(err=True, bars_only=True).during(what)
 
 

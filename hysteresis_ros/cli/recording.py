@@ -150,9 +150,9 @@ def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int
 def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
 
-    A lockstep run of one machine can be verified on any other. Exit code 0: all samples are equal; 1: some differ or
-    are missing; 2: the recording cannot be repeated. Files named by parameters are read from the recording, not from
-    the disk.
+    A lockstep run of one machine can be verified on any other machine. Exit code 0: all samples are equal; 1: some
+    differ or are missing; 2: the recording cannot be repeated. Files named by parameters are read from the recording,
+    not from the disk.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.loop.repeated import recorded_axis, recorded_stage
@@ -207,8 +207,8 @@ def equal(name: object, samples: int) -> str:
 def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
     """Convert RECORDING (bag folder, .mcap, .db3, .npz or .csv) to a table of eight columns in SI units.
 
-    The columns are time, setpoint, reference, command, voltage, displacement (true), measured, estimated: the same
-    that `hysteresis simulate` writes.
+    The columns are time, setpoint, reference, command, voltage, displacement (true), measured and estimated, as
+    `hysteresis simulate` writes them.
     """
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.recordings.files import load_run, save_run

@@ -134,10 +134,10 @@ def echo(topic, once, count, namespace, timeout):
 @click.argument("value")
 @steered(timeout=30.0)  # an axis compiles when it starts for the first time
 def setpoint(value, namespace, timeout):
-    """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether its reference source accepts it.
+    """Send the setpoint VALUE, e.g. 5um or 5.0e-6m, to an axis, and print whether the axis accepts it.
 
-    Exit code 2: the setpoint is refused (out of range, axis not active or stopped). Exit code 1: the source is not
-    found or does not answer, so it is unknown whether the setpoint was accepted.
+    Exit code 2: the setpoint is refused (it is out of range, or the axis is inactive or stopped). Exit code 1: the axis
+    is not found or does not answer, so it is unknown whether the setpoint was accepted.
     """
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.units import quantity_in

@@ -68,7 +68,7 @@ def scan_stroke(situation: Situation) -> float:
 
 
 def scan_period(situation: Situation) -> int:
-    """Return the samples of a triangle of the scan."""
+    """Return the number of samples of a triangle of the scan."""
     return max(round(situation.rate / situation.plan.scan_frequency), 4)
 
 
@@ -135,7 +135,7 @@ def predicted_scan(situation: Situation, configuration: Configuration) -> Record
 
 
 def error_of(configuration: Configuration, namespace: str, recording: Recording) -> np.ndarray:
-    """Return the reference, delayed by its preview, minus the measurement without the sensor's zero offset [m]."""
+    """Return the reference, delayed by its preview, minus the measurement relative to the sensor's zero [m]."""
     controller = single_axis(configuration, namespace).motion_controller
     wanted = delayed(recording["reference"], controller.feedforward.preview)
     return wanted - (recording["measured"] - controller.model.preload.offset)
@@ -256,7 +256,7 @@ def preload_offset(configuration: Configuration, namespace: str) -> float:
 EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
 #: Largest M_s, relative to the predicted M_s.
 MARGIN_AS_PREDICTED = 1.25
-#: Part of the complex plane that is drawn.
+#: Largest magnitude of the loop transfer function that is drawn in the Nyquist plot.
 PLANE = 3.0
 
 
@@ -395,7 +395,7 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
 MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
 #: Assumed uncertainty of a model that was identified from the same stage a minute ago.
 CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
-#: The design of the filters.
+#: Kind of learning that is designed.
 FILTER_DESIGN = "inversion"
 
 

@@ -84,7 +84,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage and write the model; held-out blocks choose the model unless the user has named one."""
+    """Identify the stage and write the model, which is chosen on held-out blocks unless the user has named a model."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"
@@ -175,7 +175,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
             own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
-        # here the limits of motion follow from all recordings; those in the identified file follow only from some
+        # here the limits of motion follow from all recordings, in the identified file only from some of them
         own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")

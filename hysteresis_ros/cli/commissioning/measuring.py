@@ -31,7 +31,7 @@ STEP_WAY, STEP_HOLD = 0.05, 0.75
 CREEP_WAY, BACK_PART = 0.1, 0.25
 #: Number of periods of the multisine, and their length [s]; the first period is for settling.
 PERIODS, PERIOD = 5, 2.0
-#: Decaying cycles: number over the whole range, number of decaying ones, and number that reduces the amplitude to 1/e.
+#: Number of cycles over the whole range, of cycles with decaying amplitude, and of cycles in which it decays to 1/e.
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
 #: Level of the creep step, as a fraction of the range.
 CREEP_PART = 0.8
@@ -97,7 +97,7 @@ EXPECTED, RINGING = 3.0, 0.25
 STANDS_OUT = 2.0
 #: Number of the lowest frequencies of a response from which delay and gain are determined.
 LOW_LINES = 20
-#: Largest fraction of the samples within the noise around the extreme reading; more mean that the sensor clips.
+#: Largest fraction of the samples within the noise around the extreme reading; above it the sensor counts as clipping.
 CLIPPED = 0.03
 MICRO = 1e6
 

@@ -109,7 +109,7 @@ class Plan(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when the range is empty."""
+        """Yield a Problem when the range is empty, or when only one of current and capacitance is given."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
         if (self.current > 0.0) != (self.capacitance > 0.0):

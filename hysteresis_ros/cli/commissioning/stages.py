@@ -118,7 +118,7 @@ def _learn_words(situation: Situation) -> str:
     return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
 
 
-#: The stages by name, in order; each stage needs the ones before it.
+#: The stages by name, in order; each stage needs the stages before it.
 STAGES: dict[str, Stage | Computation] = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
     "gain": Stage("gain and sign", _gain_words, _driven("gain", volts.small_step), measuring.judge_gain),
