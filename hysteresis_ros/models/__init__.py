@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> type[Hysteresis]:
-    """Return the class of a hysteresis model; imported at the first use."""
+    """Return the class of a hysteresis model, which is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up names of modules here while it imports them
+    # Python also looks up the names of submodules here while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.models.classes import CLASSES

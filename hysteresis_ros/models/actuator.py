@@ -82,7 +82,7 @@ class ActuatorParameters(Parameters):
 
 @kernel
 def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
-    """Reading [m] of the sensor at the present sample; the sensor's state keeps the true displacement."""
+    """Reading [m] of the sensor at the present sample; the sensor's state stores the true displacement."""
     displacement = linear_output(dynamics_p, dynamics_x) + sensor_p[PRELOAD]
     sensor_x[DISPLACEMENT] = displacement
     return sensor(sensor_p, sensor_x, displacement)
@@ -96,7 +96,7 @@ def actuator_measure(ps, xs):
 
 @nested
 def actuator_force(ps, xs):
-    """Return the reading of the force sensor [N], NaN without one; call it once per sample."""
+    """Return the reading of the force sensor [N], NaN if there is no sensor; call it once per sample."""
     displacement = linear_output(ps.dynamics, xs.dynamics) if ps.force.shape[0] > 0 else 0.0
     return force_reading(ps.force, xs.force, displacement)
 
@@ -150,7 +150,7 @@ class Actuator(Chain):
         self._settle()
 
     def _settle(self) -> None:
-        """Set creep and dynamics to rest at the initial voltage of the limits."""
+        """Set creep and dynamics to their steady state at the initial voltage of the limits."""
         start = self.hysteresis.step(self.limits.x[OUTPUT])
         rest = self.creep.settle(start)
         self.dynamics.settle(rest)
@@ -163,7 +163,7 @@ class Actuator(Chain):
         return interpreted(actuator_measure)(self.ps, self.xs)
 
     def measure_force(self) -> float:
-        """Return the force [N] that the sensor reads, NaN without one; call it once per sample (it draws the noise)."""
+        """Return the reading [N] of the force sensor, NaN if there is none; call it once per sample (it draws the noise)."""
         return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:
@@ -204,7 +204,7 @@ class Actuator(Chain):
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         require_structure(self.parameters.creep, parameters.creep)
         parameters.force_sensor.require_same(self.parameters.force_sensor)
-        self.dynamics.retune(parameters.dynamics)  # first, because it may still refuse
+        self.dynamics.retune(parameters.dynamics)  # first, because it may still raise an error
         self.limits.retune(parameters.limits)
         self.hysteresis.retune(parameters.hysteresis.chosen)
         self.creep.retune(parameters.creep)

@@ -9,23 +9,23 @@
 
 """Online adaptation of an inverse: recursive least squares on the weights of its model while the axis runs.
 
-The models are linear in their weights, displacement = Σ f_i w_i z_i: f_i is the factor on an identified weight w_i, z_i
-the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i, computed from the output voltage, passes
-the model's creep, linear dynamics and delay, so that these are not identified as hysteresis. Terms and measurement then
-pass the same high-pass filter, so that an offset or a drift is not identified as gain. The factors are fitted by least
-squares with exponential forgetting, over the used samples k [1]_:
+The models are linear in their weights, displacement = Σ f_i w_i z_i. Here f_i is the factor on an identified weight
+w_i, and the weight multiplies z_i, a play operator or the voltage. Each term φ_i = w_i z_i, computed from the output
+voltage, passes the model's creep, linear dynamics and delay, so that these are not identified as hysteresis. Terms and
+measurement then pass the same high-pass filter, so that an offset or a drift is not identified as gain. The factors are
+fitted by least squares with exponential forgetting, over the used samples k [1]_:
 
 minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)   within  1/range ≤ f_i ≤ range
 
-The normal equations are stored as running means of φ φ' and φ y. They are not inverted, so nothing winds up without
-excitation. R = ε² P⁻¹ is the prior: weights that the reference does not excite follow the excited ones. P is the sum of
-three covariances: of a factor common to all weights, of one common to the weights that widen the loops, and of one
-factor for each weight. The bounds keep the weights above zero, so that an inverse exists. One sweep of coordinate
-descent per sample tracks the minimum. No factor leaves its bounds or changes faster than ``rate``. The model's offset
-compensates the change of the weights: the model's present displacement does not change, and the voltage does not jump.
-Afterwards the offset follows slow changes.
+The normal equations are stored as running means of φ φ' and φ y. They are not inverted, so the estimates do not wind up
+without excitation. R = ε² P⁻¹ is the prior: weights that the reference does not excite follow the excited ones. P is
+the sum of three covariances: of a factor common to all weights, of one common to the weights that widen the loops, and
+of one factor for each weight. The bounds keep the weights above zero, so that an inverse exists. One sweep of
+coordinate descent per sample tracks the minimum. No factor leaves its bounds or changes faster than ``rate``. The
+model's offset compensates the change of the weights: the model's present displacement does not change, and the voltage
+does not jump. Afterwards the offset follows slow changes.
 
-Dead zones behind the sum make the displacement nonlinear in f. Their thresholds scale with the gain g = Σ f_i w_i / Σ
+Dead zones after the sum make the displacement nonlinear in f. Their thresholds scale with the gain g = Σ f_i w_i / Σ
 w_i, so the displacement is homogeneous in f. By Euler's theorem it equals the sum of its derivatives times f, and these
 derivatives are used as the terms.
 
@@ -57,7 +57,7 @@ TERMS = 0
 ZONES = 1
 CREEP_STATES = 2
 FILTER_STATES = 3  # number of states of creep and dynamics per term
-SLOW_SHARE = 4  # weight of a sample in the slow parts, which the high-pass filter removes
+SLOW_SHARE = 4  # weight of a sample in the slow components, which the high-pass filter removes
 KEPT_SHARE = 5  # weight of a sample in the running means
 LARGEST_FACTOR = 6
 LARGEST_STEP = 7  # largest change of a factor per sample
@@ -71,7 +71,7 @@ OFFSET_SHARE = 14  # fraction of the offset's error corrected per sample
 OWN_PARAMETERS = 15
 
 # Layout of x.own.
-STATE = 0  # one of those below
+STATE = 0  # one of the states below
 TOLD = 1  # 1 while a service keeps the adaptation frozen
 BEGUN = 2  # 1 after the first measurement
 WAIT = 3  # samples before learning begins
@@ -79,15 +79,15 @@ POWER = 4  # mean square of the high-pass filtered modelled displacement [m²]
 ERROR_POWER = 5  # mean square of measurement minus model [m²]
 LAST = 6  # last measurement [m]
 LAST_MODELLED = 7  # [m]
-UNUSABLE = 8  # implausible measurements in a row
+UNUSABLE = 8  # number of consecutive implausible measurements
 GAIN = 9  # gain of all weights, relative to the identified ones
 MOVED = 10  # change of the offset from the identified one [m]
 ZEROED = 11  # 1 after the origin of the displacement is known
 ZERO = 12  # measurement at zero displacement [m]
 OWN_STATES = 13
 
-#: States of the adaptation: off; the weights adapt; frozen, because the excitation is too small, a service has frozen
-#: it, the axis does not run or has just started, or range or slew rate limits the voltage.
+#: States of the adaptation: off, adapting, or frozen for one of four reasons: the excitation is too small; a service
+#: has frozen the adaptation; the axis does not run or has just started; the range or the slew rate limits the voltage.
 OFF, ADAPTING, UNEXCITED, FROZEN, WAITING, SATURATED = range(6)
 STATE_NAMES = (
     "off",
@@ -103,7 +103,7 @@ class AdaptationSettings(NamedTuple):
     """Parameter arrays of an adaptation."""
 
     own: np.ndarray
-    #: Indices of the weights in p and of their play outputs in x, then of the zones' thresholds and slopes in p.
+    #: Indices of the weights in p and of their play outputs in x, then of the dead zones' thresholds and slopes in p.
     places: np.ndarray
     nominal: np.ndarray  # identified weights, then thresholds
     prior: np.ndarray  # R, row by row [m²]
@@ -116,15 +116,15 @@ class AdaptationStates(NamedTuple):
     own: np.ndarray
     factors: np.ndarray
     filters: np.ndarray  # creep and dynamics of each term, then of the offset
-    slow: np.ndarray  # slow parts of each term, of the offset and of the measurement [m]
-    terms: np.ndarray  # terms behind the high-pass filter [m]
+    slow: np.ndarray  # slow components of each term, of the offset and of the measurement [m]
+    terms: np.ndarray  # high-pass filtered terms [m]
     squares: np.ndarray  # running mean of φ φ', row by row [m²]
     products: np.ndarray  # running mean of φ y [m²]
 
 
 @kernel
 def bent(own, places, p, total, slope):
-    """Return the sum of the terms behind the dead zones [m], or the slope there when ``slope`` is not 0."""
+    """Return the output of the dead zones [m] for the sum ``total`` of the terms; their slope if ``slope`` is not 0."""
     terms, zones = int(own[TERMS]), int(own[ZONES])
     y, steepness = total, 1.0
     for j in range(zones):
@@ -174,7 +174,7 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
     weights = 0.0
     for i in range(terms):
         weights += p_h[int(places[i])]
-    # change of the displacement by the thresholds, which scale with the gain
+    # contribution of the thresholds, which scale with the gain, to the displacement
     shared = (bent(own, places, p_h, total, 0.0) - slope * total) / weights
     for i in range(terms):
         term = settings.nominal[i] * (slope * signal(places, terms, x_h, voltage, i) + shared)
@@ -215,8 +215,8 @@ def arrive(settings, states):
 def believe(settings, states, measured, modelled, whole):
     """Store the displacement [m] that is used as measurement; return whether it was measured.
 
-    The model replaces a missing or implausible measurement. After too many implausible ones in a row the model must be
-    wrong, and the measurement is used.
+    The model replaces a missing or implausible measurement. After too many consecutive implausible measurements, the
+    model is assumed to be wrong and the measurement is used.
     """
     own_p, own, slow = settings.own, states.own, states.slow
     level = int(own_p[TERMS]) + 1
@@ -236,7 +236,7 @@ def believe(settings, states, measured, modelled, whole):
 
 @called
 def move(settings, states, fast):
-    """Update the running means by the measurement [m], and move the factors towards the minimum."""
+    """Update the running means with the measurement [m], and move the factors towards the minimum."""
     own, terms, factors = settings.own, states.terms, states.factors
     count, kept = int(own[TERMS]), own[KEPT_SHARE]
     for i in range(count):
@@ -305,7 +305,7 @@ def learn(settings, states, measured, usable):
 def put_in(settings, states, p_h, x_h, voltage):
     """Write the factors into the weights of the model without a jump of its output.
 
-    The offset compensates their change; the memory of the model stays.
+    The offset compensates the change of the weights; the memory of the model is kept.
     """
     own, places, nominal = settings.own, settings.places, settings.nominal
     terms, zones, offset = int(own[TERMS]), int(own[ZONES]), int(own[OFFSET_PLACE])
@@ -333,9 +333,9 @@ def put_in(settings, states, p_h, x_h, voltage):
 
 @called
 def adapt(settings, states, p_h, x_h, voltage, measured, usable):
-    """Learn from a measurement and update the model; arguments as above.
+    """Learn from a measurement and update the model, with the arguments of :func:`drive` and :func:`learn`.
 
-    Both are in one function, because a node calls it from Python.
+    A node calls this function from Python, so it combines both steps in one call.
     """
     if learn(settings, states, measured, usable):
         put_in(settings, states, p_h, x_h, voltage)
@@ -347,7 +347,7 @@ MOST_WEIGHTS = 32
 COMMON, OPENING, EACH = 0.3, 0.3, 1.0
 #: ε: residual of the model, as a fraction of the stroke.
 MISFIT = 1e-4
-#: Waiting time after a stop of the axis before learning, in time constants of the high-pass filter.
+#: Waiting time before learning continues after the axis has stopped, in time constants of the high-pass filter.
 SETTLING = 5.0
 #: Time constant with which the offset follows slow changes, in time constants of the filter.
 OFFSET_TIME = 10.0
@@ -417,11 +417,11 @@ class AdaptationParameters(Parameters):
             return
         name, model = hysteresis.type, hysteresis.model
         if model.weighted is None:
-            remedy = f"{name} is not linear in its weights; take a model that is ({', '.join(adaptable())}), or none"
+            remedy = f"{name} is not linear in its weights; use none, or one of the models {', '.join(adaptable())}"
             yield Problem("adaptation.type", self.type, remedy)
             return
         if inverse not in ("exact", "general", "picard_steps"):
-            yield Problem("adaptation.type", self.type, f"the inverse {inverse} does not use the weights; take exact")
+            yield Problem("adaptation.type", self.type, f"the inverse {inverse} does not use the weights; use exact")
         terms = hysteresis_block(hysteresis, 1.0).terms
         count = len(terms.weights) if terms else 0
         if count > MOST_WEIGHTS:
@@ -560,19 +560,19 @@ class Adaptation(Chain):
         self.xs.own[ZERO] = self.parameters.zero
 
     def _rest(self) -> None:
-        """Set creep and dynamics of each term to rest at the compensator's present state."""
+        """Set creep and dynamics of each term to their steady state at the compensator's present state."""
         compensator, length = self.compensator, int(self.settings.own[FILTER_STATES])
         creep, block = Creep(compensator.creep.parameters, self.sample_time), compensator.hysteresis
         self.dynamics.settle(creep.settle(1.0))
         unit = np.concatenate([creep.x, self.dynamics.x])
         drive(self.settings, self.xs, creep.p, block.p, block.x, compensator.voltage)
         filters = self.xs.filters.reshape(-1, length)
-        # filters at rest at zero output the terms times the feedthrough
+        # with zero states, the filters output the terms times the feedthrough
         terms = filters[:, len(creep.x) + HELD_INPUT] / creep.p[FEEDTHROUGH]
         filters[:] = terms[:, np.newaxis] * unit
 
     def retune(self, parameters: AdaptationParameters, hysteresis: HysteresisParameters) -> None:
-        """Change the settings; with another identified model the factors restart.
+        """Change the settings; the factors restart at 1 if the identified model has changed.
 
         Parameters
         ----------

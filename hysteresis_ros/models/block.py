@@ -82,7 +82,8 @@ if COMPILED:
 # Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to 90 %
 # of the time of a small kernel. Without it (`_nrt`), a kernel that allocates does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-# Only other compiled code calls these: they get no entry points from Python and C, which would each be compiled.
+# Options of functions that only compiled code calls: without the entry points for Python and C, which take time to
+# compile.
 _WITHIN: dict[str, Any] = {
     "error_model": "numpy",
     "_nrt": False,
@@ -97,8 +98,8 @@ _EACH: Any = _WITHIN
 def _cache_directory():
     """Direct Numba to the cache of these sources while a kernel is declared.
 
-    Numba detects changes of a function's own file, but not of the functions it calls, so a cache beside the sources
-    would return stale code after an update. A folder named by a digest of all sources cannot.
+    Numba detects changes of a function's own file, but not of the functions it calls, so a cache next to the sources
+    would return stale code after an update. A folder named after a digest of all sources does not.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         yield
@@ -148,14 +149,14 @@ def kernel(function):
 
 
 def called(function):
-    """Mark a kernel that other kernels call instead of inlining it: a long one that seldom runs completely."""
+    """Mark a kernel that other kernels call instead of inlining it; for long kernels that seldom run completely."""
     return _in_two_forms(function)
 
 
 def _in_two_forms(function, **options):
-    """Return the form of a kernel for Python and for arguments; kernels that call it by name use its second form.
+    """Return the form of a kernel that Python calls or passes as an argument; kernels that call it by name use another.
 
-    Each is compiled on first use: a kernel that only kernels call gets no entry points and no file in the cache.
+    Each form is compiled on first use: a kernel that only kernels call gets no entry points and no file in the cache.
     """
     if not COMPILED:
         return function
@@ -168,7 +169,7 @@ def _in_two_forms(function, **options):
 if COMPILED:
 
     class _Within(numba.types.Dispatcher):
-        """Type of a kernel that another one names: compiled once for all literal numbers in its calls."""
+        """Type of a kernel that another kernel calls by name; compiled once for all literal numbers in the calls."""
 
         def get_call_type(self, context, args, kws):
             unliteral = numba.types.unliteral
@@ -179,16 +180,15 @@ if COMPILED:
 
     @typeof_impl.register(type(numba.njit(lambda: None)))
     def _type_of_compiled(value, context):
-        """Type of a compiled function: within the source of another one, that of its internal form."""
+        """Return the type of a compiled function; within the source of another one, the type of its internal form."""
         within = getattr(value, "within", None) if context.purpose.name == "constant" else None
         return numba.types.Dispatcher(value) if within is None else _Within(within())
 
 
 def nested(function):
-    """Mark a composite that other composites call: compiled with them, plain Python when Python calls it.
+    """Mark a composite that other composites call; it is compiled with them, and is plain Python when Python calls it.
 
-    When Python calls it, its kernels arrive as compiled functions (0.2-0.3 µs per call), and the composite itself is
-    not compiled.
+    When Python calls it, its kernels arrive as compiled functions (0.2-0.3 µs per call).
     """
     if COMPILED:
         register_jitable(forceinline=True, **_WITHIN)(function)
@@ -203,7 +203,7 @@ def by_part(function):
     """Mark a composite that exists in one form for each kind of part; the type of ``part`` decides which form runs.
 
     ``function(laws, part, row)`` gets an attribute ``kinds``, a dict of part classes (named tuples of arrays) to
-    composites of the same arguments; the choice is made at compile time, so it costs nothing in a sample.
+    composites of the same arguments; the choice is made at compile time, so it takes no time in a sample.
     """
     kinds: dict = {}
 
@@ -228,7 +228,7 @@ def each(function):
 
     The result takes a tuple of laws, a tuple of parts and a table with a row for each axis, in the same order. The
     compiled form divides the tuples into halves, so axes may have parts of different classes. Axes, or halves, of the
-    same classes share one machine code.
+    same classes share the same machine code.
     """
 
     def over(laws, parts, rows):
@@ -258,7 +258,7 @@ def each(function):
 
 
 class Stored:
-    """Arguments of compiled code, taken apart once instead of at every call; :func:`contents` gives them.
+    """Arguments of compiled code, unpacked once instead of at every call; :func:`contents` returns them.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class Stored:
             specialised(_store, self._memory, arguments)(self._memory, arguments)
 
 
-#: Most words of an array or a function in compiled code.
+#: Maximum number of words of an array or a function in compiled code.
 _WORDS = 16
 
 
@@ -330,7 +330,7 @@ if COMPILED:
 
     @lower_builtin(contents, _StoredType)
     def _read(context, builder, signature, arguments):
-        """Read every word by itself, so that words without a use are not read."""
+        """Read every word separately, so that the compiler can leave out unused words."""
         zero = context.get_constant(numba.types.int32, 0)
 
         def read(pointer):
@@ -348,7 +348,7 @@ if COMPILED:
 
 
 def displaced(arrays, distance):
-    """Return nested named tuples of arrays that lie ``distance`` numbers behind these in the same block of memory.
+    """Return nested named tuples of arrays that lie ``distance`` numbers after these in the same block of memory.
 
     The arrays are slices of one float64 array. In compiled code only pointers move, at almost no cost.
     """
@@ -362,7 +362,7 @@ if COMPILED:
 
     @type_callable(displaced)
     def _type_of_displaced(context):
-        """Type of the displaced arrays: that of the arrays."""
+        """Return the type of the displaced arrays, which is the type of the given arrays."""
         return lambda arrays, distance: arrays
 
     @lower_builtin(displaced, numba.types.BaseTuple, numba.types.Integer)
@@ -389,7 +389,7 @@ def interpreted(function):
 def kernels_of(*names: str):
     """Mark a named tuple of kernels, in the words of :func:`signature`, so that compiled code takes it as one argument.
 
-    The kernels in it are first-class functions, so one machine code serves any kernels.
+    The kernels in it are first-class functions, so the same machine code works with any kernels.
     """
 
     def mark(cls):
@@ -426,17 +426,17 @@ def specialised(function, *arguments, nogil: bool = False):
     return _compiled[key]
 
 
-#: Samples that are interpreted before their loop is compiled: compiling it takes as long as some 200 000 samples.
+#: Number of samples that are interpreted before a loop is compiled: compiling it takes as long as some 200 000 samples.
 INTERPRETED = 20_000
 
 _interpreted: dict = {}
 
 
 def specialised_for(samples: int, function, *arguments):
-    """Return what runs ``samples`` more samples soonest: the machine code of a composite, or the function itself.
+    """Return the faster way to run ``samples`` more samples: the machine code of a composite, or the function itself.
 
-    Both give the same bits. The function itself is returned while there is no machine code for these arguments, neither
-    here nor in the cache, and fewer than :data:`INTERPRETED` samples were interpreted with arguments of these types.
+    Both give identical results. The function itself is returned while neither this process nor the cache has machine
+    code for these arguments, and fewer than :data:`INTERPRETED` samples were interpreted with arguments of these types.
     """
     if not COMPILED:
         return function
@@ -461,7 +461,7 @@ def direct(function):
     """Return a result of :func:`specialised` for calls that do not look up the types of their arguments.
 
     The look-up takes a millisecond for all arrays of an axis. The arguments must have the types for which the function
-    was compiled, arrays must be contiguous; nothing checks it.
+    was compiled, and arrays must be contiguous; this is not checked.
     """
     return function.get_overload(function.nopython_signatures[0]) if COMPILED else function
 
@@ -513,8 +513,8 @@ def signature(*names):
 def composite(*names):
     """Mark a function that takes kernels as arguments, with its signature in the words of :func:`signature`.
 
-    One machine code serves every combination of kernels, because they arrive as first-class functions. It is compiled
-    (or read from the cache) at the first call of :func:`compiled`.
+    The same machine code works with every combination of kernels, because they are first-class functions. It is
+    compiled (or read from the cache) at the first call of :func:`compiled`.
     """
 
     def mark(function):
@@ -556,7 +556,7 @@ class Chain:
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of all states in one array; assign it to restore exactly (with the same parameters)."""
+        """A copy of all states in one array; assign it to restore them exactly (with the same parameters)."""
         return np.concatenate(self.xs)
 
     @state.setter
@@ -619,7 +619,7 @@ class Block:
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of the state array; assign it to restore exactly."""
+        """A copy of the state array; assign it to restore the state exactly."""
         return self.x.copy()
 
     @state.setter

@@ -284,7 +284,7 @@ class SensorCalibration(Block):
 
     @property
     def complaint(self) -> str:
-        """Error of the last reading; empty: none."""
+        """Error message for the last reading; empty if the reading is valid."""
         reading, low, high = self.x[READING], self.p[LOWEST], self.p[HIGHEST]
         if math.isnan(reading) or low <= reading <= high:
             return ""

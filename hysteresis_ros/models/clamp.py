@@ -182,7 +182,7 @@ class ClampParameters(Parameters):
             yield Problem("gap", self.gap, remedy)
 
     def _displacements(self, voltages) -> list[float]:
-        """Return the displacement [m] at rest at each of the voltages [V], applied one after the other."""
+        """Return the steady-state displacement [m] at each of the voltages [V], applied one after the other."""
         block = hysteresis_block(self.hysteresis, 1e-3)
         low, high = self.limits.minimum, self.limits.maximum
         limited = [min(max(voltage, low), high) for voltage in voltages]
@@ -192,23 +192,23 @@ class ClampParameters(Parameters):
         return [float(block.simulate(np.full(RESTING_SAMPLES, voltage))[-1]) for voltage in limited]
 
     def normal_force(self, voltage: float) -> float:
-        """Return the normal force [N] at rest at ``voltage`` [V].
+        """Return the steady-state normal force [N] at ``voltage`` [V].
 
-        Hysteresis makes it depend on the past: this is the smaller value of a first closing and a closing after full
-        opening.
+        Because of hysteresis the force depends on the past. The result is the smaller of two values: that of the first
+        closing, and that of a closing after full opening.
         """
         low = self.limits.minimum
         displacement = min(self._displacements((voltage, low, voltage))[::2])
         return self.wear * max(0.0, self.stiffness * (displacement - self.gap))
 
     def holding_force(self, voltage: float) -> float:
-        """Return the load [N] that static friction holds at rest at ``voltage`` [V]."""
+        """Return the load [N] that static friction can hold in the steady state at ``voltage`` [V]."""
         return self.static_friction * self.normal_force(voltage)
 
     def settling_time(self, tolerance: float = 0.02) -> float:
         """Return the time [s] after which the displacement stays within ``tolerance`` of a step of the voltage.
 
-        With a slew rate it includes the time over the whole range, as an upper bound.
+        If the slew rate is limited, the time for the full voltage range at this rate is added, as an upper bound.
         """
         slew = self.limits.slew_rate
         ramp = (self.limits.maximum - self.limits.minimum) / slew if slew > 0.0 else 0.0
@@ -260,10 +260,10 @@ class Clamp(Chain):
         return np.array([parameters.gap, parameters.stiffness * parameters.wear, *friction])
 
     def _settle(self) -> None:
-        """Set all states to rest at the initial voltage."""
+        """Set all states to the steady state at the initial voltage."""
         self.limits.x[UNQUANTISED] = (
             self.parameters.initial_voltage
-        )  # initial value, so that the slew rate does not act
+        )  # initial value, so that the slew rate does not limit it
         start = self.hysteresis.step(self.limits.step(self.parameters.initial_voltage))
         self.limits.x[FLAGS] = 0.0
         self.lag.settle(start)

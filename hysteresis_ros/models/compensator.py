@@ -61,7 +61,7 @@ DECAY = 0  # decay of the bias per sample
 #: A bias below this is set to zero [V].
 NEGLIGIBLE_BIAS = 1e-9
 
-#: Fraction of the voltage range by which ``general`` searches beyond both ends, so that saturation is detected.
+#: Fraction of the voltage range by which the inverse ``general`` searches beyond both ends, to detect saturation.
 SEARCH_MARGIN = 0.1
 
 
@@ -122,12 +122,12 @@ def compensator_step(hysteresis, inverse, ps, xs, command):
 
 @nested
 def compensator_resume(hysteresis, inverse, ps, xs, command):
-    """Start the next voltage, for ``command`` [m], at the present one; the difference becomes the bias."""
+    """Let the next voltage, for ``command`` [m], start at the present voltage; the difference becomes the bias."""
     out, limited = xs.out, xs.limits
     out[COMMAND] = command
     out[BIAS] = 0.0
     if int(limited[FLAGS]) & SLEWING:
-        return  # the slew rate keeps the voltage from jumping
+        return  # the slew rate prevents a jump of the voltage
     wanted = creep_inverse(ps.creep, xs.creep, command)
     now = inverse(hysteresis, ps.inverse, xs.inverse, ps.hysteresis, xs.hysteresis, wanted)
     last = limited[UNQUANTISED]
@@ -147,7 +147,7 @@ def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
 
 
 def inverse_step(inverse):
-    """Return an inverse for calls from Python, once per sample, with the arguments of every inverse.
+    """Return the form of an inverse that Python calls once per sample, with the arguments of every inverse.
 
     A kernel passed from Python would become part of the type of the called function, which Numba cannot cache: every
     process would compile the function again. So an inverse that evaluates the kernel gets it as a first-class function,
@@ -159,7 +159,7 @@ def inverse_step(inverse):
 
 
 class Compensator(Chain):
-    """Inverse of a hysteresis model behind the limits of the amplifier.
+    """Inverse of a hysteresis model, with the limits of the amplifier.
 
     Composites use ``ps``, ``xs``, ``hysteresis_kernel`` and ``inverse_kernel`` directly. With inverse ``none`` the
     model is proportional with the nominal gain of the configured one.
@@ -297,14 +297,14 @@ class Compensator(Chain):
         self.resume(self.xs.out[COMMAND])
 
     def resume(self, command: float) -> None:
-        """Start the next voltage, for ``command`` [m], at the present one, e.g. at the safe voltage after :meth:`hold`.
+        """Let the next voltage, for ``command`` [m], start at the present voltage.
 
-        The difference decays with ``handover_time``.
+        An example is the safe voltage after :meth:`hold`. The difference decays with ``handover_time``.
         """
         interpreted(compensator_resume)(self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command))
 
 
-#: Samples of one sweep of the voltage.
+#: Number of samples in one sweep of the voltage.
 SWEEP = 257
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: slow drift after a step, as a sum of first-order operators behind the hysteresis, and its inverse.
+"""Creep: slow drift after a step, as a sum of first-order operators after the hysteresis, and its inverse.
 
 ``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets (γ =
 0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric sequence;
@@ -53,7 +53,7 @@ class LogarithmicCreepParameters(Parameters):
     operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
 
     def check(self):
-        """Yield a Problem when the time range is empty or no immediate step remains."""
+        """Yield a Problem when the time range is empty."""
         if self.longest_time <= self.reference_time:
             remedy = f"must be above reference_time = {self.reference_time:g} s"
             yield Problem("longest_time", self.longest_time, remedy)
@@ -78,9 +78,11 @@ class CreepOperatorsParameters(Parameters):
     time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
 
     def check(self):
-        """Yield a Problem when the sizes differ."""
+        """Yield a Problem when weights and time constants differ in number."""
         if len(self.weights) != len(self.time_constants):
-            yield Problem("weights", self.weights, f"must be as many as time_constants, {len(self.time_constants)}")
+            yield Problem(
+                "weights", self.weights, f"must be as many numbers as time_constants ({len(self.time_constants)})"
+            )
 
     def operators(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the feedthrough 1, the weights a and the time constants τ [s]."""
@@ -171,7 +173,7 @@ class Creep(Block):
         return np.zeros(OPERATOR + int(self.p[OPERATORS]))
 
     def settle(self, u: float) -> float:
-        """Set the operators to rest at the displacement ``u`` [m] and return the output [m]."""
+        """Set the operators to their steady state at the displacement ``u`` [m] and return the output [m]."""
         self.x[OPERATOR:] = u
         self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + interpreted(crept)(self.p, self.x)
         return float(self.x[OUTPUT])

@@ -40,7 +40,7 @@ PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Indices of the weights of a model that is linear in them: Σ p[weight] x[signal] passes through dead zones.
+    """Indices of a model that is linear in its weights: the sum Σ p[weight] x[signal], which passes through dead zones.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class LinearTerms:
     opening : tuple of bool
         Whether each weight widens the loops, because its factor lags behind the voltage.
     zones : tuple of (int, int)
-        Indices in p of threshold [m] and slope of each dead zone behind the sum; a gain multiplies the thresholds.
+        Indices in p of threshold [m] and slope of each dead zone after the sum; a gain multiplies the thresholds.
     output : int
         Index in x of the last output [m]; ``NOWHERE``: it is not stored.
     offset : int
@@ -237,7 +237,7 @@ class HysteresisModel:
     parts : tuple of str
         Entries of :data:`PARTS` that can be identified together with the model.
     stages : bool
-        Whether linear dynamics of higher order can be identified behind the hysteresis.
+        Whether linear dynamics of higher order can be identified after the hysteresis.
     response : str
         For models with internal dynamics, which are not invertible: dotted path of ``response(parameters, voltage,
         sample_time, intersample, initial)``, which returns the displacement [m] at the samples.

@@ -35,7 +35,7 @@ from hysteresis_ros.models.block import called
 
 # π/2 in two parts; the first has 33 bits, so that its multiples by k < 2²⁰ are exact.
 _QUARTER_HIGH, _QUARTER_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
-_QUARTERS = 2.0 / math.pi  # a quarter turns per radian
+_QUARTERS = 2.0 / math.pi  # quarter turns per radian
 #: Largest angle [rad] with a sine and a cosine.
 LARGEST_ANGLE = 1e6
 
@@ -47,7 +47,7 @@ _HALF_ROOT = math.sqrt(0.5)
 
 
 def _powers_of_two() -> tuple[np.ndarray, np.ndarray]:
-    """Return 2^(j/32), j = 0 … 31, rounded, and the rounding error, from 50 decimal digits [2]_."""
+    """Return 2^(j/32), j = 0 … 31, rounded, and the rounding errors, computed with 50 decimal digits [2]_."""
     with localcontext() as context:
         context.prec = 50
         exact = [Decimal(2) ** (Decimal(j) / 32) for j in range(32)]
@@ -114,7 +114,7 @@ def exp(x):
     if not abs(x) < 800.0:
         if x > 0.0:
             return math.inf
-        return 0.0 if x < 0.0 else x  # NaN stays
+        return 0.0 if x < 0.0 else x  # NaN is returned unchanged
     count = math.floor(x * _STEPS + 0.5)
     j = int(count) & 31
     high = x - count * _STEP_HIGH
@@ -188,7 +188,7 @@ def tanh(x):
     """Return the hyperbolic tangent; errors below 3 units in the last place."""
     size = abs(x)
     if not size < 20.0:
-        return math.copysign(1.0, x) if size >= 20.0 else x  # NaN stays
+        return math.copysign(1.0, x) if size >= 20.0 else x  # NaN is returned unchanged
     grown = expm1(2.0 * size)
     value = grown / (grown + 2.0) if size < 0.5 else 1.0 - 2.0 / (grown + 2.0)
     return value if x >= 0.0 else -value

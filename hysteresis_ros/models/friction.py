@@ -19,7 +19,7 @@ length h from k to k+1, with the extender's free displacement u at k+1 and its s
 where R is the friction limit μ N at k+1. The inclusion of the front contact has the solution λ_f = clip(k_e (u - t - h
 v⁺), ±R_f), a decreasing function of v⁺. So v⁺ is the only zero of a strictly monotone function with two kinks and one
 jump. This zero has a closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and
-dry friction in finite freedom dynamics", 1988). A contact that stuck in the step before has the static limit μ_s N, a
+dry friction in finite freedom dynamics", 1988). A contact that stuck in the previous step has the static limit μ_s N, a
 sliding one the kinetic limit μ_k N. A contact that begins to slide gets the kinetic limit within the same step. A
 sticking contact does not move at all: its grip is stored as a distance, not summed up from steps, so nothing drifts.
 End stops are rigid and stop the slider.
@@ -32,10 +32,10 @@ contact is a spring k_r = 1/c_r to an anchor a; the front contact is in series w
 with dampers d = 2 ζ √(k m). A sliding contact moves its anchor (a or g). A normal force that grows by ΔN moves the
 anchor by κ ΔN: the kick of a clamp. The sum of the forces again decreases with v⁺, with four kinks.
 
-The scheme is unconditionally stable. Like every implicit Euler step it damps: while the front clamp sticks, slider and
-extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which stands for the damping of the real joint. With
-compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2 small
-compared with ζ.
+The scheme is unconditionally stable. Like every implicit Euler step it adds damping: while the front clamp sticks,
+slider and extender oscillate at ω = √(k_e/m) with the damping ratio ω h/2, in place of the damping of the real joint.
+With compliant contacts the damping ratio of the joint is ζ, and a sample is divided into enough steps to make ω h/2
+small compared with ζ.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
     front_force, rear_force = clip(a_f - b_f * v, front), clip(a_r - b_r * v, rear)
     x[FRONT_STUCK] = 1.0 if front > 0.0 and math.fabs(a_f - b_f * v) <= front else 0.0
     x[REAR_STUCK] = 1.0 if rear > 0.0 and math.fabs(a_r - b_r * v) <= rear else 0.0
-    # a sliding contact moves its anchor; an open one has neither spring nor damper
+    # a sliding contact moves its anchor; an open contact has neither spring nor damper
     if x[FRONT_STUCK] == 0.0:
         spring = front_force - d_f * (rate - v) if front > 0.0 else 0.0
         slid = spring / k_f - u + following - x[GRIP]
@@ -449,12 +449,12 @@ class Slider(Block):
             x[BEFORE : BEFORE + 4] = x[FRONT_STATIC : FRONT_STATIC + 4]
 
     def check_travel(self, parameters: SliderParameters) -> None:
-        """Raise ParameterError when a new travel leaves the slider outside."""
+        """Raise ParameterError when the slider is outside the new travel."""
         position = float(self.x[POSITION])
         for name, inside in (
             ("minimum", parameters.minimum <= position),
             ("maximum", position <= parameters.maximum),
         ):
             if not inside:
-                remedy = f"must leave the slider, now at {position:g} m, inside the travel"
+                remedy = f"the slider is at {position:g} m, outside the new travel: choose a travel that contains it"
                 raise ParameterError([Problem(f"inchworm.slider.{name}", getattr(parameters, name), remedy)])

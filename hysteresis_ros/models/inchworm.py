@@ -117,7 +117,7 @@ class InchwormParameters(Parameters):
         return Contacts(front.compliance, rear.compliance, *kicks)
 
     def holding_force(self, front_voltage: float, rear_voltage: float) -> tuple[float, float]:
-        """Return the loads [N] that front and rear clamp, each alone, hold at rest at their grip voltages [V]."""
+        """Return the loads [N] that the front clamp alone and the rear clamp alone hold at their grip voltages [V]."""
         return self.front_clamp.holding_force(front_voltage), self.rear_clamp.holding_force(rear_voltage)
 
     def holding_problems(
@@ -149,7 +149,7 @@ class InchwormParameters(Parameters):
 
 @dataclass(frozen=True)
 class InchwormPlantParameters(ActuatorParameters):
-    """Parameters of an inchworm motor as a plant: the extender (an actuator) and the rest of the motor."""
+    """Parameters of an inchworm motor as a plant: the extender (an actuator) and the other parts of the motor."""
 
     inchworm: InchwormParameters = group(InchwormParameters)
 
@@ -353,7 +353,7 @@ class Inchworm(Chain):
                 found = [replace(item, name=f"inchworm.{name}.{item.name}") for item in error.problems]
                 raise ParameterError(found) from None
         self.slider.check_travel(motor.slider)
-        self.extender.retune(_extender(parameters))  # the last part that can refuse
+        self.extender.retune(_extender(parameters))  # the last part that can raise an error
         self.front_clamp.retune(motor.front_clamp)
         self.rear_clamp.retune(motor.rear_clamp)
         self.slider.stiffness, self.slider.contacts = motor.extender_stiffness, motor.contacts

@@ -74,17 +74,17 @@ class Inverse(Compensator):  # numpydoc ignore=PR02
 
 
 def hysteresis_of(model: Any) -> HysteresisParameters:
-    """Return the parameters of a hysteresis model with its type, as parameter files hold them.
+    """Return the type and the parameters of a hysteresis model in the form of the parameter files.
 
     Parameters
     ----------
     model : HysteresisBlock or HysteresisParameters
-        A model such as ``hr.models.BoucWen(…)``, or the choice of one with its parameters.
+        A model such as ``hr.models.BoucWen(…)``, or the type and the parameters of one.
 
     Returns
     -------
     HysteresisParameters
-        The choice with the parameters of the model.
+        The type and the parameters of the model.
 
     Raises
     ------

@@ -241,7 +241,7 @@ class InverseParameters(Parameters):
             yield Problem("inverse.type", kind, remedy)
 
     def require_same(self, present: InverseParameters) -> None:
-        """Raise ParameterError when type or sizes are not the ``present`` ones: they cannot change while running."""
+        """Raise ParameterError when type or sizes differ from the ``present`` ones, which are fixed while running."""
         if self.type != present.type:
             raise ParameterError([Problem("inverse.type", self.type, f"is fixed while running: keep {present.type}")])
         if self._own_block is not None:

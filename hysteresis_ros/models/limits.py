@@ -94,7 +94,7 @@ def limits(p, x, u):
 
 @kernel
 def is_limited(x):
-    """Return 1.0 when range or slew rate limited the last voltage (the two lower flags; the third: quantisation)."""
+    """Return 1.0 when range or slew rate limited the last voltage; quantisation does not count."""
     return 1.0 if x[FLAGS] % 4.0 != 0.0 else 0.0
 
 

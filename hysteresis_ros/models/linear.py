@@ -214,7 +214,7 @@ class LinearParameters(Parameters):
 
     @property
     def order(self) -> int:
-        """Number of states, those of the delay included."""
+        """Number of states, including those of the delay."""
         whole, part = self.delayed_samples
         if not whole and not part:
             return self._rows
@@ -286,7 +286,7 @@ class LinearParameters(Parameters):
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Refuse a sample time other than the stated one of the matrices.
+        """Refuse a sample time that differs from the one stated for the matrices.
 
         Parameters
         ----------
@@ -404,7 +404,7 @@ class LinearDynamics(Block):
         return interpreted(linear_output)(self.p, self.x)
 
     def settle(self, u: float) -> None:
-        """Set the state to rest at the constant input ``u`` [SI]."""
+        """Set the state to the steady state at the constant input ``u`` [SI]."""
         model, n = self.parameters.state_space, self.parameters.order
         self.x[:] = 0.0
         self.x[HELD_INPUT] = u
@@ -425,7 +425,7 @@ class LinearDynamics(Block):
             raise ParameterError([Problem("A", parameters.A, remedy)])
         if given.order != present.order:
             remedy = (
-                f"must be as many samples as before, when it was {present.delay:g} s; another delay needs "
+                f"must be as many samples as the present delay, {present.delay:g} s; another delay needs "
                 "a new configuration"
             )
             raise ParameterError([Problem("delay", given.delay, remedy)])

@@ -33,7 +33,8 @@ import math
 import numpy as np
 
 #: Newton steps of a Riccati solution have converged when the relative change is below the first number, or when it is
-#: below the second and no longer falls (a slow closed loop multiplies rounding errors); then their maximum number.
+#: below the second and no longer falls (a slow closed loop multiplies rounding errors). The third is the maximum number
+#: of steps.
 NEWTON_CHANGE = 1e-13
 LARGEST_NEWTON_CHANGE = 1e-8
 NEWTON_STEPS = 12
@@ -110,7 +111,7 @@ def inverse(matrix) -> np.ndarray:
 
 
 def power(matrix, exponent: int) -> np.ndarray:
-    """Return ``matrix`` to the power ``exponent`` ≥ 0, multiplied one by one."""
+    """Return ``matrix`` to the power ``exponent`` ≥ 0, by repeated multiplication."""
     result = np.eye(len(matrix))
     for _ in range(exponent):
         result = product(result, matrix)
@@ -256,7 +257,7 @@ def _refined(A, B, Q, R, P):
 
 
 def eigenvalues(matrix) -> np.ndarray:
-    """Return the eigenvalues of a real matrix by double-shift QR steps [1]_: complex, shape (n,), in exact pairs.
+    """Return the eigenvalues, shape (n,), of a real matrix by double-shift QR steps [1]_, in exact conjugate pairs.
 
     Raises
     ------

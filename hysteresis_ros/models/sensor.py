@@ -162,7 +162,7 @@ ROW = 5
 
 # Layout of x: eight numbers of the noise's generator, then
 ACTING = 8  # d [m], which has acted since the last sample
-SLOW = 9  # slow part of the force, which the high-pass removes [N]
+SLOW = 9  # slow component of the force, which the high-pass removes [N]
 FORCE_STATES = 10
 
 
@@ -181,7 +181,7 @@ class ForceParameters(Parameters):
     )
 
     def check(self):
-        """Yield a Problem when a stage with a sensor has no flexure."""
+        """Yield a Problem when a stage with a force sensor has no flexure."""
         if self.stack_stiffness and not self.flexure_stiffness:
             remedy = "must be above 0: without a flexure the stack has no force at rest"
             yield Problem("flexure_stiffness", self.flexure_stiffness, remedy)
@@ -241,7 +241,7 @@ def force_reading(p, x, displacement):
 
 
 def pack_force(parameters: ForceSensorParameters, dynamics: LinearParameters, sample_time: float) -> np.ndarray:
-    """Return the parameter array of a force sensor, empty without one.
+    """Return the parameter array of a force sensor; empty if there is no sensor.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def pack_force(parameters: ForceSensorParameters, dynamics: LinearParameters, sa
 
 
 def force_state(parameters: ForceSensorParameters) -> np.ndarray:
-    """Return the state of a force sensor before the first sample, empty without one."""
+    """Return the state of a force sensor before the first sample; empty if there is no sensor."""
     if not parameters.there:
         return np.zeros(0)
     x = np.zeros(FORCE_STATES)
@@ -269,7 +269,7 @@ def force_state(parameters: ForceSensorParameters) -> np.ndarray:
 
 
 def settle_force(p: np.ndarray, x: np.ndarray, acting: float, displacement: float) -> None:
-    """Set a sensor to rest.
+    """Set a force sensor to its steady state.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def settle_force(p: np.ndarray, x: np.ndarray, acting: float, displacement: floa
     acting : float
         Displacement d that acts on the dynamics [m].
     displacement : float
-        Displacement of the dynamics at rest [m].
+        Steady-state displacement of the dynamics [m].
     """
     if p.size:
         x[ACTING] = acting

@@ -163,7 +163,7 @@ class StructureParameters(Parameters):
         return self.sliding(self.play_weights.sum(axis=1))
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
-        """Refuse to run the matrices at another sample time [s] than the one they state."""
+        """Refuse a sample time [s] that differs from the one stated for the matrices."""
         if self.sample_time and abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
             allowed = (
                 f"the matrices are for this sample time, but the loop runs at {sample_time:.9g} s: set its rate to "
@@ -188,7 +188,7 @@ class StructureParameters(Parameters):
             if len(value) != size and not (optional and not value):
                 problems.append(Problem(name, value, f"has {len(value)} numbers and must have {words} = {size}"))
         if len(self.weights) % (m * r) if r else self.weights:
-            needed = f"{m * r} numbers, or a multiple" if r else "empty without radii"
+            needed = f"{m * r} numbers, or a multiple" if r else "none, because radii is empty"
             problems.append(Problem("weights", self.weights, f"has {len(self.weights)} numbers and must have {needed}"))
         if any(radius < 0.0 for radius in self.radii):
             problems.append(Problem("radii", self.radii, "must be ≥ 0 V"))
@@ -289,7 +289,7 @@ class Structure:
 
     @property
     def state(self) -> np.ndarray:
-        """A copy of the state array; assign it to restore exactly."""
+        """A copy of the state array; assign it to restore the state exactly."""
         return self.x.copy()
 
     @state.setter
@@ -319,12 +319,12 @@ class Structure:
         return y
 
     def settle(self, u) -> None:
-        """Set the state to rest at the constant inputs ``u`` [V], reached from zero without reversal.
+        """Set the state to the steady state at the constant inputs ``u`` [V], reached from zero without reversal.
 
         Raises
         ------
         ParameterError
-            The search for a common rest point of hysteresis and structure does not converge.
+            The search for a common steady state of hysteresis and structure does not converge.
         """
         given, u = self.parameters, np.asarray(u, dtype=float)
         n, h, r = given.order, given.hystereses, len(given.radii)

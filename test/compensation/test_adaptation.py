@@ -181,7 +181,7 @@ def test_models_that_are_not_linear_in_weights_are_refused_by_name():
 @pytest.mark.parametrize(
     ("settings", "inverse", "said"),
     [
-        ({}, "none", "the inverse none does not use the weights; take exact"),
+        ({}, "none", "the inverse none does not use the weights; use exact"),
         ({"factors": (1.0, 1.0)}, "exact", "one factor for each of the 5 weights of prandtl_ishlinskii"),
         ({"factors": (1.0,) * 4 + (3.0,)}, "exact", "must lie within 1/range … range = 0.5 … 2"),
     ],

@@ -105,7 +105,7 @@ def test_structure_is_fixed_while_running():
 
 
 def test_what_has_no_inverse_is_refused():
-    with pytest.raises(ParameterError, match=r"operators.weights.*must be as many as time_constants, 1"):
+    with pytest.raises(ParameterError, match=r"operators.weights.*must be as many numbers as time_constants \(1\)"):
         Creep(CreepParameters(type="operators", operators=CreepOperatorsParameters((0.1, 0.1), (1.0,))), 1e-3)
     with pytest.raises(ParameterError, match=r"operators.weights.*partial sums above -1"):
         Creep(CreepParameters(type="operators", operators=CreepOperatorsParameters((-1.1,), (1.0,))), 1e-3)

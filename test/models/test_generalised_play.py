@@ -151,7 +151,7 @@ def test_the_inverse_finds_every_voltage_again(shape, seed, inverse):
     "change, words",
     [
         ({"radii": (3.0, 3.0, 8.0, 9.0)}, "rise strictly"),
-        ({"weights": (1e-9,)}, "as many as radii"),
+        ({"weights": (1e-9,)}, "as many numbers as radii"),
         ({"falling_bend": 0.3}, "not be above rising_bend"),
         ({"rising_bend": 0.95}, "rising_bend"),
         ({"voltage_low": 100.0}, "above voltage_low"),

@@ -72,10 +72,10 @@ def test_dead_zones_are_inverted(x, thresholds, slope):
         (dict(weights=(0.0, 1e-9)), r"weights.*above 0"),
         (dict(radii=(1.0, 10.0)), r"radii.*radius 0"),
         (dict(radii=(0.0, 0.0)), r"radii.*rise strictly"),
-        (dict(weights=(1e-9,)), r"weights.*as many as radii, 2"),
+        (dict(weights=(1e-9,)), r"weights.*as many numbers as radii \(2\)"),
         (dict(thresholds=(1e-6,), zone_weights=(-1.0,)), r"zone_weights.*above zero the slope.*monotone"),
         (dict(thresholds=(-1e-6, -2e-6), zone_weights=(-0.5, -0.6)), r"zone_weights.*below zero.*-0.1"),
-        (dict(thresholds=(1e-6,)), r"zone_weights.*as many as thresholds"),
+        (dict(thresholds=(1e-6,)), r"zone_weights.*as many numbers as thresholds"),
     ],
 )
 def test_what_is_not_monotone_is_refused(changes, message):

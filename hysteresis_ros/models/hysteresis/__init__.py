@@ -50,7 +50,7 @@ class HysteresisParameters(Parameters):
         return getattr(self, self.type)
 
     def changed(self, chosen: Parameters) -> HysteresisParameters:
-        """Return the choice with other parameters of the chosen model.
+        """Return a copy with other parameters of the chosen model.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class HysteresisParameters(Parameters):
         return self if shifted is None else self.changed(shifted(self.chosen, offset))
 
     def require_same(self, present: HysteresisParameters) -> None:
-        """Raise ParameterError when type or sizes are not the ``present`` ones: they cannot change while running."""
+        """Raise ParameterError when type or sizes differ from the ``present`` ones, which are fixed while running."""
         if self.type != present.type:
             raise ParameterError(
                 [Problem("hysteresis.type", self.type, f"is fixed while running: keep {present.type}")]

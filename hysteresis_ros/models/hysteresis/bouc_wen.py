@@ -23,7 +23,7 @@ positive in the direction of motion,
 
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
 other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
-changes by at most :data:`CURVATURE` of itself. The zero of g is located, so that no substep spans the kink at it.
+changes by at most the fraction :data:`CURVATURE`. The zero of g is located, so that no substep spans the kink there.
 Compared with a solution of 12 digits the error is below 1e-6 of the stroke for steps of any size, and below 1e-9 for
 300 steps per sweep.
 
@@ -101,7 +101,7 @@ class BoucWenParameters(Parameters):
         Parameters
         ----------
         prefix : str
-            Put before the names of the parameters.
+            Prefix of the names of the parameters.
         """
         total = self.beta + self.gamma
         found = []
@@ -188,7 +188,7 @@ def _power_advance(p, g, distance):
         step = left if lipschitz * left <= CURVATURE else CURVATURE / lipschitz
         after = _runge_kutta(alpha, rate, n, g, step)
         if negative and after > 0.0 and alpha > 0.0:
-            for _ in range(6):  # Newton on the length of the substep that ends at zero, where the slope is alpha
+            for _ in range(6):  # Newton steps for the length of the substep that ends at zero, where the slope is alpha
                 step -= _runge_kutta(alpha, rate, n, g, step) / alpha
             after = 0.0
         g = after
@@ -224,8 +224,8 @@ def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] that solves V = (ψ + h(V))/d_e, where h(V) is the hysteretic part after the step to V (B5).
 
     The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the model's
-    own equation. If the loop is not monotone (see the warnings of the parameters) a step V = (ψ + h)/d_e replaces it.
-    ``x_h`` is not changed.
+    own equation. If the loop is not monotone (see the warnings of the parameters), V = (ψ + h)/d_e replaces a Newton
+    step. ``x_h`` is not changed.
 
     Parameters
     ----------

@@ -144,11 +144,11 @@ def _advance(p, x, start, end):
 
 @kernel
 def bouc_wen_mechanical(p, x, u):
-    """Return the displacement [m] at the end of the sample with a held input, at the time of ``u`` with a linear one.
+    """Return the displacement [m]: for a held input at the end of the sample, for a linear input at the time of ``u``.
 
     A held ``u`` acts over the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. A linear input
-    goes from the last value to ``u``; the first call has no last value and returns the start. NaN leaves everything as
-    it is.
+    goes from the last value to ``u``; the first call has no last value and returns the displacement at the start. NaN
+    changes nothing.
     """
     if u != u:
         return x[DISPLACEMENT]

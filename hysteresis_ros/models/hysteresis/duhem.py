@@ -69,7 +69,7 @@ SHAPES = 11
 #: Longest substep, in 1/α and as a fraction of the input range.
 SUBSTEP_ALPHA = 0.25
 SUBSTEP_RANGE = 1.0 / 64.0
-#: Maximum number of substeps of one step: more would only extrapolate.
+#: Maximum number of substeps of one step; only a step far outside the input range needs more.
 MOST_SUBSTEPS = 100000
 
 # Gauss-Legendre rule of three points on 0 … 1.

@@ -22,14 +22,15 @@ A generalised play follows two curves instead of one line [1]_; rate-dependent o
 
 with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0 it is the classical Prandtl-Ishlinskii model.
 
-The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2`` with ν = -1 … 1 over it and h half of
-it, and are γ = V outside the range. The speed is the average over ``memory`` of the steps *before* the present one, so
-the thresholds are known before a step: first they change at the held voltage, then the voltage moves, as in a
-rate-independent model. Because all thresholds grow by the same amount, the corners are in the order of the radii, and
-the inverse is a closed form, exact at every sample. While all plays move, the inverse is stable if the averaged
-thresholds grow by at most half a volt per volt of a step: rate ≤ memory/2. After a reversal only the slope responds to
-the voltage, while shrinking thresholds still push all plays. This amplifies an error by Σ w_i / slope. On 6000 voltages
-with random reversals the error stayed at rounding for Σ w_i / slope up to 1.5; at 2.6 some errors grew to 3e-5 V.
+The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2``, where ν runs from -1 to 1 over the
+range and h is half its width. Outside the range γ = V. The speed is the average over ``memory`` of the steps *before*
+the present one, so the thresholds are known before a step: first they change at the held voltage, then the voltage
+moves, as in a rate-independent model. Because all thresholds grow by the same amount, the corners are in the order of
+the radii, and the inverse is a closed form, exact at every sample. While all plays move, the inverse is stable if the
+averaged thresholds grow by at most half a volt per volt of a step: rate ≤ memory/2. After a reversal only the slope
+responds to the voltage, while shrinking thresholds still push all plays. This amplifies an error by Σ w_i / slope. On
+6000 voltages with random reversals the error stayed at the level of rounding for Σ w_i / slope up to 1.5; at 2.6 some
+errors grew to 3e-5 V.
 
 References
 ----------
@@ -122,7 +123,9 @@ class GeneralisedPlayParameters(Parameters):
     def check(self):
         """Yield a Problem for wrong sizes, radii that do not rise, and envelopes that cross."""
         if len(self.radii) != len(self.weights) or not self.radii:
-            yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
+            yield Problem(
+                "weights", self.weights, f"must be as many numbers as radii ({len(self.radii)}), at least one"
+            )
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
         if self.rate > LARGEST_RATE * self.memory:
@@ -225,7 +228,7 @@ def generalised_play_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
     plays = int(p_h[PLAYS])
     growth = p_h[RATE] * x_h[SPEED]
     lower, upper = envelope(p_h, p_h[RISING], voltage), envelope(p_h, p_h[FALLING], voltage)
-    # the output at the last voltage, once the thresholds have changed; then slope V + moving γ(V) + constant
+    # first the output at the last voltage with the changed thresholds; then that at V: slope V + moving γ(V) + constant
     constant = 0.0
     for i in range(plays):
         radius = p_h[RADII + i] + growth
@@ -297,7 +300,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
         return float(self.p[SLOPE] + product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
 
     def rebase(self) -> None:
-        """Keep the output at changed parameters; the difference stays until :meth:`reset`."""
+        """Keep the output when parameters change; the difference remains as a constant until :meth:`reset`."""
         self.x[RESIDUE] = 0.0
         self.x[RESIDUE] = self.x[DISPLACEMENT] - self._sum(self.x)
 
@@ -321,7 +324,7 @@ def _weighted(parameters: GeneralisedPlayParameters, factors) -> GeneralisedPlay
 
 
 def _deviated(parameters: GeneralisedPlayParameters, deviation: Deviation) -> GeneralisedPlayParameters:
-    """Draw a factor for each play, besides the factor of the loop width."""
+    """Draw a factor for each play, in addition to the factor of the loop width."""
     factors = deviation.gain * deviation.opening * deviation.factor(len(parameters.weights))
     weights = np.array(parameters.weights) * factors
     return replace(times(parameters, deviation.gain, "slope"), weights=tuple(weights.tolist()))

@@ -21,15 +21,15 @@ The coefficients of the branches are quadratic polynomials of ``V_max``, the lar
 The branches of the paper jump at reversals unless the fit enforces the corners, and the paper does not describe minor
 loops. This rule is continuous at every reversal for any coefficients:
 
-* ``V_max`` starts at 0. At a reversal from rising to falling it becomes the peak if the peak is larger, and the lower
-  end ``V_lo`` becomes 0 again. Otherwise ``V_lo`` is the lowest voltage of a reversal from falling to rising, if that
-  is below 0.
+* ``V_max`` starts at 0. At a reversal from rising to falling with a larger peak, ``V_max`` becomes this peak and the
+  lower end ``V_lo`` becomes 0. From then on ``V_lo`` is the lowest voltage of a reversal from falling to rising, if
+  that is below 0.
 * Rising from a turning point ``(V_t, x_t)`` the output is
   ``x_r(V) + [x_t - x_r(V_t)] (V_max - V)/(V_max - V_t) + [x_v(V_max) - x_r(V_max)] (V - V_t)/(V_max - V_t)`` up to the
   upper corner ``(V_max, x_v(V_max))``, then the virgin curve.
 * Falling from ``(V_t, x_t)`` it is ``x_f(V) + [x_t - x_f(V_t)] (V - V_lo)/(V_t - V_lo)`` down to the lower corner
   ``(V_lo, x_f(V_lo))``, then ``x_f`` itself, also below 0 V. A falling branch that starts at the lower end (a stack at
-  rest is first driven negative) cannot blend: its difference to ``x_f`` stays until V_max grows.
+  rest is first driven negative) cannot blend: its difference from ``x_f`` stays until V_max grows.
 
 Because the blending is affine, a small reversal on a branch leads back to the same branch. The model stores only these
 two corners, not the corners of minor loops.
@@ -61,8 +61,8 @@ from hysteresis_ros.models.declaration import (
     times,
 )
 
-#: Peak of the smallest loop whose branches are checked for monotony, as a fraction of the range (smallest of K2: 6 V of
-#: 120 V).
+#: Peak of the smallest loop whose branches are checked for monotonicity, as a fraction of the range (the smallest loop
+#: of K2 reaches 6 V of 120 V).
 SMALLEST_LOOP = 0.05
 CHECKED_LOOPS = 39
 
@@ -307,9 +307,10 @@ def polynomial(p, x, u):
 
 @kernel
 def _root(rise, slope, bend):
-    """Solve ``rise = slope v + bend v²`` for v on the rising side of the parabola; beyond its range: its extremum.
+    """Solve ``rise = slope v + bend v²`` for v on the rising side of the parabola.
 
-    K8's form ``2 rise / (slope + √(slope² + 4 bend rise))`` loses no digits while slope ≥ 0.
+    Beyond the range of the parabola the result is its extremum. K8's form ``2 rise / (slope + √(slope² + 4 bend
+    rise))`` loses no digits while slope ≥ 0.
     """
     discriminant = slope * slope + 4.0 * bend * rise
     if discriminant <= 0.0:
@@ -400,7 +401,7 @@ class PolynomialHysteresis(RateIndependentBlock):
     inverse = staticmethod(polynomial_inverse)
 
     def pack(self, parameters: PolynomialParameters) -> np.ndarray:
-        """Return p, shape (22,), with the scale multiplied in."""
+        """Return p, shape (22,), with all coefficients multiplied by the scale."""
         rows = [parameters.virgin, *(getattr(parameters, name) for name in BRANCHES)]
         return np.append(parameters.scale * np.array(rows).ravel(), parameters.voltage_high)
 

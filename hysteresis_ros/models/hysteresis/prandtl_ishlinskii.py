@@ -87,7 +87,9 @@ class PrandtlIshlinskiiParameters(Parameters):
     def check(self):
         """Yield a Problem for wrong sizes, radii that do not rise, and branches that are not monotone."""
         if len(self.radii) != len(self.weights) or not self.radii:
-            yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
+            yield Problem(
+                "weights", self.weights, f"must be as many numbers as radii ({len(self.radii)}), at least one"
+            )
             return
         if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
             yield Problem("radii", self.radii, "must rise strictly")
@@ -95,7 +97,9 @@ class PrandtlIshlinskiiParameters(Parameters):
             remedy = "must start with a play of radius 0 and weight above 0; otherwise no inverse exists"
             yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], remedy)
         if len(self.thresholds) != len(self.zone_weights):
-            yield Problem("zone_weights", self.zone_weights, f"must be as many as thresholds, {len(self.thresholds)}")
+            yield Problem(
+                "zone_weights", self.zone_weights, f"must be as many numbers as thresholds ({len(self.thresholds)})"
+            )
             return
         for side, zones in zip(("above", "below"), _zones(self), strict=True):
             slopes = 1.0 + np.cumsum([weight for _, weight in zones])
@@ -234,7 +238,7 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
 
     @property
     def terms(self) -> LinearTerms:
-        """The weights of the plays, with the dead zones behind them."""
+        """The weights of the plays, followed by the dead zones."""
         plays, above, below = (int(self.p[place]) for place in (PLAYS, ABOVE, BELOW))
         first = RADII + 2 * plays
         second = first + 2 * above
@@ -281,7 +285,7 @@ def _shifted(parameters: PrandtlIshlinskiiParameters, offset: float) -> PrandtlI
 
 
 def _weighted(parameters: PrandtlIshlinskiiParameters, factors) -> PrandtlIshlinskiiParameters:
-    """The gain, which is the sum of the weights, multiplies the thresholds of the dead zones."""
+    """Multiply the weights by the factors; the thresholds of the dead zones scale with the sum of the weights."""
     before, ones = np.array(parameters.weights), np.ones(len(parameters.weights))
     after = before * np.asarray(factors)
     gain = float(product(after, ones)) / float(product(before, ones))
@@ -289,7 +293,7 @@ def _weighted(parameters: PrandtlIshlinskiiParameters, factors) -> PrandtlIshlin
 
 
 def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> PrandtlIshlinskiiParameters:
-    """Draw a factor for each play with width, besides the factor of the loop width."""
+    """Draw a factor for each play with a radius above 0, in addition to the factor of the loop width."""
     weights = np.array(parameters.weights) * deviation.gain
     plays = np.array(parameters.radii) > 0.0
     weights[plays] *= deviation.opening * deviation.factor(int(np.sum(plays)))
@@ -299,7 +303,7 @@ def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> 
 
 MODEL = HysteresisModel(
     name="prandtl_ishlinskii",
-    title="play operators with weights ≥ 0, a map or dead zones behind them where they help (modified model)",
+    title="play operators with weights ≥ 0, with a map or dead zones after them if they improve the fit (modified)",
     data="a voltage that rises and falls; loops of several amplitudes determine the model inside the largest loop",
     parameters=PrandtlIshlinskiiParameters,
     block=PrandtlIshlinskiiHysteresis,

@@ -322,7 +322,7 @@ def _deviated(parameters: PreisachParameters, deviation: Deviation) -> PreisachP
 
 
 def _example(low: float = -40.0, high: float = 120.0, nodes: int = 9) -> PreisachParameters:
-    """Rayleigh's law, a constant density: E(a, b) = c (a - b)²; zero at rest at 0 V."""
+    """Return an example by Rayleigh's law: constant density, E(a, b) = c (a - b)²; displacement 0 at rest at 0 V."""
     spacing, slope, density = (high - low) / (nodes - 1), 70e-9, 0.15e-9
     everett = tuple(density * ((i - j) * spacing) ** 2 for i in range(nodes) for j in range(i + 1))
     offset = slope * low - density * low**2
