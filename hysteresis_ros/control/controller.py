@@ -12,7 +12,8 @@
 A new law first processes the last samples of the run, as if it had run in parallel with its predecessor. An observer
 that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
 share the observer and its state. The integrated states of the new law are set so that the command continues from the
-present one; where this is impossible, to zero. The hand-over behind the controller fades out the remaining difference.
+present one; if this is impossible, they are set to zero. The hand-over after the controller fades out the remaining
+difference.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: 1.0: the next output must equal the last one; 2.0: also, x[BIAS] already contains the lasting part.
+#: x[ARMED]: with 1.0 the next output must equal the last one; with 2.0 also, and x[BIAS] already contains the lasting
+#: part.
 ARMED = 2
 #: x[QUICK]: additional bias, which is halved in each sample.
 QUICK = 3
@@ -258,12 +260,12 @@ class ControllerParameters(Parameters):
         return self.__dict__["_without_preload"]
 
     def before_damping(self, sample_time: float):
-        """Return the parameters for the law: its model is the damped plant.
+        """Return the parameters for the law, whose model is the damped plant.
 
         Raises
         ------
         ParameterError
-            The damping cannot run at this sample time, or is unstable on the model.
+            The damping filter cannot run at this sample time, or the inner loop is unstable on the model.
         """
         if self.damping.source == NOTHING:
             return self
@@ -307,7 +309,7 @@ class ControllerParameters(Parameters):
 
 
 def controller_block(parameters: ControllerParameters, sample_time: float) -> Controller:
-    """Return the controller of ``parameters``; with a damping its model is the damped plant.
+    """Return the controller of ``parameters``; if they contain damping, its model is the damped plant.
 
     Raises
     ------
@@ -320,12 +322,12 @@ def controller_block(parameters: ControllerParameters, sample_time: float) -> Co
 
 
 def damping_block(parameters: ControllerParameters, sample_time: float) -> Damping:
-    """Return the damping behind the controller.
+    """Return the damping block, which follows the controller.
 
     Raises
     ------
     ParameterError
-        The damping cannot run at this sample time, or is unstable on the model.
+        The damping filter cannot run at this sample time, or the inner loop is unstable on the model.
     """
     return Damping(parameters, sample_time)
 
@@ -338,7 +340,7 @@ def prepare_controllers() -> None:
 
 
 def feedforward_block(parameters: ControllerParameters, sample_time: float) -> Feedforward:
-    """Return the feedforward in front of the controller.
+    """Return the feedforward block, which precedes the controller.
 
     Raises
     ------
@@ -440,7 +442,7 @@ def successor(
     Raises
     ------
     ParameterError
-        The parameters give no controller.
+        No controller can be built from the parameters.
     """
     made = controller_block(parameters, sample_time)
     lasting = None

@@ -206,7 +206,7 @@ def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> Dis
     Returns
     -------
     DiskMargins
-        All zero where the closed loop is unstable.
+        All zero if the closed loop is unstable.
 
     Raises
     ------
@@ -267,7 +267,7 @@ def _peak(function, angles, place: int) -> tuple[float, float]:
 
 
 def _balanced(matrix) -> tuple[np.ndarray, float]:
-    """Return log scalings that balance rows and columns (Osborne), and the largest singular value with them."""
+    """Return logarithmic scalings that balance rows and columns (Osborne), and the largest singular value with them."""
     size = np.abs(matrix)
     np.fill_diagonal(size, 0.0)
     logs = np.zeros(len(matrix))
@@ -302,7 +302,7 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 
 def _worst(grid) -> int:
-    """Return the index of the largest structured singular value, optimised only where the balanced bound is larger."""
+    """Return the index of the largest structured singular value; the order of the balanced bounds saves evaluations."""
     if grid.shape[1] == 1:
         return int(np.argmax(np.abs(grid[:, 0, 0])))
     sizes = np.array([_balanced(matrix)[1] for matrix in grid])

@@ -77,7 +77,7 @@ LOWEST_ANGLE = 0.4 * math.pi
 REACH, LEFT = 10, 1e-3
 #: Candidates for ε.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
-#: Number of frequencies at which p is computed, and the error of f from which on it is reported.
+#: Number of frequencies at which p is computed, and the error of f above which it is reported.
 POINTS = 128
 TOLD = 0.01
 
@@ -121,7 +121,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out. Zeros smaller than a zero of low angle cannot be separated from it and stay.
+    """Return the zeros to leave out; zeros of smaller modulus than a zero of low angle cannot be separated from it.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def notch(zeros: np.ndarray) -> Notch:
     return Notch(zeros, falling[::-1].copy(), convolved(even, falling), known_to)
 
 
-#: Fraction of the largest response below which a response h is rounding and counts as zero.
+#: Fraction of the largest response below which a response h is a rounding error and counts as zero.
 SMALLEST_ANSWER = 1e-11
 #: Distance from the unit circle below which zeros count as on it.
 CIRCLE_MARGIN = 1e-6
@@ -179,7 +179,7 @@ CIRCLE_MARGIN = 1e-6
 GOOD_ENOUGH = 1e-3
 #: Error that a design without a requested preview accepts, and its longest preview [samples].
 DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
-#: Weights of the future are computed until they have decayed by this many powers of ten ...
+#: Weights of future references are computed until they have decayed by this many powers of ten ...
 DECADES = 18.0
 #: ... or for this many samples: a zero that needs more is too near to the circle for any preview.
 LONGEST = 200_000
@@ -209,7 +209,7 @@ class InverseFilter:
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
         The causal part, with the zeros inside the unit circle, in the coordinates of the dynamics' state.
     rest : ndarray, shape (n,)
-        State s at rest under a reference of 1 m.
+        Steady state s for a constant reference of 1 m.
     zeros : ndarray of complex
         Zeros of the dynamics, except those at infinity and at 0, which only delay.
     error : float
@@ -233,9 +233,9 @@ class InverseFilter:
 class _Parts(NamedTuple):
     """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
 
-    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. ``near``
-    contains the weights of the left-out modes for the reference, filtered by g* p, one to m samples ago; the oldest
-    first.
+    The anti-causal part is in the coordinates of the dynamics' state, where Λ⁻¹ is zero for the modes inside the
+    circle. ``near`` contains the weights of the left-out modes for the reference filtered by g* p, from m samples ago
+    to one sample ago.
     """
 
     degree: int
@@ -326,7 +326,7 @@ def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
 
 
 def _answers(inner, drive, out, factor) -> np.ndarray:
-    """Return the response of modes 1 … m samples after a pulse through their cancelling factor, the latest first."""
+    """Return the response of modes, m … 1 samples after a pulse that passes through their cancelling factor."""
     state, found = np.zeros(len(inner)), []
     for weight in factor[::-1]:
         found.append(float(product(out, state)))
@@ -337,8 +337,8 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
     """Return the projection, shape (n, n), on the modes larger than an edge, along the smaller ones.
 
-    It follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, with a radius ρ between both, by Newton's
-    iteration.
+    It follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, computed by Newton's iteration. The radius ρ lies
+    between the larger and the smaller modes.
     """
     identity, larger = np.eye(len(matrix)), sizes > edge
     if np.all(larger):
@@ -359,7 +359,7 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
-    """Return the weights w_i [m/m] of r(k+d+i) from the outside zeros, as far as they exceed rounding."""
+    """Return the weights w_i [m/m] of r(k+d+i) from the outside zeros, up to those that are only rounding errors."""
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
@@ -518,7 +518,7 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
 
 
 # Parameter array: a head, the weights of the references (as many as the ring has entries), the weights that drive the
-# causal part, then its A (n·n, row by row), B, C and its rest state at a reference of one (n each).
+# causal part, then its A (n·n, row by row), B, C and its steady state for a reference of one (n each).
 PREVIEW = 0
 ORDER = 1
 FIRST = 2  # index of the first weight relative to the oldest reference in the ring
@@ -607,7 +607,7 @@ class FeedforwardParameters(Parameters):
 class Feedforward(Block):
     """The feedforward of a motion controller: from the received to the delayed reference and a command.
 
-    It begins at rest at the first reference.
+    It starts in the steady state of the first reference.
 
     Parameters
     ----------
@@ -648,8 +648,8 @@ class Feedforward(Block):
     def retune(self, parameters) -> None:
         """Change to another model of the same order while running.
 
-        References and states continue, so nothing jumps while the reference rests. For a moving reference the caller
-        arms the hand-over behind the controller.
+        References and states continue, so the command does not jump while the reference is constant. For a moving
+        reference the caller arms the hand-over after the controller.
 
         Raises
         ------
@@ -665,10 +665,10 @@ class Feedforward(Block):
         packed = np.ascontiguousarray(self.pack(parameters), dtype=np.float64)
         if packed.shape != self.p.shape:
             raise ParameterError(
-                [Problem("model.dynamics.A", parameters.model.dynamics.A, "the order of the model cannot change live")]
+                [Problem("model.dynamics.A", parameters.model.dynamics.A, "the model's order is fixed while running")]
             )
         self.parameters = parameters
-        # so that a feedforward at rest stays at rest with the new model
+        # so that a feedforward in its steady state stays there with the new model
         length, order = _ring_length(packed), int(packed[ORDER])
         ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order

@@ -67,7 +67,7 @@ def input_matrix(p, first):
 
 @kernel
 def rest_state(p, first):
-    """Return the index in ``p`` of N_x, the rest state of the model at an output of one."""
+    """Return the index in ``p`` of N_x, the steady state of the model for an output of one."""
     return input_matrix(p, first) + 3 * int(p[first + ORDER])
 
 
@@ -152,7 +152,7 @@ def kalman_step(p, x, first, start, applied, measured):
 
 @kernel
 def kalman(p, x, applied, measured):
-    """Return the estimated output after one sample; arguments like :func:`kalman_step`."""
+    """Return the estimated output after one sample; arguments as in :func:`kalman_step`."""
     return kalman_step(p, x, 0, 0, applied, measured)
 
 

@@ -168,7 +168,7 @@ class DesignTask:
     q : float or None
         Kalman filter: ratio of the input noise variance to the measurement noise variance.
     loop : callable
-        ``loop(parameters)`` returns controller and model, linear close to rest, as two :class:`StateSpace` for
+        ``loop(parameters)`` returns controller and model, linearised close to rest, as two :class:`StateSpace` for
         :func:`hysteresis_ros.control.margins.judge`.
     aimed : Requirements, optional
         Requirements of a design without a given bandwidth.
@@ -185,7 +185,7 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model and the worst other figures on the plants, up to the first that misses."""
+        """Return the bandwidth on the model, and the worst other figures up to the first plant that fails."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 

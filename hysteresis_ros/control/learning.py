@@ -17,12 +17,12 @@ limit of m.
 Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
 from the samples around the same instant of the period before. So the end of a period needs no additional computation.
 
-The ring of errors holds a number that is not finite for each sample that cannot be used for learning. Where more than a
-tenth of the filter's weight meets such samples, the correction repeats. If a saturated command is the reason, the
-correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes an error
-that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter than after
-saturation, because one late sample is a small disturbance. When the reference differs from that of the previous period,
-the correction fades out.
+The ring of errors contains a number that is not finite for each sample that cannot be used for learning. If more than a
+tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If a saturated command is the
+reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes
+an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter
+than after saturation, because one late sample is a small disturbance. When the reference differs from that of the
+previous period, the correction fades out.
 
 References
 ----------
@@ -284,7 +284,7 @@ def read_learned(path) -> Learned:
         raise refused("is not a file of a learned correction, as `save` of motion_controller writes it") from None
     sizes = {len(array) for array in arrays if array.ndim == 1 and np.all(np.isfinite(array))}
     if len(sizes) != 1 or any(array.ndim != 1 or not np.all(np.isfinite(array)) for array in arrays):
-        raise refused("correction and reference must be equally many finite numbers")
+        raise refused("correction and reference must have the same length and contain finite numbers")
     if not (0.0 < period < np.inf and 0.0 < sample_time < np.inf):
         raise refused(f"period {period:g} s and sample_time {sample_time:g} s must be above 0")
     return Learned(period, sample_time, *arrays)
@@ -295,7 +295,7 @@ PERIOD = 0  # N [samples]
 LEAD = 1  # lead of the first tap of the error filter [samples]
 TAPS = 2  # number of taps of the error filter
 HALF = 3  # number of taps of the robustness filter on each side of its middle
-GAIN = 4  # γ at first
+GAIN = 4  # initial γ
 LEAST_GAIN = 5
 AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: constant
 MAXIMUM = 7  # [m]
@@ -303,7 +303,7 @@ SHORTFALL = 8  # difference of command and achieved command above which learning
 RECOVERY = 11  # samples after a saturated command in which learning pauses
 LATE_ANSWER = 12  # samples after a late voltage in which learning pauses
 FADE = 9  # fraction of the correction that fades in or out per sample
-MISSING = 10  # weight of the error filter that may meet unusable samples
+MISSING = 10  # weight of the error filter that may fall on unusable samples
 FILTERS = 13
 
 # State; then three rings, as long as the filters reach back: correction, error, reference [m].
@@ -313,7 +313,7 @@ LEARNED = 2  # samples since learning began
 WEIGHT = 3  # applied fraction of the correction
 CORRECTION = 4  # correction of the last sample [m]
 RECOVERING = 5  # samples until the response to a saturated command has decayed
-LOST = 6  # entry of the samples until then in the ring: LIMITED or NaN
+LOST = 6  # value that the ring of errors gets for the samples until then: LIMITED or NaN
 RINGS = 7
 
 #: Modes: the correction repeats, is updated, or fades to zero.
@@ -330,7 +330,7 @@ SAME = 1e-9
 
 @kernel
 def shown(p, x, error, shortfall, skipped):
-    """Return the entry of a sample: its error [m], ``LIMITED``, or NaN: not usable.
+    """Return the entry of a sample in the ring of errors: its error [m], ``LIMITED``, or NaN if it is not usable.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def shown(p, x, error, shortfall, skipped):
         else:
             x[RECOVERING] -= 1.0
     elif abs(shortfall) > p[SHORTFALL]:
-        # late voltages saturate commands too, on the way back; the correction is not the cause of these
+        # while the axis recovers from a late voltage, commands saturate too; the correction does not cause that
         if x[RECOVERING] == 0.0 or x[LOST] == LIMITED:
             x[LOST] = LIMITED
         x[RECOVERING] = max(x[RECOVERING], p[RECOVERY])
@@ -434,12 +434,12 @@ def learned_correction(p, x, reference, error):
     return value
 
 
-#: Fraction of the error filter's weight that may meet unusable samples without endangering convergence.
+#: Fraction of the error filter's weight that may fall on unusable samples without endangering convergence.
 UNLEARNED = 0.1
 
 
 class Learning(Block):
-    """Correction of a periodic reference; without a type it has no arrays and is not computed.
+    """Correction of a periodic reference; with type none it has no arrays and is not computed.
 
     Parameters
     ----------
@@ -558,7 +558,7 @@ class Learning(Block):
 
     @property
     def mode(self) -> int:
-        """``LEARNING``, ``FROZEN`` or ``FORGETTING``; frozen without a correction."""
+        """``LEARNING``, ``FROZEN`` or ``FORGETTING``; ``FROZEN`` if no correction is configured."""
         return int(self.x[MODE]) if len(self.x) else FROZEN
 
     @property
@@ -589,7 +589,7 @@ class Learning(Block):
         return Learned(self.parameters.period, self.sample_time, self._last_period(x, 0), reference)
 
     def _last_period(self, x: np.ndarray, ring: int) -> np.ndarray:
-        """Return the last period of a ring, from the sample whose number is a multiple of the period on."""
+        """Return the last period of a ring, beginning at the sample whose number is a multiple of the period."""
         length, period, now = (len(x) - RINGS) // 3, int(self.p[PERIOD]), int(x[SAMPLES])
         numbers = np.arange(now - period, now)
         values = x[RINGS + ring * length + numbers % length]

@@ -83,7 +83,7 @@ def _connected(system: StateSpace) -> StateSpace:
 
 
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return the controller and its model as linear systems close to rest; a damping is part of the model.
+    """Return the controller and its model as linear systems close to rest; damping is part of the model.
 
     Raises
     ------

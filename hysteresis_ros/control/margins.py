@@ -319,7 +319,7 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
 
 
 def _up_to(angles, begun) -> float:
-    """Return the first angle at which a condition holds: 0 if it holds at the first one, π if nowhere."""
+    """Return the first angle at which a condition holds: 0 if it is the first of ``angles``, π if it holds nowhere."""
     first = int(np.argmax(begun))
     if not begun[first]:
         return np.pi
@@ -579,7 +579,7 @@ class MeasuredLoop:
         return [(name, f"{text}; model {other}") for (name, text), other in zip(rows, expected, strict=True)]
 
     def _least_phase(self, figure, folded: bool) -> Interval:
-        """Return the smallest figure, with its range, of phase above −180 degrees and angle per sample at |L| = 1.
+        """Return the smallest ``figure(phase above −180 degrees, angle per sample)`` where |L| = 1, with its range.
 
         A circle around L that reaches the unit circle does so at its angle ± α, cos α = (1 + |L|² − r²)/(2 |L|).
         """
@@ -606,7 +606,7 @@ class MeasuredLoop:
         return min(found, key=lambda one: one.value, default=NOWHERE)
 
     def _crossings(self, values):
-        """Return the frequencies [Hz] where values cross zero, the index before each, and the fraction beyond it."""
+        """Return the zero crossings of values: frequency [Hz], index before it, and fraction of the step after that."""
         places = np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0))
         parts = values[places] / (values[places] - values[places + 1])
         frequencies = self.frequency[places] + parts * np.diff(self.frequency)[places]
@@ -657,5 +657,5 @@ def _around(place: int, touching) -> np.ndarray:
 
 
 def _ends(value: float, wide: float, lows, highs) -> tuple[float, float]:
-    """Return the range of a figure: at the crossing itself and at the frequencies around it."""
+    """Return the range of a figure: the extremes of ``value`` ± ``wide`` and of the values at nearby frequencies."""
     return min([value - wide, *lows]), max([value + wide, *highs])

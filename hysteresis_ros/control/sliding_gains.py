@@ -49,7 +49,7 @@ STEPS = (2.0, 1.0, 0.5)
 
 
 def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
-    """Return the filter for a disturbance that changes by about ``size`` per sample, with noises in fixed ratios.
+    """Return the filter for a disturbance that changes by about ``size`` per sample; noise ratios are fixed.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def _pole_for(task: DesignTask, with_pole) -> float:
         remedy = (
             f"the smallest bandwidth of this controller on its model is {least:.4g} Hz, because eta "
             "and beta/delta add to the reaching law inside the boundary layer; lower them, or "
-            "request more"
+            "request a larger bandwidth"
         )
         state_feedback.refuse("bandwidth", bandwidth, remedy)
     while slow - fast > PRECISION * (1.0 - slow):

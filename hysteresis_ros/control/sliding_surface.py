@@ -450,7 +450,7 @@ class SlidingController(Controller):
         return same and mine.feedforward == theirs.feedforward
 
     def continue_from(self, predecessor: Controller) -> None:
-        """Take over the states of the observer and of the trajectory from a controller that has the same."""
+        """Take over the states of observer and trajectory from a controller that has the same observer and target."""
         self.x[OBSERVER:] = predecessor.x[OBSERVER:]
         self.x[LARGEST] = predecessor.x[LARGEST]
         self.x[STARTED] = predecessor.x[STARTED]

@@ -18,9 +18,9 @@ A measurement is taken just before the input of its sample changes: ``y_k = C x_
 
 References
 ----------
-.. [1] Kim, Kim & Park 2009, eqs 6-15 (eq. 9 prints S B instead of S A). .. [2] Utkin, Sliding Modes in Control and
-Optimization, 1992 (hyperplanes from Ackermann's formula and from LQ). .. [3] Anderson & Moore, Optimal Filtering, 1979,
-chapter 4 (predictor and filter gain).
+.. [1] Kim, Kim & Park 2009, eqs 6-15 (eq. 9 prints S B instead of S A).
+.. [2] Utkin, Sliding Modes in Control and Optimization, 1992 (hyperplanes from Ackermann's formula and from LQ).
+.. [3] Anderson & Moore, Optimal Filtering, 1979, chapter 4 (predictor and filter gain).
 """
 
 from __future__ import annotations

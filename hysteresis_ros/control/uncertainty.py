@@ -16,7 +16,7 @@ With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as lo
 transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
 
 Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance with the
-damping ratio :data:`DAMPING` is assumed at the worst frequency. It adds a/(2 DAMPING) times the response at rest, which
+damping ratio :data:`DAMPING` is assumed at the worst frequency. It adds a/(2 DAMPING) times the static response, which
 the loop multiplies by the feedback gain |C|. The fraction a of the displacement that passes through the resonance is
 one, but less just above the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), which the
 measurement would have shown.
@@ -136,7 +136,7 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
     sample_time : float
         [s]
     required : Requirements, optional
-        With them, the evaluation ends at the first plant that misses them.
+        If given, the evaluation ends at the first plant that does not meet them.
     """
     found: list[Judged] = []
     for one in plants:
@@ -161,7 +161,7 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     """Return the changed parameters of dynamics with times longer by a factor: poles z^(1/slowness), and delay.
 
-    The DC gain stays. Poles on the negative real axis or at zero have no continuous counterpart and stay.
+    The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     # rounded: the last digits of logarithms and eigenvectors differ between processors
     changed = rounded(exact)
     identity = np.eye(len(A))
-    rest = solve(identity - A, B)  # the state at rest per unit of input, which must not change
+    rest = solve(identity - A, B)  # the steady state per unit of input, which must not change
     return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist(), **delayed}
 
 
@@ -350,7 +350,7 @@ class ResponseUncertainty:
         return np.where(above > UNSEEN, 1.0, np.where(above > 1.0, np.minimum(shown, 1.0), 0.0))
 
     def height(self, frequencies) -> np.ndarray:
-        """Return the largest height of an unknown resonance relative to the response at rest, shape (n,); 0 if known.
+        """Return the largest height of an unknown resonance relative to the static response, shape (n,); 0 if known.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ from hysteresis_ros.models.block import Block, interpreted, kernel
 # Layout of p.
 MINIMUM = 0
 MAXIMUM = 1
-SLEW = 2  # [V] a sample, 0 = unlimited
+SLEW = 2  # [V] per sample, 0 = unlimited
 STEP = 3  # step of the converter's grid [V]; 0: no quantisation
 
 # Layout of x.

@@ -11,7 +11,7 @@
 
 Let w be the output of the law, y the measured displacement without preload offset, and f the measured force in the
 stack. With a filter F(z) of the measurement the command is u = γ w + F y. The factor γ = 1 − F(1) P(1) keeps the DC
-gain of the model P, so gains, inverses and rest points of a law stay valid with damping. With a filter of the law's
+gain of the model P, so gains, inverses and steady states of a law stay valid with damping. With a filter of the law's
 output the command is u = F w. With a filter of the force it is u = γ w + F f. The force f = (k_a + k_f) d − k_a y,
 where d is the quasi-static displacement, passes the sensor's high-pass before the filter; the plant then has the
 outputs (y, d).
@@ -59,7 +59,7 @@ GROUP = "hysteresis_ros.damping"
 #: Declaration of each kind, by type; the additional type ``none`` means no damping.
 KINDS: dict[str, DampingKind] = discover("hysteresis_ros.control.damping.kinds", "DAMPING", DampingKind, GROUP)
 
-#: Type without damping.
+#: Type for no damping.
 NONE = "none"
 
 
@@ -152,7 +152,7 @@ class InnerLoop:
 
     @property
     def feedback(self) -> StateSpace:
-        """The filter behind its sensor."""
+        """The sensor followed by the filter."""
         return self.filter if self.sensor is None else in_series((self.sensor, self.filter))
 
     @property
@@ -184,7 +184,7 @@ class InnerLoop:
         return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C[:1]]), np.zeros((1, 1)))
 
     def behind(self, controller: StateSpace) -> StateSpace:
-        """Return controller and damping as one, from (reference, the outputs of the plant) to the command.
+        """Return controller and damping as one system, from (reference, the outputs of the plant) to the command.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class InnerLoop:
 def inner_loop(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> InnerLoop:
-    """Return the inner loop of a damping for a model.
+    """Return the inner loop of the damping for a model.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def inner_loop(
     Raises
     ------
     ParameterError
-        The filter cannot run at this sample time, or its force is not modelled.
+        The filter cannot run at this sample time, or it uses the force, which has no model.
     """
     found, source = damping.filter(sample_time), damping.source
     only_displacement = np.ones((1, 1))
@@ -254,7 +254,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
     if force is None or not force.there:
         remedy = (
             f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "
-            "stack and flexure (model.force.…), or take irc or ppf"
+            "stack and flexure (model.force.…), or use irc or ppf"
         )
         raise ParameterError([Problem("model.force.stack_stiffness", 0.0, remedy)])
 
@@ -262,7 +262,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
 def closing(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
-    """Return the function from a plant in SI to the damped plant; without a damping it returns the plant.
+    """Return a function that takes a plant in SI units and returns the damped plant, or the plant if damping is none.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def damped(
     )
 
 
-# Parameter array: a head, then A (n·n, row by row), B, C and the rest state at an input of one (n each).
+# Parameter array: a head, then A (n·n, row by row), B, C and the steady state for an input of one (n each).
 SOURCE = 0
 ORDER = 1
 PRELOAD = 2  # offset of the measurement [m]
@@ -429,10 +429,10 @@ class Damping(Block):
         return float(self.p[DIRECT])
 
     def retune(self, parameters) -> None:
-        """Change the filter, also to another kind, while running; the caller arms the hand-over behind it.
+        """Change the filter, also to another kind, while running; the caller arms the hand-over that follows it.
 
-        States of a filter of the same kind and order continue, shifted by the change of the rest state at the present
-        input. A filter of another kind or order starts at rest.
+        States of a filter of the same kind and order continue, shifted by the change of the steady state for the
+        present input. A filter of another kind or order starts in its steady state.
 
         Raises
         ------

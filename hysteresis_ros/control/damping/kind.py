@@ -10,7 +10,8 @@
 """Declaration of a kind of damping, and discrete filters for kinds.
 
 Filters are discretised by s = h (z − 1)/(z + 1). With h = ω / tan(ω T/2) a filter has exactly its continuous-time
-response at ω; with h = 2/T it approaches it at low frequencies. Stable filters stay stable at any sample time.
+response at ω; with h = 2/T its response approaches the continuous-time one at low frequencies. Stable filters stay
+stable at any sample time.
 
 References
 ----------

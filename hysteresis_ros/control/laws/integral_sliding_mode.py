@@ -9,8 +9,8 @@
 
 r"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
 
-The switching function is the distance of the state from that of the nominal dynamics since the start (x̄_0 = x̂_0, so
-s_0 = 0):
+The switching function is the distance of the state from the state of the nominal dynamics, which start at the same
+point (x̄_0 = x̂_0, so s_0 = 0):
 
 .. math::
 
@@ -24,10 +24,10 @@ s_0 = 0):
 with the nominal state feedback u0 and the rejection u1. Only the innovation ε of the Kalman filter drives s: s_(k+1) =
 ρ s_k − Λ u_n + S L ε [1]_ [2]_, with ρ = ``rejection_pole`` and the nonlinear part u_n. A step of the reference does
 not change s. With ρ = 0 an innovation is rejected in the next sample. Δ is the change of the last command by a
-hand-over or by limits. It is known and is part of the nominal dynamics, so nothing winds up.
+hand-over or by limits. It is known and is part of the nominal dynamics, so there is no windup.
 
-d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate the law sees a matched disturbance only
-through the innovation, and rejects only a part of it.
+d̂ is the filter's estimate (``kalman.disturbance``). Without an estimate a matched disturbance affects the law only
+through the innovation, and the law rejects only a part of it.
 
 References
 ----------

@@ -31,8 +31,9 @@ those of the compensator, which reports the achieved command in ``x[APPLIED]``. 
 would increase the excess; *back_calculation* adds −T/T_t · excess to the integral. With an approximate inverse (Picard
 steps) command and achieved command differ even without saturation, so differences below a threshold do not count.
 
-With the zeros of the discrete PID on the slowest poles of the model, the loop transfer function is g/(z − 1) times the
-rest of the model, and the response to the reference is close to a first-order lag whose bandwidth increases with g:
+A design places the zeros of the discrete PID on the slowest poles of the model. The loop transfer function is then
+g/(z − 1) times the remaining dynamics, and the response to the reference is close to a first-order lag whose bandwidth
+increases with g. The cancelled poles depend on the number of states of the model:
 
 * no dynamics: the pole z = 0 of the one-sample delay (PI),
 * one state: the lag's pole (PI),
@@ -213,7 +214,7 @@ class PidParameters(Parameters):
         return elementary.exp(-self.derivative_filter * sample_time) if self.derivative_filter > 0.0 else 0.0
 
     def tracking(self, sample_time: float) -> float:
-        """Return T / T_t of back-calculation for ``sample_time`` [s], at most 1; 0 when it is not chosen."""
+        """Return T / T_t of back-calculation for ``sample_time`` [s], at most 1; 0 for any other anti-windup."""
         if self.anti_windup != "back_calculation":
             return 0.0
         time = self.tracking_time
@@ -223,7 +224,7 @@ class PidParameters(Parameters):
 
 
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
-    """Return the controller from (reference, measured) to command, in the model's units, both setpoint weights one.
+    """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of one.
 
     Returns
     -------
@@ -340,8 +341,8 @@ CALM = replace(REQUIRED, sensitivity_peak=1.4)
 AT_ZERO = 1e-3
 #: Default cut-off of the derivative filter as a fraction of the sampling angular frequency.
 FILTER = 0.2
-#: Fraction of the step response below which a slow pole is not cancelled. (The high-pass of a damping has such a pole,
-#: with a zero near it.)
+#: Fraction of the step response below which a slow pole is not cancelled. (The high-pass of a damping filter has such a
+#: pole, with a zero near it.)
 LITTLE = 0.02
 #: Distance from a pole at which its residue is evaluated, as a fraction of its distance from 1.
 NEAR = 1e-4

@@ -22,7 +22,7 @@ This is the equivalent control, so σ⁺ = σ + u_st + innovation. The explicit 
 
    u_{st} = -k_1 |\sigma|^{1/2} \mathrm{sign}\,\sigma + w, \qquad w^+ = w - k_2 T \, \mathrm{sign}\,\sigma
 
-or implicit [2]_ [3]_
+and the implicit law [2]_ [3]_ is
 
 .. math::
 
@@ -233,7 +233,7 @@ def designed(task: DesignTask):
     if task.bandwidth is not None and task.parameters.model.dynamics.order == 1:
         remedy = (
             "super_twisting has no pole to place for a model with one state; give no bandwidth, or "
-            "take another controller"
+            "choose another controller"
         )
         state_feedback.refuse("bandwidth", task.bandwidth, remedy)
     place = sliding_pole if task.parameters.model.dynamics.order > 1 else None

@@ -12,17 +12,17 @@
 u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
 The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. Between zeros and poles
-the integral of the force is in phase with the velocity. It damps the poles, with a pure integrator by a damping ratio
-of at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would bring the force at rest, k_f y, and with it the
+the integral of the force is in phase with the velocity, so it damps the poles. With a pure integrator the damping ratio
+is at most (ω_p − ω_z)/(2 ω_z) [1]_. A pure integrator would drive the static force, k_f y, and with it the
 displacement to zero. Therefore the integrator leaks at ω_c = α β, which is equivalent to a feedthrough β of the command
 into the force [3]_. A high-pass at ω_h removes constant signals: an offset or a drift of the sensor does not move the
-axis, and at rest the law's output is the command, γ = 1. Without the high-pass (ω_h = 0) the force at rest stays in the
-loop, and γ = 1 + k_f α/ω_c.
+axis, and in the steady state the law's output is the command, γ = 1. Without the high-pass (ω_h = 0) the static force
+stays in the loop, and γ = 1 + k_f α/ω_c.
 
 The filter is discretised by the bilinear transformation, h = 2/T. It does not wind up: its poles are stable, and its
 input is measured even while the command is saturated.
 
-If the delay is more than about a quarter of the resonance's period, a gain of the opposite sign damps: α < 0.
+If the delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, α < 0.
 
 References
 ----------

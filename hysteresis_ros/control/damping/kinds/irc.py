@@ -17,8 +17,8 @@ C₂(s) = −k/(s − k D_f)
 which acts on r_c − y. Here the law's output w enters after C₂, at the command, with a weight γ that keeps the DC gain:
 u = γ w + k/(s − k D_f) y. So the path of the reference has a zero at s = k D_f.
 
-If the delay is more than about a quarter of the resonance's period, a gain of the opposite sign damps: k < 0 with D_f >
-0.
+If the delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, k < 0,
+with D_f > 0.
 
 References
 ----------
@@ -68,7 +68,7 @@ def ranges(mode: Mode) -> tuple:
     """Return the search ranges of (DC gain of the feedback, corner of the filter [rad/s]), for both signs."""
     omega = 2.0 * math.pi * mode.frequency
     corner = (0.05 * omega, 20.0 * omega, True)
-    # positive feedback of 0.4 of the plant's gain has a gain margin of 8 dB: the required 6 dB and a gain error of 25 %
+    # positive feedback of 0.4 of the plant's gain has a gain margin of 8 dB: required 6 dB plus a gain error of 25 %
     return ((0.05, 0.4, True), corner), ((-2.0, -0.05, True), corner)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One to four notch filters behind the law: the law does not excite the resonances, but does not damp them either.
+"""One to four notch filters after the law: the law does not excite the resonances, but does not damp them either.
 
 N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
 

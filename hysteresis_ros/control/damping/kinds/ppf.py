@@ -12,7 +12,7 @@
 u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
 
 The factor γ keeps the DC gain. Below its frequency a filter changes the stiffness; at its frequency it damps. If the
-delay is more than about a quarter of the resonance's period, a gain of the opposite sign damps: g < 0.
+delay is more than about a quarter of the resonance's period, damping needs the opposite sign of the gain, g < 0.
 
 References
 ----------
