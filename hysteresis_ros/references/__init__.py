@@ -40,10 +40,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> type[Reference]:
-    """Return the class of a waveform; imported at the first use."""
+    """Return the class of a waveform, which is imported on first use."""
     from hysteresis_ros.registry import find
 
-    # Python also looks up names of modules here while it imports them
+    # Python also looks up the names of submodules here while it imports them
     if not name[:1].isupper():
         return find({}, name, __name__)
     from hysteresis_ros.references.classes import CLASSES

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Jerk-limited approach to a setpoint that may change at any time, and input shaping behind it.
+"""Jerk-limited approach to a setpoint that may change at any time, followed by input shaping.
 
 Structure (FIR trajectory filter; Biagiotti & Melchiorri, *FIR filters for online trajectory planning with time- and
 frequency-domain specifications*, Control Engineering Practice 20 (2012) 1385-1399): a slew limiter moves q towards the
@@ -33,9 +33,9 @@ filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹
 running sums are stored in two words below 2⁵³. Every addition is exact, so the sums never drift, and the last step from
 the grid to the setpoint is no larger than about the float64 rounding of the position.
 
-**A limit of zero is free.** If a limit is 0 and the limit of a higher derivative is not, the first one takes the value
-with which the full stroke R takes the least time: R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all
-three limits 0 the output is the setpoint.
+**A limit of zero is free.** If a limit is 0 and the limit of a higher derivative is not, the limit of 0 is replaced by
+the value with which the full stroke R takes the least time: R/V + 2 V/A + 2 A/J is least where the free terms are
+equal. With all three limits 0 the output is the setpoint.
 
 ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode, z =
 exp((−ζ ω + i ω √(1 − ζ²)) T), and the sum one: three equations for three taps. In continuous time ZV has the two
@@ -236,7 +236,7 @@ class Approach(Block):
             raise ParameterError([Problem("approach.maximum_velocity", parameters.maximum_velocity, remedy)])
         if n1 + n2 > LONGEST_WINDOWS or weight * (step / split + 1.0) > 2.0**52:
             name = "maximum_acceleration" if n1 > n2 else "maximum_jerk"
-            remedy = f"too low: the approach would take {(n1 + n2) * self._sample_time:g} s to settle; give more"
+            remedy = f"too low: the approach would take {(n1 + n2) * self._sample_time:g} s to settle; raise it"
             raise ParameterError([Problem(f"approach.{name}", getattr(parameters, name), remedy)])
         return np.array([quantum, step, n1, n2, weight, split, low, high])
 
@@ -247,11 +247,11 @@ class Approach(Block):
         return x
 
     def rest_at(self, position: float) -> None:
-        """Stop at ``position`` [m] with velocity zero; the setpoint stays."""
+        """Stop at ``position`` [m] with velocity zero; the setpoint is kept."""
         rest(self.p, self.x, position, self.x[SETPOINT])
 
     def duration(self, distance: float) -> float:
-        """Return the time [s] from a new setpoint at ``distance`` [m], given at rest, to the exact arrival."""
+        """Return the time [s] from rest to the exact arrival at a new setpoint at ``distance`` [m]."""
         moving = max(math.ceil(abs(distance) / (self.p[STEP] * self.p[QUANTUM])), 1)
         return (moving + self.p[WINDOW1] + self.p[WINDOW2] - 2.0) * self.sample_time
 

@@ -14,7 +14,7 @@ The state ``x`` is the sample counter k (exact up to 2⁵³). The position withi
 
     frac( ((k mod b) · a mod b) / b + k · d + phase / 2π ).
 
-The products of the first term stay below 2⁵², so it is exact for every k. The residual is zero if the product of
+The products of the first term stay below 2⁵², so this term is exact for every k. The residual is zero if the product of
 frequency and sample time equals a fraction within the rounding of these numbers (2⁻⁵¹ relative). The waveform then
 repeats bit for bit every b samples; a period of N whole samples gives b = N. With a residual, |d| ≤ 2⁻²⁶/b keeps the
 rounding error of ``k · d`` below 1e-15 of a cycle after 10⁹ samples.
@@ -195,7 +195,7 @@ def head(parameters) -> np.ndarray:
 
 
 def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
-    """Write the conversion from counter to position, and the end, into ``p``; return the samples of one repetition.
+    """Write the end and the conversion from counter to position into ``p``; return the samples per repetition.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tupl
     rate : Fraction
         Cycles per second.
     fastest : (str, float)
-        Name and value of its highest frequency [Hz].
+        Name and value of the waveform's highest frequency [Hz].
 
     Raises
     ------

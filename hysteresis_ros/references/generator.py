@@ -247,7 +247,7 @@ class ReferenceGenerator(Chain):
     def _adopt(self) -> None:
         """Connect the present waveform."""
         low, high = self.parameters.minimum, self.parameters.maximum
-        # so that the sum with the waveform stays inside
+        # so that the sum of setpoint and waveform stays within the range
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
@@ -447,7 +447,9 @@ class ReferenceGenerator(Chain):
         for name in changed:
             if name.startswith("shaping."):
                 if self.moving:
-                    problems.append(Problem(name, new.get(name), "can change only while the reference rests; wait"))
+                    problems.append(
+                        Problem(name, new.get(name), "can change only while the reference rests; wait for that")
+                    )
             elif not name.startswith("waveform."):
                 problems.append(
                     Problem(name, new.get(name), "fixed while the node is configured; clean up and configure again")

@@ -47,7 +47,7 @@ from __future__ import annotations
     WINDOW,
     DRIFT,  # [m/s]
     CONTINUOUS,  # not 0: walk continuously, by the phase of the cycle (parameters below)
-    WALKING_STEP,  # [m] a cycle
+    WALKING_STEP,  # [m] per cycle
     BLEND,  # fraction of the carrying motion in which the speed rises; the same fraction in which it falls
     LEAD,  # lead of the outputs over the path [samples]
     BOUND,  # largest correction [m]
@@ -104,7 +104,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     REAR_FROM,
     REAR_TO,
     REAR_COUNT,
-    MOVE_FROM,  # motion of the extender: start, end [m], progress 0 … 1, samples, rate 0 … 1, samples of rest so far
+    MOVE_FROM,  # motion of the extender: start, end [m], progress 0 … 1, samples, rate 0 … 1, samples of waiting so far
     MOVE_TO,
     MOVE_DONE,
     MOVE_SAMPLES,
@@ -151,12 +151,12 @@ BACKWARD_MODEL = 69
     LEARNS,  # 1: every whole cycle updates the correction
     FORGETS,  # 1: the next cycle resets the correction
     WHOLE,  # 1 while the present cycle can be used for learning
-    STAND_SUM,  # sum of the slider positions while it stands, and number of samples
+    STAND_SUM,  # sum of the slider positions while the slider stands still, and number of samples
     STAND_COUNT,
     SQUARES,  # sum of the squared errors of the present cycle, and number of samples
     SQUARE_COUNT,
     RIPPLE,  # RMS of the error over the last whole cycle [m]
-    LEARNED_CYCLES,  # so far
+    LEARNED_CYCLES,  # number of learned cycles so far
 ) = range(74, 90)
 #: Coefficients of the corrections, then sums and counts of the errors by phase: the lengths are SPLINES and BINS.
 WALK = 90

@@ -71,7 +71,7 @@ def ramp(linear, s):
 
 
 def crossing(linear: bool, level: float) -> float:
-    """Return the part of a ramp's duration after which its profile passes ``level`` (0 … 1)."""
+    """Return the fraction of a ramp's duration after which its profile passes ``level`` (0 … 1)."""
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -254,7 +254,7 @@ GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
 #: Integration steps of the slider's oscillation per bin.
 STEPS_PER_BIN = 8
-#: Tolerance for the rounding of the eigenvalue one, which a mode has that the learning cannot observe.
+#: Tolerance for rounding errors of an eigenvalue of one: modes that the learning cannot observe have this eigenvalue.
 ROUNDING = 1.0e-9
 
 
@@ -437,7 +437,7 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
     """Return M, shape (bins, splines): the slider's motion per coefficient, by phase, at the learning speed.
 
     The motion is measured from the extension at which the front clamp grips. While the rear clamp is open the slider
-    follows the extender and oscillates; when the rear clamp grips, the slider stays.
+    follows the extender and oscillates; when the rear clamp grips, the slider stands still.
 
     Parameters
     ----------

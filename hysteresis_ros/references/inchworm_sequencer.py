@@ -15,9 +15,9 @@ the requests. A phase runs to its end, except when the motor must stop: then the
 extender brakes.
 
 The sequencer replaces the reference generator. The motion controller's measurement is the slider position minus
-:attr:`origin`. The origin is chosen so that this is the displacement of the extender while the motor walks, that of the
-slider in fine positioning, and the reference itself while both clamps hold: nothing can move then, and an integral
-would wind up.
+:attr:`origin`. The origin is chosen so that the measurement is the displacement of the extender while the motor walks,
+and the displacement of the slider in fine positioning. While both clamps hold, it is the reference itself: nothing can
+move then, and an integral would wind up.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
 
 @kernel
 def reach(p):
-    """Return the largest motion of the slider by a step [m], including the oscillation of a load."""
+    """Return the largest motion of the slider in one step [m], including the oscillation of a load."""
     return p[at.RUNAWAY] + 1.5 * (p[at.HIGHEST] - p[at.LOWEST] + p[at.MARGIN])
 
 
@@ -427,7 +427,7 @@ def sequence(p, x, setpoint, slider, extender):
     setpoint : float
         Setpoint [m]; it is used when it differs from the last one and lies within the travel.
     slider, extender : float
-        Measured displacements [m]; NaN without one.
+        Measured displacements [m]; NaN if there is no measurement.
     """
     take_inputs(p, x, setpoint, slider, extender)
     guard(p, x)

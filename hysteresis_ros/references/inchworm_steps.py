@@ -103,8 +103,8 @@ SHORT_STEP = 0.05
 SLOW_STEP = 0.1
 #: Largest deflection by the load, as a fraction of the stroke.
 LOAD_PART = 0.8
-#: Factors from the measured mean deflection to the correction of the learned one: at every step, and at the first one,
-#: at which the controller's integral has already compensated about half of the deflection.
+#: Factors on the measured mean deflection, which give the correction of the learned deflection: at every step, and at
+#: the first step, at which the controller's integral has already compensated about half of the deflection.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
 #: Mean deflection, as a fraction of the stroke, up to which it may be the lag of the extender and is not learned.
@@ -189,7 +189,7 @@ def stop_here(p, x):
 
 @kernel
 def moving(p, x):
-    """Advance the extender's motion by a sample; return whether the motion or the following time of rest continues."""
+    """Advance the extender's motion by a sample; return whether the motion or the wait that follows it continues."""
     if x[at.MOVE_DONE] < 1.0:
         x[at.MOVE_DONE] = min(x[at.MOVE_DONE] + x[at.MOVE_RATE] / x[at.MOVE_SAMPLES], 1.0)
         if x[at.MOVE_DONE] > 1.0 - 1.0e-9:
@@ -259,7 +259,7 @@ def feel(x):
 
 @kernel
 def weigh(p, x):
-    """Correct the learned load by the mean deflection of the extender after the transfer, at first by all of it."""
+    """Correct the learned load by a decreasing fraction of the extender's mean deflection after the transfer."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         stroke = p[at.HIGHEST] - p[at.LOWEST]
         bound = LOAD_PART * stroke

@@ -37,7 +37,7 @@ from hysteresis_ros.references.inchworm_steps import (
     turn,
 )
 
-#: Fraction of the extender's rest, before the front clamp closes, in which the new correction fades in.
+#: The new correction fades in during this fraction of the extender's standstill before the front clamp closes.
 GLIDE_PART = 0.8
 #: Factor on the highest rate above which a requested rate is too fast.
 TOO_FAST = 1.05

@@ -20,7 +20,7 @@ from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
 
 
 class Arrival:
-    """Detects that an error has stayed within a tolerance for a dwell time, by the times of the samples.
+    """Detects, from the times of the samples, that an error has stayed within a tolerance for a dwell time.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ class Tolerances:
     goal : float
         Largest distance from the last point [m].
     dwell : float
-        Time for which it must stay there [s].
+        Time for which the measurement must stay within ``goal`` [s].
     goal_time : float
-        Time after the last point within which it must arrive [s].
+        Time after the last point within which the move must arrive [s].
     path : float
         Largest distance from the reference during the motion [m].
     """
@@ -167,7 +167,7 @@ class Tolerances:
 _ENDINGS = {
     REPLACED: (Ending.REPLACED, "another trajectory or a setpoint has taken its place"),
     HELD: (Ending.CANCELLED, "held where it was"),
-    STOPPED: (Ending.STOPPED, "the axis, or its source, was stopped or reset"),
+    STOPPED: (Ending.STOPPED, "the axis, or its reference generator, was stopped or reset"),
 }
 
 

@@ -38,14 +38,14 @@ DEGREE = 5
 
 
 def shifted(coefficients: np.ndarray, delay: float) -> np.ndarray:
-    """Return a polynomial of the time after ``delay``, from one of the time.
+    """Return the coefficients of the same polynomial for a time that begins ``delay`` later.
 
     Parameters
     ----------
     coefficients : ndarray, shape (DEGREE + 1,)
         Coefficients of the ascending powers of the time.
     delay : float
-        Delay of the beginning of the new time.
+        Value of the given time at which the new time is 0.
     """
     moved = np.zeros_like(coefficients)
     rest = coefficients.copy()

@@ -29,7 +29,7 @@ from hysteresis_ros.references.declaration import PREFIX
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Duration of a transition between two levels, and of the rest before the measurement [s].
+#: Duration of a transition between two levels, and of the pause before the measurement [s].
 WAY, REST = 0.5, 0.5
 
 
@@ -151,7 +151,7 @@ def _triangles(asked: _Asked) -> Excitation:
 def _decaying(asked: _Asked) -> Excitation:
     cycle = max(round(asked.sample_rate / (asked.frequency or asked.sample_rate / 500.0)), 8)
     index = np.arange(WHOLE_CYCLES * cycle + DECAYING_CYCLES * cycle + 1)
-    # rest at 0 V first, then begin at the low end
+    # stay at 0 V first, then begin at the low end
     fall = np.exp(-np.maximum(index - WHOLE_CYCLES * cycle, 0) / (DECAY_CYCLES * cycle))
     volts = asked.middle - asked.half * asked.amplitude * fall * np.cos(2.0 * np.pi * index / cycle)
     return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
@@ -315,8 +315,8 @@ def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = Non
         Text of each parameter. The waveform's own parameters may be given by their short names, ``values`` for
         ``steps.values``. Numbers have units or are in SI; commas separate the elements of lists.
     gain : float, optional
-        Gain of an axis in open loop without inverse [m/V]. With it lengths may be given as voltages, and must have a
-        unit.
+        Gain of an axis in open loop without inverse [m/V]. If it is given, lengths may also be voltages, and must have
+        a unit.
 
     Raises
     ------
@@ -443,14 +443,14 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     return [number * allowed[unit] for number, unit in found]
 
 
-#: Parameters of a controller that need a recording with a reference; those that need the played waveform as reference;
-#: and those of a controller that passes on the reference unchanged.
+#: Parameters of the motion controller for measurements: UNFED switches the feedforward off, PLAYED the learning. OPEN
+#: passes on the reference unchanged.
 UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
 OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
 
 
 def write_samples(path, reference, sample_rate: float, **further) -> str:
-    """Write a reference for a waveform of type ``file``, and return its whole path.
+    """Write a reference for a waveform of type ``file``, and return the absolute path of the file.
 
     Parameters
     ----------
@@ -514,7 +514,7 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
 
 
 def following(configuration: Configuration, path: str, rest: float = 0.0) -> Configuration:
-    """Return a configuration whose axis follows the samples once, from the first one, and then ends.
+    """Return a configuration whose axis follows the samples once, from the first to the last one.
 
     Parameters
     ----------

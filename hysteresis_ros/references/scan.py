@@ -42,11 +42,11 @@ ORDERS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"), ("j
 EDGE = 1e-6
 #: Relative tolerance of a limit, for rounding.
 ROUNDING = 1e-9
-#: Harmonics are computed from this many points per pass, but at least from the second number; then the fewest and the
-#: most points per period.
+#: Numbers of points from which harmonics are computed: desired and least number per pass, then the usual bounds per
+#: period.
 POINTS, FEW_POINTS = 1024, 64
 LEAST_POINTS, MOST_POINTS = 1 << 15, 1 << 19
-#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The rest has 1 % of the RMS of the motion.
+#: Fraction of the power of the motion within :attr:`Scan.bandwidth`. The motion above it has 1 % of the total RMS.
 OCCUPIED = 0.9999
 
 
@@ -157,7 +157,7 @@ class Scan(Parameters, abc.ABC):
     height: float = parameter(0.0, description="z of the plane at x = y = 0", unit="m", low=-1.0, high=1.0)
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each parameter that excludes another one."""
+        """Yield a Problem for each inconsistency."""
         if not self.rate > 0.0:
             yield Problem("frame_rate", self.frame_rate, "must be > 0 Hz")
         for name in ("slope_x", "slope_y", "height"):
@@ -183,7 +183,7 @@ class Scan(Parameters, abc.ABC):
 
     @abc.abstractmethod
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames.
+        """Return u and v, or a derivative of them with respect to the number of frames.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class Scan(Parameters, abc.ABC):
 
     @abc.abstractmethod
     def plane_range(self, matrix: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return bounds of combinations of u and v, or of their derivatives by the number of frames.
+        """Return bounds of combinations of u and v, or of their derivatives with respect to the number of frames.
 
         Parameters
         ----------
@@ -227,10 +227,10 @@ class Scan(Parameters, abc.ABC):
 
     @property
     def slow_axis(self) -> bool:
-        """Whether v rests, or drifts slowly, while a line is scanned along u."""
+        """Whether v is constant, or drifts slowly, while a line is scanned along u."""
         return False
 
-    # what follows
+    # what follows from these definitions
 
     @property
     def rate(self) -> float:
@@ -267,7 +267,7 @@ class Scan(Parameters, abc.ABC):
         return np.array([self.centre_x, self.centre_y, height][: self.axes])
 
     def derivative(self, time, order: int) -> np.ndarray:
-        """Return a derivative of the path by the time.
+        """Return a time derivative of the path.
 
         Parameters
         ----------
@@ -321,7 +321,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def _peaks(self) -> np.ndarray:
-        """Largest magnitudes of the derivatives by the number of frames, shape (4, axes)."""
+        """Largest magnitudes of the derivatives with respect to the number of frames, shape (4, axes)."""
         self.validated()
         found = []
         for order in range(4):
@@ -330,7 +330,7 @@ class Scan(Parameters, abc.ABC):
         return np.array(found)
 
     def peak(self, order: int) -> np.ndarray:
-        """Return the largest magnitude of a derivative by the time, shape (axes,).
+        """Return the largest magnitude of a time derivative, shape (axes,).
 
         Parameters
         ----------
@@ -346,7 +346,7 @@ class Scan(Parameters, abc.ABC):
         return self._peaks[order] * self.rate**order
 
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest position of each axis [m], shape (axes,), turns included."""
+        """Return the lowest and the highest position of each axis [m], shape (axes,), including the turns."""
         self.validated()
         low, high = self.plane_range(self.matrix, 0)
         return low + self.centre, high + self.centre
@@ -388,7 +388,7 @@ class Scan(Parameters, abc.ABC):
 
     @cached_property
     def bandwidth(self) -> float:
-        """Frequency [Hz] below which 99.99 % of the power of the motion is."""
+        """Frequency [Hz] below which 99.99 % of the power of the motion lies."""
         self.validated()
         amplitudes, _ = self._series
         power = np.cumsum(np.sum(np.abs(amplitudes) ** 2, axis=0))
@@ -460,7 +460,7 @@ def harmonics(scan: Scan, count: int) -> Harmonics:
 
 @dataclass(frozen=True)
 class ScanLimits(Parameters):
-    """Limits of the axes. One value is for every axis; several are in the order x, y, z; none: unlimited.
+    """Limits of the axes. One value applies to every axis, several apply to x, y, z in this order; empty: unlimited.
 
     Parameters
     ----------
@@ -563,7 +563,7 @@ def check_limits(scan: Scan, limits: ScanLimits) -> None:
     found = [*_beyond_range(scan, limits)]
     best = largest_frame_rate(scan, limits)
     if best == 0.0:
-        text = "the acceleration jumps, so the jerk exceeds any limit; take minimum_jerk"
+        text = "the acceleration jumps, so the jerk exceeds any limit; use minimum_jerk"
         found.append(Problem("turn_law", getattr(scan, "turn_law", None), text))
     elif scan.rate > best * (1.0 + ROUNDING):
         rate = rounded_down(best)

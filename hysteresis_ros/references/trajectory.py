@@ -39,7 +39,7 @@ SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 ACTIVE, PENDING, ELAPSED, LENGTH, SEGMENT, COUNT, POSITION, VELOCITY, ACCELERATION = range(9)
 GIVEN, TARGET, AFTER, NUMBER, OUTCOME = range(9, 14)
 SEGMENTS = 14
-#: Value of TARGET and AFTER that means none.
+#: Value of TARGET and AFTER for "no position".
 NOWHERE = math.inf
 #: Numbers of a segment: its beginning [s], and the coefficients of the powers of the time since then.
 BEGIN, COEFFICIENTS, WIDTH = 0, 1, 7
@@ -96,7 +96,7 @@ class TrajectoryParameters(Parameters):
 
 @kernel
 def advance(p, x):
-    """Return the position [m] of the next sample of a trajectory; its last sample ends it."""
+    """Return the position [m] of the next sample of a trajectory; the last sample ends the trajectory."""
     x[PENDING] = 0.0
     x[ELAPSED] += 1.0
     if x[ELAPSED] >= x[LENGTH]:
@@ -136,7 +136,7 @@ def brake(p, x, after, outcome):
     p, x : ndarray
         Parameters and state of the trajectory.
     after : float
-        Next setpoint [m]; NOWHERE: stay.
+        Next setpoint [m]; NOWHERE: keep the position.
     outcome : int
         Outcome of the present trajectory.
     """
@@ -248,7 +248,7 @@ class Points:
     def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
         """Return the segments of the path that continues the present motion, shape (segments, WIDTH).
 
-        A first point at time 0 states where the sender assumes the axis; the path begins at the actual position.
+        A first point at time 0 states where the sender assumes the axis to be; the path begins at the actual position.
         """
         first = 1 if self.times[0] == 0.0 else 0
         knots = [np.concatenate([[0.0], self.times[first:]]), np.concatenate([[position], self.positions[first:]])]
@@ -332,7 +332,15 @@ class Bounds:
         corners = np.abs(np.concatenate([speed[0], [0.0]]) - np.concatenate([[velocity], speed[-1]]))
         steep = corners[None, :] / self.sample_time
         at = np.concatenate([segments[:, BEGIN], [length]])[None, :]
-        _within("accelerations", "m/s²", steep, self.acceleration, at, "at a corner at", "velocities, which round it")
+        _within(
+            "accelerations",
+            "m/s²",
+            steep,
+            self.acceleration,
+            at,
+            "at a corner at",
+            "velocities, which round the corner",
+        )
 
 
 def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at="at", remedy="more time") -> None:

@@ -137,7 +137,7 @@ def parsed_scan(kind: str, words: Iterable[str]) -> Scan:
 
 
 def scan_words(scan: Scan) -> tuple[str, tuple[str, ...]]:
-    """Return the kind of a scan, and its parameters as texts, from which :func:`parsed_scan` makes it again.
+    """Return the kind of a scan, and its parameters as texts, from which :func:`parsed_scan` recreates it.
 
     Parameters
     ----------

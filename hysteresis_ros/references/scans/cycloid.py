@@ -36,11 +36,11 @@ class Cycloid(Scan):
     Parameters
     ----------
     width : float
-        Width along u [m], with the circles, without the overshoot of the reversals.
+        Width along u [m], including the circles, without the overshoot of the reversals.
     diameter : float
         Diameter of the circles, which is also the width along v [m].
     lines : int
-        Circles of a frame.
+        Number of circles per frame.
     turn : float
         Fraction of a frame in which the drift reverses.
     turn_law : str
@@ -54,7 +54,7 @@ class Cycloid(Scan):
     turn_law: str = parameter("minimum_jerk", description="law of the reversal", choices=LAWS)
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each parameter that excludes another one."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.width <= self.diameter:
             text = f"must be more than the diameter of the circles, {self.diameter:g} m"
@@ -95,7 +95,7 @@ class Cycloid(Scan):
         return made.done()
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A path from a file: a smooth curve through its points, closed by a way back from the last to the first one.
+"""A path from a file: a smooth curve through its points, closed by a way back from the last to the first point.
 
 Between the points each coordinate is a cubic spline over the time. Its velocity and acceleration are continuous, also
 from one frame to the next. A path whose last point is the first one, or one step before it, closes by itself. Any other
@@ -184,7 +184,7 @@ class File(Scan):
         return Pieces(frames, np.ascontiguousarray(np.moveaxis(spline.c[::-1], 0, 1)))
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------

@@ -13,9 +13,9 @@ With N lines per frame and the phase θ = π s after s frames,
 
     u = width/2 cos(N θ),   v = depth/2 cos((N − 1) θ).
 
-The frequencies are N/2 and (N − 1)/2 frame rates: in one frame the path goes from one corner to another, in the next
-one back along itself. Neighbouring lines are farthest apart in the middle, where they are parallel. There they have the
-slope ((N − 1) depth) / (N width) and are offset in v by 2π/N · depth/2, so their distance is
+The frequencies are N/2 and (N − 1)/2 times the frame rate: in one frame the path goes from one corner to another, in
+the next one back along itself. Neighbouring lines are farthest apart in the middle, where they are parallel. There they
+have the slope ((N − 1) depth) / (N width) and are offset in v by 2π/N · depth/2, so their distance is
 
     gap = π width depth / √((N width)² + ((N − 1) depth)²),
 
@@ -44,7 +44,7 @@ class Lissajous(Scan):
     width, depth : float
         Sides of the rectangle along u and v [m].
     lines : int
-        Half periods of u in a frame, N.
+        Number N of half periods of u per frame.
     """
 
     width: float = parameter(description="side of the rectangle along u", unit="m", low=1e-12, high=1.0)
@@ -79,7 +79,7 @@ class Lissajous(Scan):
         return amplitudes, math.pi * np.array([self.lines, self.lines - 1.0])
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------

@@ -31,20 +31,21 @@ PATTERNS = ("trace_retrace", "bidirectional", "trace")
 class Raster(Scan):
     """Lines along u at a constant velocity over the whole ``width``; v moves from line to line.
 
-    A line takes 1 / (lines + flyback) of a frame. A pass over the plane takes T. In the fraction 1 − ``turn`` of it u
-    covers the whole width at the constant velocity width / ((1 − turn) T); in the rest u turns and overshoots the width
-    (:mod:`hysteresis_ros.references.pieces`). During the flyback u continues as before, and v returns.
+    A line takes 1 / (lines + flyback) of a frame. A pass over the plane takes the time T. In the fraction 1 − ``turn``
+    of T, u covers the whole width at the constant velocity width / ((1 − turn) T). In the fraction ``turn``, u turns
+    and overshoots the width (:mod:`hysteresis_ros.references.pieces`). During the flyback u continues as before, and v
+    returns.
 
     Parameters
     ----------
     width, depth : float
         Length of the lines, and distance from the first to the last one [m].
     lines : int
-        Lines of a frame.
+        Number of lines per frame.
     pattern : str
         One of :data:`PATTERNS`.
     turn : float
-        Fraction of a pass that its turn takes; with the pattern ``trace``: that the return takes.
+        Fraction of a pass for its turn, or with the pattern ``trace`` for the return.
     turn_law : str
         Law of turns, steps and flyback.
     slow : str
@@ -66,7 +67,7 @@ class Raster(Scan):
     )
     turn: float = parameter(
         0.2,
-        description="fraction of a pass that its turn takes; with trace: that the return takes",
+        description="fraction of a pass for its turn, or with trace for the return",
         low=0.001,
         high=0.95,
     )
@@ -80,14 +81,14 @@ class Raster(Scan):
     )
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each parameter that excludes another one."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.pattern == "bidirectional" and (self.lines + self.flyback) % 2:
             text = (
                 f"lines + flyback = {self.lines + self.flyback} is odd, but the pattern bidirectional "
                 "needs an even number"
             )
-            yield Problem("flyback", self.flyback, f"{text}: take {self.flyback + 1}")
+            yield Problem("flyback", self.flyback, f"{text}: use {self.flyback + 1}")
 
     @property
     def frames_per_period(self) -> int:
@@ -137,7 +138,7 @@ class Raster(Scan):
 
     @property
     def slow_axis(self) -> bool:
-        """Whether v rests, or drifts slowly, while a line is scanned along u."""
+        """Whether v is constant, or drifts slowly, while a line is scanned along u."""
         return True
 
     @property
@@ -147,7 +148,7 @@ class Raster(Scan):
 
     @property
     def _each(self) -> int:
-        """Passes of a line."""
+        """Number of passes per line."""
         return 2 if self.pattern == "trace_retrace" else 1
 
     @property
@@ -197,7 +198,7 @@ class Raster(Scan):
         return Pieces.together([self._fast, self._slow])
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------

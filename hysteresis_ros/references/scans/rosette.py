@@ -41,17 +41,17 @@ class Rosette(Scan):
     diameter : float
         Diameter of the disc [m].
     lines : int
-        Number N of diameters of a frame, odd.
+        Number N of diameters per frame, odd.
     """
 
     diameter: float = parameter(description="diameter of the disc", unit="m", low=1e-12, high=1.0)
     lines: int = parameter(127, description="number of diameters of a frame, odd", low=3, high=99_999)
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each parameter that excludes another one."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.lines % 2 == 0:
-            text = f"must be odd, so that the path closes after a frame; take {self.lines + 1}"
+            text = f"must be odd, so that the path closes after a frame; use {self.lines + 1}"
             yield Problem("lines", self.lines, text)
 
     @property
@@ -80,7 +80,7 @@ class Rosette(Scan):
         return math.pi * np.array([self.lines + 1.0, 1.0 - self.lines])
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------

@@ -9,7 +9,7 @@
 
 r"""Spiral of Archimedes: outwards in one frame, inwards in the next, at constant angular or constant linear velocity.
 
-A frame is the angle Ψ. From the middle outwards the radius is :math:`r = a\,\psi`. Around ψ = Ψ, within ``rim``
+A frame covers the angle Ψ. From the middle outwards the radius is :math:`r = a\,\psi`. Around ψ = Ψ, within ``rim``
 revolutions, it reverses by minimum jerk (:mod:`hysteresis_ros.references.pieces`, with ψ instead of the time), and then
 decreases. The angle ψ always grows:
 
@@ -20,7 +20,7 @@ decreases. The angle ψ always grows:
 Because of the quarter revolution the inward spiral continues straight through the middle into the outward spiral: the
 path is smooth there, and repeats after two frames.
 
-*Constant angular velocity* (cav): :math:`\psi = \Psi s` with s frames. *Constant linear velocity* (clv):
+*Constant angular velocity* (cav): :math:`\psi = \Psi s` after s frames. *Constant linear velocity* (clv):
 :math:`\mathrm{d}s/\mathrm{d}\psi \propto \sqrt{1 + \psi^2}`, whose integral is :math:`(\psi\sqrt{1 + \psi^2} +
 \operatorname{arsinh}\psi)/2`: the arc length of the spiral. Near the middle this needs an angular velocity that grows
 without limit with the number of revolutions. So within ``core`` revolutions, and in the reversal at the rim, the even
@@ -45,7 +45,7 @@ from hysteresis_ros.references.scan import Passes, Scan, ScanShape
 
 #: Number of points of each part of a frame at which the largest magnitudes of derivatives are sought.
 LOOKS = 4000
-#: Number of points of the table that gives a first angle at an instant, and number of Newton steps after it.
+#: Number of points of the table that gives an initial estimate of the angle, and number of Newton steps that follow.
 TABLE, STEPS = 4000, 3
 
 
@@ -58,7 +58,7 @@ class Spiral(Scan):
     diameter : float
         Diameter of the disc in which the arms have a constant distance, without the reversal at the rim [m].
     turns : int
-        Revolutions of a frame; a quarter is added.
+        Number of revolutions per frame; a quarter revolution is added.
     law : str
         ``cav``: constant angular velocity, ``clv``: constant linear velocity.
     core : float
@@ -76,14 +76,14 @@ class Spiral(Scan):
     rim: float = parameter(0.5, description="revolutions in which the radius reverses at the rim", low=0.05, high=1e5)
 
     def check(self) -> Iterable[Problem]:
-        """Yield a Problem for each parameter that excludes another one."""
+        """Yield a Problem for each inconsistency."""
         yield from super().check()
         if self.rim > self.turns:
             yield Problem("rim", self.rim, f"must be ≤ the turns of a frame, {self.turns}")
             return
         most = self.turns + 0.25 - 0.5 * self.rim
         if self.law == "clv" and self.core >= most:
-            text = f"must be less than {most:g}, which the reversal at the rim leaves"
+            text = f"must be less than {most:g}, because the reversal at the rim takes the others"
             yield Problem("core", self.core, text, "turns")
 
     @property
@@ -134,7 +134,7 @@ class Spiral(Scan):
         return 0.5 * self.diameter / self._outer
 
     def _radius(self, angle: np.ndarray) -> list[np.ndarray]:
-        """Return r/a and its derivatives by the angle, at angles from the middle in 0 … Ψ."""
+        """Return r/a and its derivatives with respect to the angle, at angles from the middle in 0 … Ψ."""
         turn = 2.0 * math.pi * self.rim
         s = np.maximum(angle - self._outer, 0.0) / turn
         out = s == 0.0
@@ -215,7 +215,7 @@ class Spiral(Scan):
         return angle
 
     def _outward(self, angle: np.ndarray, order: int) -> np.ndarray:
-        """Return a derivative on the outward spiral by the number of frames, over exp(i ψ), at angles."""
+        """Return a derivative (order 0 … 3) of the outward spiral with respect to the frames, divided by exp(i ψ)."""
         r, r1, r2, r3 = (self._slope * value for value in self._radius(angle))
         if order == 0:
             return r + 0j
@@ -233,7 +233,7 @@ class Spiral(Scan):
         return third * speed**3 + 3.0 * second * speed * speed1 + first * speed2
 
     def plane(self, frames: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return u and v, or a derivative of them by the number of frames, shape (2, N) [m].
+        """Return u and v, or a derivative of them with respect to the number of frames, shape (2, N) [m].
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Spiral(Scan):
 
     @cached_property
     def _moduli(self) -> np.ndarray:
-        """Bounds of the magnitudes of the derivatives by the number of frames, shape (4,)."""
+        """Bounds of the magnitudes of the derivatives with respect to the number of frames, shape (4,)."""
         edges = [0.0, self._outer, self._whole]
         if self.law == "clv":
             edges.insert(1, self._inner)

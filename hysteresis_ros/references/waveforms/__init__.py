@@ -68,7 +68,7 @@ class WaveformParameters(Parameters):
         return WAVEFORMS[self.type]
 
     def check(self):
-        """Yield a Problem for each parameter that the chosen waveform excludes."""
+        """Yield a Problem for each parameter that does not fit the chosen waveform."""
         shape = self.shape
         if shape.takes_frequency and not self.frequency > 0.0:
             yield Problem("frequency", self.frequency, f"must be > 0 Hz for {self.type}")

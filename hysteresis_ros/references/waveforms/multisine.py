@@ -50,7 +50,7 @@ LONGEST_PERIOD = 10_000_000
 
 @dataclass(frozen=True)
 class MultisineParameters(Parameters):
-    """Equal amplitudes on harmonics of ``frequency``; ``amplitude`` is the peak of the whole."""
+    """Equal amplitudes on harmonics of ``frequency``; ``amplitude`` is the peak of their sum."""
 
     first_harmonic: int = parameter(1, description="lowest harmonic of frequency", low=1)
     last_harmonic: int = parameter(10, description="highest harmonic of frequency", low=1)
@@ -73,7 +73,7 @@ class MultisineParameters(Parameters):
 
 @kernel
 def multisine(p, x, u):
-    """Sum of harmonics of equal amplitude; p[AMPLITUDE] is that of one harmonic."""
+    """Sum of harmonics of equal amplitude; p[AMPLITUDE] is the amplitude of one harmonic."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:

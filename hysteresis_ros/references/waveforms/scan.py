@@ -42,14 +42,14 @@ class ScanWaveformParameters(Parameters):
 
 
 def repetition(period: float, sample_time: float, name: str = "scan.values") -> int:
-    """Return after how many samples a path has the same positions at the samples again.
+    """Return the number of samples after which the sampled path repeats.
 
     Parameters
     ----------
     period, sample_time : float
         [s]
     name : str, optional
-        Of the parameter, for the message.
+        Name of the parameter, for the message.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def pack(parameters, sample_time: float) -> Packed:
     ParameterError
         There is no such scan, one of its parameters is wrong, it has no such coordinate, or does not repeat.
     """
-    # scans of points in a file read them as the waveform ``file`` does
+    # imported here, because scans from a file import the waveform ``file``
     from hysteresis_ros.references.scans import parsed_scan
 
     own, p = parameters.scan, head(parameters)

@@ -44,7 +44,7 @@ class SquareParameters(Parameters):
 
 @kernel
 def square(p, x, u):
-    """Upper level for the first ``duty`` of each cycle, lower level for the rest."""
+    """Upper level for the first fraction ``duty`` of each cycle, then the lower level."""
     k = x[COUNTER]
     x[COUNTER] = k + 1.0
     if p[END] > 0.0 and k >= p[END]:

@@ -31,7 +31,7 @@ from hysteresis_ros.references.declaration import (
     turns,
 )
 
-LEVELS = OWN + 1  # levels a cycle
+LEVELS = OWN + 1  # levels per cycle
 
 
 @dataclass(frozen=True)
