@@ -63,7 +63,7 @@ DESIGNS = _designs()
 
 
 def with_groups(cls):
-    """Nest the parameter groups of all laws; written under ``@dataclass(frozen=True)``.
+    """Add the parameter groups of all laws to a class; the decorator follows ``@dataclass(frozen=True)``.
 
     Groups with the name of a law come first, then shared groups.
 
@@ -108,7 +108,7 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: with 1.0 the next output must equal the last one; with 2.0 also, and x[BIAS] already contains the lasting
+#: x[ARMED]: not 0: the next output must equal the last one; 2.0: in addition, x[BIAS] already contains the lasting
 #: part.
 ARMED = 2
 #: x[QUICK]: additional bias, which is halved in each sample.

@@ -28,9 +28,9 @@ from hysteresis_ros.models.linear_algebra import inverse
 
 #: Ratio of the smallest to the largest singular value below which a gain counts as singular.
 SINGULAR = 1e-6
-#: Number of frequencies of the grid for margins, besides those around the poles.
+#: Number of frequencies of the grid for margins, in addition to those around the poles.
 GRID = 1500
-#: Number of sweeps of the balancing with which scalings begin.
+#: Number of balancing sweeps that give the initial scalings.
 SWEEPS = 20
 #: Number of steps of the search for the peak between two points of the grid.
 STEPS = 40
@@ -151,7 +151,7 @@ class DiskMargin:
     """Disk margin of a loop, or of all loops at once."""
 
     alpha: float  #: Size α of the disk; 0: unstable.
-    frequency: float  #: Frequency at which it is reached [Hz]; NaN for an unstable loop.
+    frequency: float  #: Frequency at which the margin is reached [Hz]; NaN for an unstable loop.
     skew: float = 0.0  #: Skew σ of the disk; 0: the gain may rise and fall by the same factor.
 
     @property
@@ -302,7 +302,7 @@ def _structured(matrix, accuracy: float = KEPT) -> float:
 
 
 def _worst(grid) -> int:
-    """Return the index of the largest structured singular value; the order of the balanced bounds saves evaluations."""
+    """Return the index of the largest structured singular value; matrices with a lower balanced bound are skipped."""
     if grid.shape[1] == 1:
         return int(np.argmax(np.abs(grid[:, 0, 0])))
     sizes = np.array([_balanced(matrix)[1] for matrix in grid])

@@ -11,10 +11,10 @@
 
 **Zeros near the unit circle.** Sampling two modes, or a mode above half the sample rate, may give a pair of zeros half
 a per cent outside the unit circle, at frequencies far above those of the reference. Their exact inverse needs a command
-that oscillates and grows at their frequency long in advance, and a small model error turns this command into a motion.
-Zeros inside the circle, and those near -1 from the zero-order hold, need a command that alternates long after each
-corner: the displacement is correct at the samples, but moves between them. The inverse leaves out such zeros without
-phase error. Let g(z⁻¹) be their polynomial with g(1) = 1. The reference passes through
+that oscillates at their frequency and grows long before the reference changes, and a small model error turns this
+command into a motion. Zeros inside the circle, and those near -1 from the zero-order hold, need a command that
+alternates long after each corner: the displacement is correct at the samples, but moves between them. The inverse
+leaves out such zeros without phase error. Let g(z⁻¹) be their polynomial with g(1) = 1. The reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
@@ -26,7 +26,8 @@ preview longer.
 **Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later,
 where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose
 poles are the zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. With zeros outside it
-would grow without bound; their part of the state is instead summed backwards over the future references,
+would grow without bound; the part of the state that belongs to these zeros is instead summed backwards over the future
+references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
@@ -121,7 +122,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
-    """Return the zeros to leave out; zeros of smaller modulus than a zero of low angle cannot be separated from it.
+    """Return the zeros to leave out; zeros smaller than a zero of low angle cannot be separated from it and are kept.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
 DECADES = 18.0
 #: ... or for this many samples: a zero that needs more is too near to the circle for any preview.
 LONGEST = 200_000
-#: J of the inverse of a fraction of a sample.
+#: J, the number of correction terms in the inverse of a delay of a fraction of a sample.
 TERMS = 3
 #: Newton steps for the matrix sign function, and the change at which it has converged.
 SIGN_STEPS = 60

@@ -30,7 +30,7 @@ from hysteresis_ros.models.block import Block, compiled, composite, kernel
 from hysteresis_ros.models.linear import StateSpace
 
 #: x[APPLIED]: achieved command of the previous sample [m]. The kernel writes its own command there; before the next
-#: call the loop replaces it by the command that the limits have allowed.
+#: call the loop replaces it by the achieved command.
 APPLIED = 0
 #: x[ESTIMATED]: displacement estimated by the observer [m], comparable with the measured one (including the preload
 #: offset).
@@ -94,7 +94,7 @@ class Controller(Block):
         return False
 
     def continue_from(self, predecessor: Controller) -> None:
-        """Take over the state of the same observer of another controller.
+        """Take over the observer's state from another controller with the same observer.
 
         Raises
         ------
@@ -185,7 +185,7 @@ class DesignTask:
     plants: tuple[PossiblePlant, ...] = ()
 
     def judge(self, parameters) -> Judged:
-        """Return the bandwidth on the model, and the worst other figures up to the first plant that fails."""
+        """Return the bandwidth on the model, and the worst of the other figures on all plants, or until one fails."""
         controller, model = self.loop(parameters)
         return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 
@@ -234,7 +234,7 @@ def _no_warnings(parameters, prefix: str):
 
 @dataclass(frozen=True, eq=False)
 class ControllerLaw:
-    """A controller: its type, law and parameters, and functions for the rest of the package.
+    """A controller: its type, law and parameters, and the functions that other parts of the package call.
 
     Parameters
     ----------

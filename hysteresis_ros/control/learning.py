@@ -15,7 +15,7 @@ repetitive control [2]_). γ_j = 1 gives the usual law. A smaller γ_j averages 
 limit of m.
 
 Both filters are non-causal, because the whole last period is known. Each sample of m is computed when it is needed,
-from the samples around the same instant of the period before. So the end of a period needs no additional computation.
+from the samples around the same instant of the previous period. So the end of a period needs no additional computation.
 
 The ring of errors contains a number that is not finite for each sample that cannot be used for learning. If more than a
 tenth of the filter's weight falls on such samples, the correction is repeated unchanged. If a saturated command is the
@@ -202,7 +202,7 @@ class Learned:
     reference: np.ndarray
 
     def require(self, period: float, sample_time: float, maximum: float) -> None:
-        """Refuse the correction for an axis on which it was not learned.
+        """Refuse the correction if it does not fit the axis.
 
         Parameters
         ----------

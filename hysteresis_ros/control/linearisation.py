@@ -35,7 +35,7 @@ WARM_UP = 3
 
 
 def at_rest(parameters):
-    """Return the controller's parameters that are linear close to rest: without feedforward and preload offset."""
+    """Return the parameters with which the controller is linear close to rest: no feedforward, no preload offset."""
     model = replace(parameters.model, preload=PreloadParameters())
     return parameters.law.near_rest(replace(parameters, model=model, feedforward=FeedforwardParameters()))
 

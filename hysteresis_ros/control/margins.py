@@ -18,9 +18,9 @@ A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs). The loop 
 through −1.
 
 Every design must meet the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and a delay margin of
-one sample besides the delay of the model: about the delay of converters, transport and a loaded computer. M_s ≤ 2 alone
-implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin:
-at half the sample rate one sample of delay is 180 degrees of phase.
+one sample in addition to the delay of the model. This sample is about the delay of converters, transport and a loaded
+computer. M_s ≤ 2 alone implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees
+[1]_, but no delay margin: at half the sample rate one sample of delay is 180 degrees of phase.
 
 A measured loop is cut at the same place. To first order an error δ of L causes an error -S² δ of S and S² δ of T. The
 range of a margin follows from the circles of uncertainty around L at the measured frequencies: for the sensitivity from
@@ -110,7 +110,7 @@ def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
 
 
 def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
-    """Return the part of L through each measured signal: displacement and, damping by force, quasi-static displacement.
+    """Return the part of L through each measured signal: displacement, and quasi-static displacement if force is used.
 
     Returns
     -------
@@ -141,11 +141,11 @@ class Requirements:
     gain_margin : float
         Least gain margin [dB].
     delay_margin : float
-        Least tolerated delay besides the modelled delay [samples].
+        Least tolerated delay in addition to the modelled delay [samples].
     command_noise_gain : float
         Largest RMS of the command per RMS of the sensor's noise; infinite if the noise is unknown.
     late_sensitivity_peak : float
-        Largest M_s with one sample of delay besides the modelled delay, for designs without a given bandwidth.
+        Largest M_s with one sample of delay in addition to the modelled delay, for designs without a given bandwidth.
     """
 
     sensitivity_peak: float = 2.0
@@ -295,7 +295,7 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
     sample_time : float
         Sample time [s].
     grid : int
-        Number of frequencies besides those around the poles.
+        Number of frequencies, in addition to those around the poles.
     """
     whole = close(controller, plant)
     poles = whole.poles
@@ -338,7 +338,7 @@ def _coarse_delay_margin(angles, values) -> float:
 
 
 def _noise_gain(angles, size) -> float:
-    """Return the RMS of white noise of RMS one after a transfer function of this magnitude: (1/π ∫ |H|² dω)^½."""
+    """Return the RMS of the response to white noise of unit RMS, (1/π ∫ |H|² dω)^½, for the magnitude |H|."""
     square = size * size
     area = np.sum(0.5 * (square[1:] + square[:-1]) * np.diff(angles)) + square[0] * angles[0]
     return float(np.sqrt(area / np.pi))
@@ -515,7 +515,7 @@ class MeasuredLoop:
 
     @property
     def sensitivity_radius(self) -> np.ndarray:
-        """Radius around S, and around T as S + T = 1, shape (F,)."""
+        """Radius of the circles around S and around T, equal because S + T = 1, shape (F,)."""
         return np.abs(self.sensitivity) ** 2 * self.radius
 
     @property
@@ -581,7 +581,7 @@ class MeasuredLoop:
     def _least_phase(self, figure, folded: bool) -> Interval:
         """Return the smallest ``figure(phase above −180 degrees, angle per sample)`` where |L| = 1, with its range.
 
-        A circle around L that reaches the unit circle does so at its angle ± α, cos α = (1 + |L|² − r²)/(2 |L|).
+        A circle around L meets the unit circle at the angle of L plus or minus α, cos α = (1 + |L|² − r²)/(2 |L|).
         """
         size, angles = np.abs(self.loop), 2.0 * np.pi * self.frequency * self.sample_time
         touching = np.abs(size - 1.0) <= self.radius
@@ -647,7 +647,7 @@ def _between(values, place: int, part: float) -> float:
 
 
 def _around(place: int, touching) -> np.ndarray:
-    """Return the contiguous indices, around a crossing between ``place`` and the next index, whose circles touch."""
+    """Return the contiguous ``touching`` indices around a crossing that lies between ``place`` and the next index."""
     first, last = place + 1, place
     while first > 0 and touching[first - 1]:
         first -= 1

@@ -14,7 +14,7 @@ With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and 
 rest point     x* = N_x r, u* = N_u r: the model's rest point at the reference
 trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
 
-The trajectory starts at rest on the reference. With a static feedforward the rest point stays the target: the
+The trajectory starts at rest on the reference. With a static feedforward the rest point remains the target: the
 feedforward's command is that of the rest point, and the trajectory under it would contain the ringing of the model.
 """
 

@@ -11,7 +11,7 @@
 
 Everything here is in the model's own units (see ``input_scale`` and ``output_scale`` of the linear model), so that
 published matrices give published gains. Shapes: A (n, n), B (n, 1), C (1, n), D (1, 1). Gains are computed in a fixed
-order (:mod:`hysteresis_ros.models.linear_algebra`), so that they are the same bits on every processor; only the checks
+order (:mod:`hysteresis_ros.models.linear_algebra`), so that they are identical on every processor; only the checks
 that refuse a design (rank, stability) use LAPACK.
 
 A measurement is taken just before the input of its sample changes: ``y_k = C x_k + D u_(k-1)``.

@@ -10,7 +10,7 @@
 """Uncertainty of the plant in a design: parameters, or a frequency response, that differ from the model's.
 
 A design uses linear dynamics, because the compensator inverts hysteresis and creep. Residual hysteresis, whose slope
-depends on amplitude and history, acts on a loop like a different gain, and is represented by one.
+depends on amplitude and history, acts on a loop like a deviation of the gain, and is represented by one.
 
 With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of its loop
 transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
@@ -64,7 +64,7 @@ class Uncertainty:
     delay : float
         Largest delay beyond that of the model [samples].
     draws : int
-        Number of plants drawn at random, besides the corners.
+        Number of plants drawn at random, in addition to the corners.
     seed : int
         Seed of the draws; equal seeds give equal plants.
 
@@ -102,7 +102,7 @@ class PossiblePlant:
     plant : StateSpace
         From command to measured displacement in SI.
     late : float
-        Additional delay, besides that of the model [samples].
+        Delay in addition to that of the model [samples].
     description : str
         How the plant differs from the model.
     """
@@ -159,7 +159,7 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
 
 
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
-    """Return the changed parameters of dynamics with times longer by a factor: poles z^(1/slowness), and delay.
+    """Return the parameters that change when all times of dynamics grow by a factor: poles z^(1/slowness), and delay.
 
     The DC gain is kept. Poles on the negative real axis or at zero have no continuous counterpart and are kept too.
 
@@ -266,12 +266,12 @@ def drawn_plants(
     return tuple(found)
 
 
-#: Damping ratio of the resonance that is assumed above the known range, and its height relative to the response at
-#: rest. Bare stacks, and metal flexures without glue, have damping ratios down to this one.
+#: Damping ratio of the resonance that is assumed above the known range, and its height relative to the static response.
+#: Bare stacks, and metal flexures without glue, have damping ratios down to this one.
 DAMPING = 0.003
 UNKNOWN = 1.0 / (2.0 * DAMPING)
-#: A resonance of the whole displacement at a frequency below this factor times the known range would change the known
-#: response by more than half.
+#: A resonance that carries the whole displacement, at a frequency below this factor times the known range, would change
+#: the known response by more than half.
 UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
 #: Relative distance below which a resonance cannot be separated from the known range.
 NEAREST = 0.12
@@ -323,7 +323,7 @@ class ResponseUncertainty:
     known_to: float
 
     def at(self, frequencies) -> np.ndarray:
-        """Return l, shape (n,), linearly interpolated; above the known range with the height of a resonance.
+        """Return l, shape (n,), linearly interpolated; above the known range it contains the assumed resonance.
 
         Parameters
         ----------

@@ -141,7 +141,7 @@ class Actuator(Chain):
         self.sensor = Sensor(parameters.sensor, sample_time)
         p = np.append(self.sensor.p, parameters.preload.offset)
         x = np.append(self.sensor.x, 0.0)
-        self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views, so that the sensor's block can be used
+        self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views: the sensor's block uses the same arrays
         force_p = pack_force(parameters.force_sensor, parameters.dynamics, self.sample_time)
         force_x = force_state(parameters.force_sensor)
         self.ps = ActuatorArrays(self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p, force_p)

@@ -137,7 +137,7 @@ def bent(own, places, p, total, slope):
 
 @kernel
 def signal(places, terms, x_h, voltage, i):
-    """Return the factor of the i-th weight [V]."""
+    """Return the signal that the i-th weight multiplies [V]."""
     place = int(places[terms + i])
     return x_h[place] if place >= 0 else voltage
 
@@ -154,7 +154,7 @@ def summed(own, places, p_h, x_h, voltage):
 
 @called
 def drive(settings, states, creep_p, p_h, x_h, voltage):
-    """Advance the terms of the model through creep and dynamics by a sample, at the output ``voltage`` [V].
+    """Advance creep and dynamics of the model's terms by one sample, at the output ``voltage`` [V].
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 def _leave_blas_for_later() -> None:
     """Import what Numba imports for its first kernel, except the linear algebra of SciPy.
 
-    Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of the start of a node. No kernel
+    Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of a node's start time. No kernel
     here uses a BLAS. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.
     """
     name = "scipy.linalg.cython_blas"
@@ -80,7 +80,7 @@ if COMPILED:
     _leave_blas_for_later()
 
 # Kernels allocate nothing, so reference counts of their arrays are not needed: the (atomic) counting takes up to 90 %
-# of the time of a small kernel. Without it (`_nrt`), a kernel that allocates does not compile.
+# of the time of a small kernel. With counting off (`_nrt`), a kernel that allocates does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 # Options of functions that only compiled code calls: without the entry points for Python and C, which take time to
 # compile.

@@ -82,7 +82,7 @@ class LagParameters(Parameters):
     second_order: SecondOrderParameters = group(SecondOrderParameters, variant_of="type")
 
     def discrete(self, sample_time: float) -> LinearParameters:
-        """Return the lag in discrete time, input held over ``sample_time`` [s], DC gain one."""
+        """Return the lag in discrete time, with unit DC gain and the input held over ``sample_time`` [s]."""
         if self.type == "first_order":
             decay = elementary.exp(-sample_time / self.first_order.time_constant)
             return LinearParameters(A=(decay,), B=(1.0 - decay,), C=(1.0,))
@@ -248,7 +248,7 @@ class Clamp(Chain):
         self.sensor = Sensor(parameters.sensor, sample_time)
         p = np.concatenate([self.sensor.p, self._contact(parameters)])
         x = np.concatenate([self.sensor.x, np.zeros(2)])
-        self.sensor.p, self.sensor.x = p[:GAP], x[:DISPLACEMENT]  # views: the sensor's block stays usable
+        self.sensor.p, self.sensor.x = p[:GAP], x[:DISPLACEMENT]  # views: the sensor's block uses the same arrays
         self.ps = ClampArrays(self.limits.p, self.hysteresis.p, self.lag.p, p)
         self.xs = ClampArrays(self.limits.x, self.hysteresis.x, self.lag.x, x)
         self.hysteresis_kernel = self.hysteresis.kernel
@@ -301,7 +301,7 @@ class Clamp(Chain):
         self._settle()
 
     def check_retune(self, parameters: ClampParameters) -> None:
-        """Raise ParameterError when ``parameters`` cannot change while running."""
+        """Raise ParameterError when the change to ``parameters`` is not allowed while running."""
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         if parameters.lag.type != self.parameters.lag.type:
             remedy = f"is fixed while running: keep {self.parameters.lag.type}"

@@ -162,7 +162,7 @@ class Compensator(Chain):
     """Inverse of a hysteresis model, with the limits of the amplifier.
 
     Composites use ``ps``, ``xs``, ``hysteresis_kernel`` and ``inverse_kernel`` directly. With inverse ``none`` the
-    model is proportional with the nominal gain of the configured one.
+    model is proportional with the nominal gain of the configured model.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ class Compensator(Chain):
     def resume(self, command: float) -> None:
         """Let the next voltage, for ``command`` [m], start at the present voltage.
 
-        An example is the safe voltage after :meth:`hold`. The difference decays with ``handover_time``.
+        The present voltage may be the safe voltage after :meth:`hold`. The difference decays with ``handover_time``.
         """
         interpreted(compensator_resume)(self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command))
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: slow drift after a step, as a sum of first-order operators after the hysteresis, and its inverse.
+"""Creep: slow drift after a step, a sum of first-order operators in series with the hysteresis, and its inverse.
 
 ``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets (γ =
 0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric sequence;

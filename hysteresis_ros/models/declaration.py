@@ -40,16 +40,16 @@ PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Indices of a model that is linear in its weights: the sum Σ p[weight] x[signal], which passes through dead zones.
+    """Indices for a model that is linear in its weights; the sum Σ p[weight] x[signal] passes through dead zones.
 
     Parameters
     ----------
     weights : tuple of int
         Indices of the weights in p.
     signals : tuple of int
-        Index in x of the factor of each weight [V]; ``NOWHERE``: the output voltage.
+        Index in x of the signal that each weight multiplies [V]; ``NOWHERE``: the output voltage.
     opening : tuple of bool
-        Whether each weight widens the loops, because its factor lags behind the voltage.
+        Whether each weight widens the loops, because its signal lags behind the voltage.
     zones : tuple of (int, int)
         Indices in p of threshold [m] and slope of each dead zone after the sum; a gain multiplies the thresholds.
     output : int
@@ -90,7 +90,7 @@ class HysteresisBlock(Block):
 
     @property
     def terms(self) -> LinearTerms | None:
-        """Indices of the weights in which the output is linear; None: it is not linear in weights."""
+        """Indices of the weights in which the output is linear; None if the output is not linear in weights."""
         return None
 
     @property
@@ -208,7 +208,8 @@ class HysteresisModel:
         Dataclass of its parameters. With arrays of any length it has a property ``structure``: a dict of name to size,
         which is fixed while running.
     block : type
-        Block with its law, its closed-form inverse if any, whether it is rate independent and invertible.
+        Block with its law and its closed-form inverse, if any; it states whether the model is rate independent and
+        invertible.
     example : Parameters
         A working set of parameters for 0 … 100 V, from which ``hysteresis models NAME --yaml`` makes an axis.
     scaled : callable
@@ -288,7 +289,7 @@ def _unit(row: ParameterRow) -> str:
 
 
 def times(parameters, factor: float, *names: str):
-    """Return parameters with those of these names, numbers or tuples of numbers, multiplied by a factor."""
+    """Return parameters in which those named in ``names``, numbers or tuples of numbers, are multiplied by a factor."""
     changed: dict[str, Any] = {}
     for name in names:
         value = getattr(parameters, name)
@@ -297,7 +298,7 @@ def times(parameters, factor: float, *names: str):
 
 
 def plus(parameters, offset: float, *names: str):
-    """Return parameters with those of these names increased by an offset."""
+    """Return parameters in which those named in ``names`` are increased by an offset."""
     return replace(parameters, **{name: getattr(parameters, name) + offset for name in names})
 
 
@@ -327,7 +328,7 @@ def require_structure(present, wanted) -> None:
 class InvertibleBlock(HysteresisBlock):
     """Base of the models with memory whose output at the end of a step rises with the voltage at the end.
 
-    Their parameters change live without a jump, and they have inverses.
+    Their parameters can change while running without a jump, and they have inverses.
 
     Parameters
     ----------

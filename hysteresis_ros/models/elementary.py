@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Elementary functions in a fixed order of operations: the same bits on every processor and C library, compiled or not.
+"""Elementary functions whose results are identical on every processor and C library, compiled or not.
 
 The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and its versions round
 differently: about one value in a thousand differs in its last digit. Values that a running axis uses, in a kernel or

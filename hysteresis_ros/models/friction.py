@@ -21,7 +21,7 @@ v⁺), ±R_f), a decreasing function of v⁺. So v⁺ is the only zero of a stri
 jump. This zero has a closed form, without iteration, for any step, mass and stiffness (Moreau, "Unilateral contact and
 dry friction in finite freedom dynamics", 1988). A contact that stuck in the previous step has the static limit μ_s N, a
 sliding one the kinetic limit μ_k N. A contact that begins to slide gets the kinetic limit within the same step. A
-sticking contact does not move at all: its grip is stored as a distance, not summed up from steps, so nothing drifts.
+sticking contact does not move at all: its grip is stored as a distance, not summed up from steps, so it does not drift.
 End stops are rigid and stop the slider.
 
 Real contacts deform before they slide, and move the slider as they close. Each contact has a compliance c. The rear

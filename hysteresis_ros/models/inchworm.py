@@ -46,7 +46,7 @@ EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; 
 TRUE_POSITION = 12  # [m]
 STARTED = 16  # 1 after the first measurement
 JOINT_STATES = 17
-# order of the joints within each four
+# order of the joints within each group of four
 SLIDER_JOINT, EXTENDER_JOINT, FRONT_JOINT, REAR_JOINT = 0, 1, 2, 3
 
 SAMPLE_RATE = 0  # ps.joints[SAMPLE_RATE] [Hz]

@@ -55,8 +55,8 @@ class LimitsParameters(Parameters):
 def limits(p, x, u):
     """Return the output voltage [V] for the input ``u`` [V]: range, then slew rate, then the converter's grid.
 
-    The slew rate acts on the value before quantisation; otherwise a slow slew would never leave its grid point. NaN
-    holds the last value and counts as out of range.
+    The slew rate acts on the value before quantisation; otherwise a slow slew would never leave its grid point. For NaN
+    the output keeps the last value, and the sample counts as out of range.
     """
     flags = 0.0
     last = x[UNQUANTISED]

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Dense linear algebra of small matrices in a fixed order of operations: the same bits on every processor.
+"""Dense linear algebra of small matrices, with identical results on every processor.
 
 BLAS and LAPACK choose their kernels by processor. Their sums then have another order, or use fused multiply-add, and
-the last digit differs. Numbers that a running axis uses (gains, rest points, input scales, inverse filters) are
+the last digit differs. Numbers that a running axis uses (gains, steady states, input scales, inverse filters) are
 therefore computed here. Every step is one addition, subtraction, multiplication, division or square root of float64,
 each rounded correctly by IEEE 754, in an order that depends on the sizes only. NumPy's elementwise operations are such
 steps for any vector length; ``@``, ``np.dot``, ``np.einsum`` and ``np.linalg`` are not.
@@ -184,7 +184,7 @@ def balance(matrix) -> np.ndarray:
 def riccati(A, B, Q, R) -> np.ndarray:
     """Return the stabilising P of P = Aᵀ P A − Aᵀ P B (R + Bᵀ P B)⁻¹ Bᵀ P A + Q by structure-preserving doubling [2]_.
 
-    Newton steps follow until convergence, which also checks the residual.
+    Newton steps refine the solution until it converges, which also checks the residual.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def _to_hessenberg(H, width: int) -> None:
 
 
 def _reflect(H, vector, first: int) -> None:
-    """Apply, from both sides, the Householder reflection that brings ``vector`` (rows from ``first``) to its axis."""
+    """Apply, from both sides, the Householder reflection that maps ``vector`` (rows from ``first``) to its first axis."""
     largest = float(np.max(np.abs(vector)))
     if not largest > 0.0:
         return

@@ -42,7 +42,7 @@ from hysteresis_ros.models.linear_algebra import product, solve
 
 #: Maximum number of inputs and of outputs.
 MOST_CHANNELS = 16
-#: Largest number of fixed-point iterations for a rest point, and the relative change at which they have converged.
+#: Maximum number of fixed-point iterations for a steady state, and the relative change at which they have converged.
 REST_STEPS, REST_CHANGE = 1000, 1e-13
 
 # Layout of p: the sizes; for each row of A, the index of the first nonzero column and the index after the last one;

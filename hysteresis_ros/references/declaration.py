@@ -129,7 +129,7 @@ def _end(p) -> int:
 
 @dataclass(frozen=True, eq=False)
 class WaveformShape:
-    """A waveform: its type, its parameters, and its properties for the rest of the package.
+    """A waveform: its type, its parameters, and the properties that other parts of the package use.
 
     Parameters
     ----------

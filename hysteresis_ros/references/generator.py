@@ -99,7 +99,7 @@ class GeneratorArrays(NamedTuple):
 def base(ps, xs, setpoint):
     """Return the position [m] of the approach or of a trajectory at this sample, without the waveform.
 
-    After a trajectory the axis stays until a different setpoint is received.
+    After a trajectory the axis keeps its position until a different setpoint is received.
     """
     p, x = ps.trajectory, xs.trajectory
     is_new = setpoint != x[following.GIVEN] and setpoint != x[following.TARGET]
@@ -432,13 +432,13 @@ class ReferenceGenerator(Chain):
         self._range[1][:] = (WHOLE, output, 0.0, 0.0)
 
     def retune(self, parameters: ReferenceParameters) -> None:
-        """Change the waveform while stopped, or the shaping.
+        """Change the waveform while the generator is stopped, or the shaping while the reference is constant.
 
         Raises
         ------
         ParameterError
-            Nothing is changed if the generator runs (for the shaping: moves), the new parameters are wrong, or another
-            parameter differs.
+            The generator runs (for the shaping: moves), the new parameters are wrong, or another parameter differs;
+            nothing is changed then.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()
@@ -447,9 +447,7 @@ class ReferenceGenerator(Chain):
         for name in changed:
             if name.startswith("shaping."):
                 if self.moving:
-                    problems.append(
-                        Problem(name, new.get(name), "can change only while the reference rests; wait for that")
-                    )
+                    problems.append(Problem(name, new.get(name), "can change only while the reference rests; wait"))
             elif not name.startswith("waveform."):
                 problems.append(
                     Problem(name, new.get(name), "fixed while the node is configured; clean up and configure again")

@@ -75,7 +75,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     REAR_VOLTAGE,  # [V]
     ORIGIN,  # [m]; the motion controller's measurement is slider - origin
     PHASE,
-    STEPS,  # whole and partial steps so far, whole and partial, forward minus backward
+    STEPS,  # number of steps so far, whole and partial, forward minus backward
     DIRECTION,  # +1, -1 or 0
     SLIP,  # extension of the last step minus the motion of the slider [m]
     ERROR,
@@ -116,8 +116,8 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     STEP_FROM,  # slider position when the step began to carry [m]
     JUDGE,  # 1 while a finished step has not been evaluated yet
     WALKED,  # 1 after continuous walking, until the motor holds its position
-    STILL,  # steps in a row in which the slider did not move
-    RETURNS,  # returns in a row without a step
+    STILL,  # number of consecutive steps in which the slider did not move
+    RETURNS,  # number of consecutive returns without a step
     ANCHOR,  # origin of the runaway guard [m]
     FINE_POSITION,
     FINE_VELOCITY,
@@ -141,7 +141,7 @@ BACKWARD_MODEL = 69
 
 #: Continuous walking.
 (
-    CYCLE,  # 1 while the extender moves by the phase
+    CYCLE,  # 1 while the phase of the cycle determines the extender's motion
     CYCLE_PHASE,  # phase of the path, 0 … 1
     CYCLE_RATE,  # [1/sample]
     BRAKING,  # decrease of the rate per sample when the motor stops

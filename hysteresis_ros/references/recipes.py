@@ -34,7 +34,7 @@ WAY, REST = 0.5, 0.5
 
 
 def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a transition by half a cosine, which begins and ends at rest; its first sample follows ``begin``.
+    """Return a half-cosine transition, which begins and ends at rest; ``begin`` itself is not one of its samples.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def _rows(kind: str) -> dict[str, ParameterRow]:
     """Return the parameters that a waveform uses, by name."""
     shape = WAVEFORMS[kind]
     unused = {"type"} | (set() if shape.takes_phase else {"phase"}) | (set() if shape.takes_polarity else {"polarity"})
-    if shape.extent != "amplitude":  # levels in metres with their own times
+    if shape.extent != "amplitude":  # the waveform has levels in metres, at given times
         unused |= {"amplitude", "frequency"}
     rows = {row.name: row for row in WaveformParameters.table() if "." not in row.name and row.name not in unused}
     return rows | ({row.name: row for row in shape.parameters.table(f"{kind}.")} if shape.parameters else {})

@@ -352,7 +352,7 @@ def _within(name, unit, values: np.ndarray, limit: float, times: np.ndarray, at=
 
 
 def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return the polynomials of these coefficients, shape (degree + 1, N), at times of each, shape (M, N)."""
+    """Return N polynomials with these coefficients, shape (degree + 1, N), each at its own M times, shape (M, N)."""
     value = np.zeros_like(tau)
     for row in coefficients[::-1]:
         value = value * tau + row

@@ -166,8 +166,8 @@ class InnerLoop:
         Parameters
         ----------
         plant : StateSpace
-            From command to measured displacement, y_k = C x_k; for a filter of the force with the quasi-static
-            displacement as second output.
+            From command to measured displacement, y_k = C x_k; if the filter's input is the force, with the
+            quasi-static displacement as second output.
         scale : float
             SI units per unit of the plant's output, divided by SI units per unit of its input.
         """

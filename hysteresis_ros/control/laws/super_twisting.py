@@ -173,7 +173,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
 
 @lru_cache(maxsize=16)
 def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
-    """Return the whole parameter array of ControllerParameters (read only); without a sample time only a check.
+    """Return the whole parameter array of ControllerParameters (read only), only checked without a sample time.
 
     Raises
     ------

@@ -165,7 +165,7 @@ class BoucWenOscillator(HysteresisBlock):
     """Mass on a linear and a hysteretic spring: force [N] or voltage [V] to displacement [m].
 
     In an actuator it is used as a hysteresis without further dynamics. It depends on the rate, so only the inverse
-    ``none`` works with it. A change of parameters keeps position, velocity and force, so nothing jumps.
+    ``none`` works with it. A change of parameters keeps position, velocity and force, so the output does not jump.
 
     Parameters
     ----------

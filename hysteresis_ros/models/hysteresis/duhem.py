@@ -299,7 +299,7 @@ def pack_duhem(parameters: DuhemParameters) -> np.ndarray:
 
 
 def shape_functions(parameters: DuhemParameters, v) -> tuple[np.ndarray, np.ndarray]:
-    """Return f and g at the inputs ``v``, three arrays of the same shape (N,), in the units of the model."""
+    """Return f and g, in the units of the model, at the inputs ``v``; all three arrays have the shape (N,)."""
     p = pack_duhem(parameters)
     v = np.asarray(v, dtype=float).tolist()
     return np.array([duhem_f(p, value) for value in v]), np.array([duhem_g(p, value) for value in v])

@@ -450,7 +450,7 @@ def _shifted(parameters: PolynomialParameters, offset: float) -> PolynomialParam
 
 
 def _deviated(parameters: PolynomialParameters, deviation: Deviation) -> PolynomialParameters:
-    """Scale all coefficients by the gain, and the branches' difference by the loop width; the branches still meet."""
+    """Scale all coefficients by ``gain`` and the difference of the branches by ``opening``; the branches still meet."""
     changed: dict = {}
     for name in ("C1", "C2"):
         rising, falling = (np.array(getattr(parameters, f"{branch}_{name}")) for branch in ("rising", "falling"))

@@ -231,7 +231,7 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
         return np.concatenate([head, parameters.radii, parameters.weights, *zones])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (3 + plays,): 0 V, every play in its middle."""
+        """Return x, shape (3 + plays,): 0 V, every play in the middle of its range."""
         x = np.zeros(PLAY + len(self.parameters.radii))
         x[DISPLACEMENT] = self.parameters.offset
         return x

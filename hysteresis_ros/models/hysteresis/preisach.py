@@ -175,7 +175,7 @@ def _on_branch(p, x, v):
 
 @kernel
 def _turn(p, x, v):
-    """Make the hysteretic point at ``v`` a turning point; with a full memory remove the innermost loop instead."""
+    """Make the hysteretic point at ``v`` a turning point; if the memory is full, remove the innermost loop instead."""
     capacity = int(p[CAPACITY])
     depth = int(x[DEPTH])
     output = _on_branch(p, x, v)
@@ -199,7 +199,7 @@ def preisach(p, x, u):
     if v > before:
         if int(x[DEPTH]) % 2 == 0:  # the last turning point is a maximum: this is a reversal
             _turn(p, x, before)
-        # wiping-out: beyond the last maximum, it and the minimum after it are removed
+        # wiping-out: beyond the last maximum, this maximum and the minimum after it are removed
         while x[DEPTH] >= 3.0 and v >= x[STACK + int(x[DEPTH]) - 2]:
             x[DEPTH] -= 2.0
     elif v < before:

@@ -33,7 +33,8 @@ from hysteresis_ros.references.waveforms.file import read_columns
 
 #: Least and largest number of points of a file.
 LEAST, MOST = 4, 1_000_000
-#: Largest distance from the last point to the first in a path that closes by itself, in steps of the path, which vary.
+#: Largest distance from the last point to the first in a path that closes by itself, as a multiple of a step of the
+#: path.
 NEAR = 2.0
 #: Points that are closer than this fraction of the size count as one.
 TOGETHER = 1e-9

@@ -148,7 +148,7 @@ def read_columns(source: pathlib.Path, columns: Sequence[str]) -> tuple[np.ndarr
     KeyError
         A column or its unit is missing.
     ValueError
-        The content is not numbers in columns of equal length.
+        The file does not contain columns of numbers of equal length.
     """
     return (_read_npz if source.suffix.lower() == ".npz" else _read_csv)(source, columns)
 

@@ -11,7 +11,7 @@
 
 N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
 
-with unit gain at rest and at high frequencies, and gain ζ_i/η_i at ω_i. Disturbances and noise still excite a
+with unit gain at frequency zero and at high frequencies, and gain ζ_i/η_i at ω_i. Disturbances and noise still excite a
 resonance, with the plant's own damping.
 """
 
