@@ -167,7 +167,7 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
     if abs(samples - count) > WHOLE * max(samples, 1.0):
         low, high = (whole / sample_rate for whole in (int(samples), int(samples) + 1))
         remedy = (
-            f"is {samples:.6g} samples; must be a whole number of them: the nearest at {sample_rate:g} Hz are "
+            f"is {samples:.6g} samples; must be a whole number of samples: the nearest at {sample_rate:g} Hz are "
             f"{low:.9g} s ({1.0 / low:.9g} Hz) and {high:.9g} s ({1.0 / high:.9g} Hz)"
             if low
             else f"is shorter than a sample at {sample_rate:g} Hz"

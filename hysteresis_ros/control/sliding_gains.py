@@ -40,7 +40,7 @@ from hysteresis_ros.models.linear_algebra import eigenvalues, product
 #: Highest bandwidth of the pole [cycles per sample], and the largest number of halvings of it.
 FASTEST_POLE = 0.25
 HALVINGS = 12
-#: Range of the filter's ratio of the disturbance's change per sample to the noise, as powers of 2.
+#: Range of the ratio of the disturbance's change per sample to the noise that the filter assumes, as powers of 2.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
 #: Penalty on bandwidth beyond that of the feedback.
 IN_VAIN = 0.05

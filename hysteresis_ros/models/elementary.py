@@ -11,9 +11,9 @@
 
 The C library chooses its ``sin``, ``exp``, … by processor (with or without fused multiply-add), and its versions round
 differently: about one value in a thousand differs in its last digit. Values that a running axis uses, in a kernel or
-for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone, as Java's
-``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``, ``floor``,
-``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
+for its parameters, are therefore computed here by additions, multiplications and divisions of float64 alone, in a fixed
+order, as Java's ``StrictMath`` does [1]_. Errors are below 1.5 units in the last place, unless stated; ``math.sqrt``,
+``floor``, ``ldexp`` and ``frexp`` are exact or correctly rounded everywhere.
 
 An argument that is not finite or is outside the domain gives NaN or the infinite limit, never an exception.
 

@@ -327,7 +327,7 @@ def _to_hessenberg(H, width: int) -> None:
 
 
 def _reflect(H, vector, first: int) -> None:
-    """Apply, from both sides, the Householder reflection that maps ``vector`` (rows from ``first``) to its first axis."""
+    """Apply, from both sides, the Householder reflection of ``vector`` (rows from ``first``) onto its first axis."""
     largest = float(np.max(np.abs(vector)))
     if not largest > 0.0:
         return

@@ -166,7 +166,7 @@ class Tolerances:
 #: Outcomes of a move that follow from the outcome of its trajectory.
 _ENDINGS = {
     REPLACED: (Ending.REPLACED, "another trajectory or a setpoint has taken its place"),
-    HELD: (Ending.CANCELLED, "held where it was"),
+    HELD: (Ending.CANCELLED, "the motion was stopped and the axis keeps its position"),
     STOPPED: (Ending.STOPPED, "the axis, or its reference generator, was stopped or reset"),
 }
 

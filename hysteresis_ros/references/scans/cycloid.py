@@ -10,8 +10,8 @@
 """Cycloid: circles whose middle drifts along u, forward in one frame and back in the next one.
 
 The middle moves at a constant velocity. Around the beginnings of frames it reverses smoothly
-(:mod:`hysteresis_ros.references.pieces`), which overshoots the ends. The path is the sum of one tone and this slow
-drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi 10.1088/0957-4484/21/36/365503).
+(:mod:`hysteresis_ros.references.pieces`); the reversal overshoots the ends. The path is the sum of one tone and this
+slow drift. Trajectories of this kind: Yong, Moheimani and Petersen 2010 (doi 10.1088/0957-4484/21/36/365503).
 """
 
 from __future__ import annotations

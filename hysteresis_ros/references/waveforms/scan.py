@@ -62,7 +62,7 @@ def repetition(period: float, sample_time: float, name: str = "scan.values") -> 
     if abs(samples - found) * found.denominator > WHOLE * max(samples, 1.0) or not 2 <= count <= LARGEST_TABLE:
         nearest = [whole * sample_time for whole in (math.floor(samples), math.ceil(samples)) if whole > 1]
         allowed = (
-            f"the path repeats after {samples:.9g} samples: must be 2 … {LARGEST_TABLE}, and whole within "
+            f"the path repeats after {samples:.9g} samples: must be a whole number, 2 … {LARGEST_TABLE}, within "
             f"{MOST_PERIODS} periods; the nearest whole periods last {' and '.join(f'{one:.9g} s' for one in nearest)}"
         )
         refuse(name, period, allowed)
