@@ -25,7 +25,7 @@ preview longer.
 
 **Stable inversion.** Dynamics x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k-1) respond to an input d samples later,
 where d is the relative degree: y(k+d) = C A^d x(k) + h u(k). Solved for u(k) this is a system driven by r(k+d) whose
-poles are the zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. With zeros outside it
+poles are the zeros of the dynamics. For zeros inside the unit circle it runs forwards, exactly. With zeros outside, it
 would grow without bound; the part of the state that belongs to these zeros is instead summed backwards over the future
 references,
 
