@@ -9,7 +9,7 @@
 
 """The fused loop in real time, in turns with a C loop that only sleeps until each deadline; one core is kept busy.
 
-The loop looks at the clock ahead of each deadline (``realtime.spin``), as it does by default.
+The loop polls the clock ahead of each deadline (``realtime.spin``), as it does by default.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc"
 NOT_MEASURED = "not measured"
 
 #: Function that runs the loop and returns its lateness. Arguments: ``spin`` [s], ``cpu`` (-1: any core), ``whole``
-#: (whether the loop looks at the clock all the time).
+#: (whether the loop polls the clock all the time).
 Run = Callable[..., Lateness]
 
 
@@ -102,13 +102,13 @@ def delays(run: Run) -> Iterator[Delay]:
 
 
 def _looking(run: Run) -> Delay:
-    """Return the effect of looking at the clock ahead of deadlines."""
+    """Return the effect of polling the clock ahead of deadlines."""
     without, with_it = run(spin=0.0), run(spin=-1.0)
     state = "off: no priority, or no core to spare"
     if with_it.ahead:
         state = f"from {1e6 * with_it.ahead:.0f} µs before a deadline, {100.0 * with_it.looked * RATE:.2g} % of a core"
     cost = f"lateness {_late(without)} without it, {_late(with_it)} with it"
-    return Delay("looks at the clock", state, cost, "" if with_it.ahead else "see the advice at the end")
+    return Delay("polls the clock", state, cost, "" if with_it.ahead else "see the advice at the end")
 
 
 def _by_core(run: Run) -> tuple[dict[int, Lateness], dict[int, float]]:

@@ -101,9 +101,9 @@ def has_priority() -> bool:
 
 #: Longest time ahead of a deadline that is chosen automatically [ns].
 LONGEST_SPIN = 100_000
-#: Name of the claims to a core for looking at the clock, one for each core but the last; known to all processes.
+#: Name of the claims to a core for polling the clock, one for each core but the last; known to all processes.
 CLAIM = "hysteresis_ros/looks"
-#: Largest latency that the processor's sleep states may have, for as long as the file is open.
+#: The largest wake-up latency [µs] written to this file limits the sleep states of the processor while it is open.
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 
 
@@ -113,7 +113,7 @@ def usable_cores() -> int:
 
 
 def claim_of_a_core() -> socket.socket | None:
-    """Return the claim to a core on which a loop looks at the clock, until it is closed; None: no core is to spare.
+    """Claim a core on which a loop may poll the clock; return the claim, to be closed, or None if no core is to spare.
 
     The loops of all processes of this machine leave one core to everything else.
     """
@@ -129,25 +129,25 @@ def claim_of_a_core() -> socket.socket | None:
 
 
 def require_spin(spin: float) -> None:
-    """Refuse a time [s] for looking at the clock where a loop would take the core that the nodes need."""
+    """Refuse a time [s] of polling the clock when the loop would take the core that the nodes need."""
     if spin <= 0.0:
         return
     what = f"realtime.spin = {spin:g} s"
     instead = "give 0 (off) or -1 (automatic, off here)"
     if not COMPILED:
         raise ConfigurationError(
-            f"{what}: without Numba no other thread of Python runs while the loop looks at the clock; {instead}, or "
+            f"{what}: without Numba no other thread of Python runs while the loop polls the clock; {instead}, or "
             "install Numba (the extra [fast])"
         )
     if usable_cores() < 2:
         raise ConfigurationError(
-            f"{what}: this process may use a single core, on which the nodes wait while the loop looks at the clock; "
+            f"{what}: this process may use a single core, on which the nodes wait while the loop polls the clock; "
             f"{instead}, or let it use a second core"
         )
     claim = claim_of_a_core()
     if claim is None:
         raise ConfigurationError(
-            f"{what}: other loops look at the clock on all but one of the {usable_cores()} cores, and the nodes need "
+            f"{what}: other loops poll the clock on all but one of the {usable_cores()} cores, and the nodes need "
             f"that one; {instead}, or end another axis"
         )
     claim.close()
@@ -355,7 +355,7 @@ class FusedLoop:
 
     @contextlib.contextmanager
     def _ahead(self):
-        """Let the thread look at the clock ahead of deadlines, as its parameters say and the machine permits."""
+        """Let the thread poll the clock ahead of deadlines, as its parameters say and the machine permits."""
         state, spin = self._state, self._realtime.spin
         state[at.AHEAD] = state[at.MOST_AHEAD] = 0
         automatic = spin < 0.0 and COMPILED and has_priority()

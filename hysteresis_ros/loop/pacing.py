@@ -20,7 +20,7 @@ A sample that would begin a whole period or more after its deadline is skipped: 
 the voltage is held, and time advances. So a missed deadline is never followed by a burst of late outputs.
 
 An idle core takes some 10 µs to wake. So the thread sleeps only until a time *ahead* of the deadline, and then
-looks at the clock until the deadline. The time ahead is fixed, or it follows the wake-up times of this machine.
+polls the clock until the deadline. The time ahead is fixed, or it follows the wake-up times of this machine.
 """
 
 from __future__ import annotations
@@ -486,8 +486,8 @@ class Lateness(NamedTuple):
     samples: int  #: All samples.
     cost: float  #: cost, highest_cost: mean and largest computing time of a sample [s].
     highest_cost: float
-    ahead: float  #: Time ahead of a deadline from which the thread looks at the clock, at present [s].
-    looked: float  #: Mean time per sample spent looking [s].
+    ahead: float  #: Time ahead of a deadline from which the thread polls the clock, at present [s].
+    looked: float  #: Mean time of polling per sample [s].
 
 
 class Reader:

@@ -144,8 +144,8 @@ def part(parameters: Parameters, cls):
 LATE_PART, LEAST_LATE = 0.05, 20
 
 
-#: Largest part of a period for which a fused loop may look at the clock. Linux needs a part of each core: from about
-#: 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
+#: Largest fraction of a period for which a fused loop may poll the clock. Linux needs some time on each core: from
+#: about 0.75 on it interrupted the loop for 50 ms in each second (measured at 50 kHz).
 SPIN_PART = 0.6
 
 
@@ -172,7 +172,7 @@ class RealtimeParameters(Parameters):
         low=-1.0,
         high=0.01,
         read_only=True,
-        description="fused: time before each deadline from which the loop's thread looks at the clock instead of "
+        description="fused: time before each deadline from which the loop's thread polls the clock instead of "
         "sleeping; 0: off; below 0: automatic, as long as the core takes to wake up, if priority was permitted and a "
         "core is left for the nodes",
     )

@@ -146,7 +146,7 @@ def paced(spin=-1.0, cpu=-1, whole=False):
 
 def test_each_setting_says_what_it_is_what_it_costs_and_what_changes_it(machine):
     found = {delay.name: delay for delay in delays.delays(paced)}
-    assert found["looks at the clock"].cost == "lateness 19 / 19 µs without it, 1 / 1 µs with it"
+    assert found["polls the clock"].cost == "lateness 19 / 19 µs without it, 1 / 1 µs with it"
     assert (
         found["isolated cores"].state == "none"
         and "core 0 20 / 20 µs, core 1 21 / 21 µs" in found["isolated cores"].cost
@@ -174,7 +174,7 @@ def test_what_is_set_well_needs_no_change(machine):
     )
     found = {delay.name: delay for delay in delays.delays(paced)}
     good = (
-        "looks at the clock",
+        "polls the clock",
         "isolated cores",
         "interrupts",
         "frequency governor",
@@ -193,7 +193,7 @@ def test_what_is_not_permitted_is_not_measured(machine, monkeypatch):
     assert found["SMT siblings"].cost == "not measured: this process may not use both"
     assert found["real-time throttling"].cost.startswith("not measured")
     assert found["isolated cores"].change == "a second core is needed"
-    assert found["looks at the clock"].state.startswith("off")
+    assert found["polls the clock"].state.startswith("off")
 
 
 def test_lists_of_cores_are_read():

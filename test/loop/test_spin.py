@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop looks at the clock ahead of a deadline: how long, where it may, and that the samples do not depend on it."""
+"""The loop polls the clock ahead of a deadline: how long, where it may, and that the samples do not depend on it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop import fused, pacing
 from hysteresis_ros.models.block import COMPILED
 
-compiled = pytest.mark.skipif(not COMPILED, reason="without Numba no loop looks at the clock")
+compiled = pytest.mark.skipif(not COMPILED, reason="without Numba no loop polls the clock")
 
 
 @pytest.fixture(autouse=True)
 def own_claims(monkeypatch, tmp_path):
-    """Two cores, on which no loop of another test looks at the clock; the processor sleeps as it did."""
+    """Two cores, on which no loop of another test polls the clock; the processor sleeps as it did."""
     monkeypatch.setattr(fused, "CLAIM", f"hysteresis_ros/test/{os.getpid()}")
     monkeypatch.setattr(fused, "usable_cores", lambda: 2)
     monkeypatch.setattr(fused, "_DMA_LATENCY", str(tmp_path / "latency"))
@@ -44,7 +44,7 @@ def state_with(**values):
 
 
 def spinning(spin, **plant):
-    """Return overrides for a loop that looks at the clock."""
+    """Return overrides for a loop that polls the clock."""
     return ANY_LATE | {"plant_simulator": ANY_LATE["plant_simulator"] | {"realtime__spin": spin, **plant}}
 
 
@@ -87,7 +87,7 @@ def test_the_core_is_free_again_when_the_loop_ends(monkeypatch):
     loop, _ = made_loop(factor=1e-3, **spinning(1e-3))
     loop.start()
     until(lambda: loop.lateness().ahead > 0.0)
-    with pytest.raises(ConfigurationError, match="other loops look at the clock on all but one of the 2 cores"):
+    with pytest.raises(ConfigurationError, match="other loops poll the clock on all but one of the 2 cores"):
         fused.require_spin(1e-3)
     loop.leave()
     fused.require_spin(1e-3)
@@ -123,7 +123,7 @@ def test_a_fixed_time_does_not_follow():
 
 
 class Machine:
-    """A clock that advances by 10 ns when it is looked at, and sleep from which it takes 3 µs to wake up."""
+    """A clock that advances by 10 ns when it is polled, and sleep from which it takes 3 µs to wake up."""
 
     def __init__(self, monkeypatch):
         self.now, self.slept = 0, []

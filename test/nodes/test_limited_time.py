@@ -106,7 +106,7 @@ def test_status_says_it_first():
     lines = list(_lines(AxisStatus("/left", nodes)))
     assert lines[1].split()[0] == "plant_simulator" and lines[2].endswith("warning: voltage saturated")
     lines = list(_lines(AxisStatus("/left", nodes, spin=(42.7, 12.6))))
-    assert lines[1] == "  the loop looks at the clock from 42.7 µs before each deadline: 13 % of a core"
+    assert lines[1] == "  the loop polls the clock from 42.7 µs before each deadline: 13 % of a core"
 
 
 def test_of_a_whole_run_more_than_a_moment_is_said():

@@ -154,7 +154,7 @@ class AxisStatus:
     nodes: list[NodeStatus]
     plant: str = ""  #: External node that publishes ``joint_states``; empty when ``plant_simulator`` does.
     last: dict[str, float] = field(default_factory=dict)  #: Last values in SI.
-    #: Time ahead of a deadline from which a fused loop looks at the clock [µs], and its cost in percent of a core.
+    #: Time ahead of a deadline from which a fused loop polls the clock [µs], and its cost in percent of a core.
     spin: tuple[float, float] = (0.0, 0.0)
 
 
@@ -295,7 +295,7 @@ def _lines(axis: AxisStatus):
         yield f"  {axis.plant} publishes joint_states instead of plant_simulator"
     if axis.spin[0]:
         ahead, part = axis.spin
-        yield f"  the loop looks at the clock from {ahead:.3g} µs before each deadline: {part:.2g} % of a core"
+        yield f"  the loop polls the clock from {ahead:.3g} µs before each deadline: {part:.2g} % of a core"
     width = max(len(node.name.rsplit("/", 1)[-1]) for node in axis.nodes)
     for node in axis.nodes:
         rate = "" if node.rate is None else f"{node.rate:.1f} Hz"
