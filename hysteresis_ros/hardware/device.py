@@ -106,9 +106,9 @@ class Device:
             reading = self._driver.read()
             positions, forces = tuple(map(float, reading.positions)), tuple(map(float, reading.forces))
             if len(positions) != self.capabilities.joints:
-                raise ValueError(f"{len(positions)} positions of {self.capabilities.joints} joints")
+                raise ValueError(f"{len(positions)} positions for {self.capabilities.joints} joints")
             if len(forces) != self.capabilities.forces:
-                raise ValueError(f"{len(forces)} forces, {self.capabilities.forces} were announced")
+                raise ValueError(f"{len(forces)} forces, but Capabilities.forces is {self.capabilities.forces}")
             if any(map(math.isinf, positions)):
                 raise ValueError("an infinite position")
             return positions + forces
@@ -124,13 +124,13 @@ class Device:
         Raises
         ------
         DriverError
-            Voltages are too many, not finite or out of the device's range (then none is sent), or the device refuses
-            them.
+            There are too many voltages, or one is not finite or out of the device's range (then none is sent), or the
+            device refuses them.
         """
         with self._named("cannot be written"):
             low, high = self.capabilities.minimum, self.capabilities.maximum
             if len(voltages) > self.capabilities.voltages:
-                raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages}")
+                raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages} outputs")
             for voltage in voltages:
                 if not (math.isfinite(voltage) and low <= voltage <= high):
                     unit = self.capabilities.voltage_unit
@@ -184,7 +184,7 @@ class Device:
                 raise
             unit = self.capabilities.voltage_unit
             problem = f"{error.problem}: the output is still at {self.left_at:.6g} {unit}"
-            remedy = f"take the voltage off at the device itself; {error.remedy}"
+            remedy = f"switch the voltage off at the device itself; {error.remedy}"
             raise DriverError(error.device, problem, remedy) from error
         self._written = None
 
@@ -227,7 +227,7 @@ class Device:
         Returns
         -------
         str
-            Problem that remains at the device, for instance a voltage that is still at its output; empty: none.
+            Problem that remains at the device, for instance a voltage that is still at its output; empty when none does.
         """
         self.desist()
         if not self._open:

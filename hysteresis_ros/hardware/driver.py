@@ -9,9 +9,9 @@
 
 """The contract of a driver: five methods between an axis and a device, the declaration, and helpers for drivers.
 
-The package keeps the time. In each sample it reads the positions and, when the sample is over, writes the voltages,
-which are held until the next sample. It supervises both (:mod:`hysteresis_ros.loop.device`) and never calls two methods
-at a time. A method must return within a small fraction of a sample.
+The package sets the sample times. In each sample it reads the positions and, when the sample is over, writes the
+voltages, which are held until the next sample. It supervises both (:mod:`hysteresis_ros.loop.device`) and never calls
+two methods at the same time. A method must return within a small fraction of a sample.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Capabilities:
     highest_rate : float
         Highest rate at which it can be read and written [Hz].
     watchdog : float or None
-        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: it does
-        not.
+        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s]; None: it has
+        no watchdog.
     keeps_time : bool
         Whether the device sets the sample times and :meth:`Driver.read` waits for them. The package has no loop that
         follows a device, so it refuses such a device.
@@ -118,7 +118,7 @@ class Reading(NamedTuple):
 
 
 class Driver(ABC):
-    """A device that takes the place of the plant. Every error is a :class:`DriverError`.
+    """Base class of the drivers: a device that replaces the plant. Every error is a :class:`DriverError`.
 
     An instance is opened once. ``close`` is the last call, also if ``open`` has failed.
     """
@@ -166,7 +166,7 @@ class Driver(ABC):
         """
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code reads and writes the open device; None: only Python can.
+        """Return the functions by which machine code accesses the open device; None if it has only Python methods.
 
         The functions stay valid until :meth:`close`. The fused loop refuses a driver without them, because it would
         have to wait for Python's lock in each sample.
@@ -249,8 +249,8 @@ class HardwareDriver:
 
 #: Number of steps of a ramp.
 STEPS = 20
-#: Number of trial samples, the fraction of them that must fit at the highest rate, and the fraction of a sample that a
-#: driver may use.
+#: Number of trial samples, the fraction of them that must be fast enough at the highest rate, and the fraction of a
+#: sample period that a driver may use.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
 
 
@@ -299,7 +299,7 @@ def ramp(put_out: Callable[[float], None], start: float, end: float, duration: f
 
 
 def highest_rate(write: Callable[[], None], read: Callable[[], object]) -> float:
-    """Return the rate [Hz] at which nearly all samples leave enough time for the rest of an axis.
+    """Return the rate [Hz] at which nearly all samples leave enough time for the other parts of an axis.
 
     Parameters
     ----------

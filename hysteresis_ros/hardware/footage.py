@@ -25,14 +25,14 @@ import numpy as np
 from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, Tracker, find_edge, nowhere
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Smallest ratio of a motion to the uncertainty of a place, and smallest number of places.
+#: Smallest ratio of a motion to the uncertainty of a position, and smallest number of positions.
 CLEAR, LEAST_PLACES = 20.0, 3
 #: Least distance between two edges of a target [px].
 APART = 12
 
 
 class Scale(NamedTuple):
-    """Displacements as a linear function of places in frames."""
+    """Displacements as a linear function of positions in frames."""
 
     #: [m/px], always above 0.
     metres_per_pixel: float
@@ -52,14 +52,14 @@ def scale_of_motion(pixels, displacements) -> Scale:
     Parameters
     ----------
     pixels : array_like, shape (N,)
-        Places [px]; NaN for a refused frame.
+        Positions [px]; NaN for a refused frame.
     displacements : array_like, shape (N,)
         [m]
 
     Raises
     ------
     FrameError
-        There are too few places, or their motion is too small.
+        There are too few positions, or their motion is too small.
     """
     pixels, displacements = np.asarray(pixels, dtype=float), np.asarray(displacements, dtype=float)
     if pixels.shape != displacements.shape:
@@ -68,7 +68,7 @@ def scale_of_motion(pixels, displacements) -> Scale:
     there = np.isfinite(pixels) & np.isfinite(displacements)
     count = int(np.count_nonzero(there))
     if count < LEAST_PLACES:
-        raise FrameError(f"only {count} frames show a place with a known displacement: {LEAST_PLACES} are needed")
+        raise FrameError(f"only {count} frames show a position with a known displacement: {LEAST_PLACES} are needed")
     x, y = pixels[there], displacements[there]
     spread = x - x.mean()
     squares = float(np.sum(spread**2))
@@ -76,9 +76,10 @@ def scale_of_motion(pixels, displacements) -> Scale:
     offset = float(y.mean() - slope * x.mean())
     residual = math.sqrt(float(np.sum((y - offset - slope * x) ** 2)) / max(count - 2, 1))
     if not abs(slope) * math.sqrt(squares / count) > CLEAR * residual / math.sqrt(count) or slope == 0.0:
-        text = f"places that move by {np.ptp(x):.3g} px do not follow the known displacements"
+        text = f"positions that move by {np.ptp(x):.3g} px do not follow the known displacements"
         raise FrameError(
-            f"{text}, a line leaves {1e6 * residual:.3g} µm: check that they belong to these frames, in the same order"
+            f"{text} (a straight line leaves {1e6 * residual:.3g} µm RMS): check that the displacements belong to "
+            "these frames, in the same order"
         )
     uncertainty = residual / math.sqrt(squares)
     return Scale(abs(slope), uncertainty, 1 if slope > 0.0 else -1, offset, residual)
@@ -184,7 +185,7 @@ class Footage:
             said = float(video.get(self._cv2.CAP_PROP_FPS)) if video.isOpened() else 0.0
             video.release()
         if not self.count:
-            raise FrameError(f"{self._source}: holds no frames; give a video, or a folder of {', '.join(PICTURES)}")
+            raise FrameError(f"{self._source}: contains no frames; give a video, or a folder of {', '.join(PICTURES)}")
         self.rate = rate or said
         if not 0.0 < self.rate < math.inf:
             raise FrameError(f"{self._source}: has no frame rate: give --rate HZ")
@@ -214,7 +215,7 @@ class Footage:
 
 
 def numbered(paths) -> list[tuple[int, pathlib.Path]]:
-    """Return pictures with the numbers of their frames from 0 on.
+    """Return pictures with their frame numbers, counted from 0.
 
     Parameters
     ----------

@@ -169,7 +169,7 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     path = pathlib.Path(path).expanduser()
     name = f"library {path}"
     if not path.is_file():
-        raise DriverError(name, "is not there", "build it, or give its path")
+        raise DriverError(name, "does not exist", "build it, or correct its path")
     try:
         library = ctypes.CDLL(str(require_trusted(path)))
     except OSError as error:

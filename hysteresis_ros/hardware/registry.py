@@ -74,7 +74,7 @@ def _driver_at(path: str) -> HardwareDriver:
         return library_driver(pathlib.Path(path))
     if not path.endswith(".py"):
         remedy = f"give a Python file that declares DRIVER, or a shared library ({' or '.join(SUFFIXES)})"
-        raise DriverError(f"driver {path}", "is neither", remedy)
+        raise DriverError(f"driver {path}", "is neither a Python file nor a shared library", remedy)
     return _declared_in(pathlib.Path(path))
 
 

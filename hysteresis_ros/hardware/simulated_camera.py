@@ -9,8 +9,8 @@
 
 """A camera that renders a frame of a simulated tip at each sample, and delivers it some frames later.
 
-A bright body with a straight edge moves along the rows of the frame before a dark background. The optics blur the edge,
-the light drifts, the sensor has noise and 8 bits. The camera serves to test trackers, and to close a loop through
+A bright body with a straight edge moves along the rows of the frame in front of a dark background. The optics blur the
+edge, the light drifts, the sensor has noise and 8 bits. The camera serves to test trackers, and to close a loop through
 frames without a real camera.
 """
 

@@ -9,19 +9,18 @@
 
 """Displacement from images, frame by frame: the position of the tip and its uncertainty, or why a frame is refused.
 
-Pixels are converted to grey levels. The place of an edge, or the motion of a pattern, is found to about a hundredth of
-a pixel.
+Pixels are converted to grey levels. The position of an edge, or the motion of a pattern, is found to about a hundredth
+of a pixel.
 
 For each row that crosses the edge, the sum of its normalised grey levels gives the number of pixels on one side of the
-edge; a symmetric blur does not change it. A line through all rows except outliers gives place, tilt and uncertainty.
-The blur follows from the grey levels of all pixels against their distance from this line, as in the slanted-edge method
-of ISO 12233.
+edge; a symmetric blur does not change it. A line through all rows except outliers gives position, tilt and
+uncertainty. The blur follows from the grey levels of all pixels against their distance from this line, as in the
+slanted-edge method of ISO 12233.
 
 For a pattern, after the shift by whole pixels, the phase of the cross-spectrum is a plane whose slopes are the
-displacement (H.
-S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for subpixel registration of
-images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). It is fitted where there is light, at the lower
-frequencies, which noise and aliasing do not affect.
+displacement (H. S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for
+subpixel registration of images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). The plane is fitted where
+there is light, at the lower frequencies, which noise and aliasing do not affect.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     Raises
     ------
     FrameError
-        The encoding is unknown, the data are too few, or the image is too large.
+        The encoding is unknown, there are too few data, or the image is too large.
     """
     rows, columns = shape
     if encoding not in ENCODINGS:
@@ -113,7 +112,7 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     return levels.reshape(rows, columns, channels).astype(np.float32) @ weights
 
 
-#: Rows per block in the search for the edge, and distance of the two compared columns.
+#: Rows per block in the search for the edge, and distance of the two compared columns [px].
 BLOCK, LAG = 16, 4
 #: Largest distance of a block from the line through all blocks [px].
 STRAY = 6.0
@@ -132,7 +131,7 @@ LOW_PART, HIGH_PART = 0.158655, 0.841345
 class Place(NamedTuple):
     """Position of the edge or pattern in a frame, or the reason why it was not found."""
 
-    #: Column, from the centre of the first one of the frame [px]; NaN with a reason.
+    #: Column, measured from the centre of the first column of the frame [px]; NaN if it was not found.
     pixels: float
     #: Standard deviation of the column, estimated from this frame alone [px].
     uncertainty: float
@@ -161,7 +160,7 @@ def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) ->
 
 
 def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -> Place:
-    """Return the place of the strongest edge across the rows of a frame, at the middle of its rows.
+    """Return the position of the strongest edge across the rows of a frame, at the middle row.
 
     Parameters
     ----------
@@ -500,7 +499,7 @@ class Tracker:
         self.parameters = parameters.validated()
 
     def see(self, grey: np.ndarray) -> tuple[float, Place]:
-        """Return the displacement [m] (NaN: the frame is refused), and the place from which it was computed.
+        """Return the displacement [m] (NaN: the frame is refused), and the position in the frame from which it follows.
 
         Parameters
         ----------

@@ -250,8 +250,11 @@ def test_message_by_message_the_same_library_is_called_through_python():
         ({"driver_options": ("name",)}, r"driver_options = 'name': write NAME=VALUE with a string"),
         ({"driver_options": ("standstill=soon",)}, "standstill=soon': write NAME=VALUE with a double in 0.001"),
         ({"driver": "/nowhere/driver.py"}, "driver /nowhere/driver.py does not exist; give the path"),
-        ({"driver": "/nowhere/lib.so"}, "library /nowhere/lib.so is not there; build it"),
-        ({"driver": "/nowhere/driver"}, "driver /nowhere/driver is neither; give a Python file"),
+        ({"driver": "/nowhere/lib.so"}, "library /nowhere/lib.so does not exist; build it"),
+        (
+            {"driver": "/nowhere/driver"},
+            "driver /nowhere/driver is neither a Python file nor a shared library; give a Python file",
+        ),
         ({"driver": str(HEADERS / "errors.py")}, "does not exist"),
         ({"driver": str(HEADERS / "device.py")}, "declares no driver: DRIVER is None; DRIVER = HardwareDriver"),
         ({"driver": "simulated"}, "driver_options = .*belong to a driver given by its path"),

@@ -165,7 +165,7 @@ def test_one_that_cannot_be_made_safe_either_is_said_to_be_so(library, kind):
     run(plant, [1.0] * 10)
     left = f"does not listen: the output is still at {written(library)[-1]:.6g} V"
     assert plant.failure.endswith(left) and "; the device cannot be made safe: " in plant.failure
-    with pytest.raises(DriverError, match=f"{left}; take the voltage off at the device itself; switch it off"):
+    with pytest.raises(DriverError, match=f"{left}; switch the voltage off at the device itself; switch it off"):
         plant.make_safe()
     assert left in plant.close()
 

@@ -84,7 +84,7 @@ def test_whatever_a_driver_raises_names_it_and_says_what_to_do(declared, raised,
 def test_another_number_of_positions_than_said_is_refused(declared, monkeypatch):
     device = Device(declared, Parameters(), 100.0)
     monkeypatch.setattr(Stage, "positions", (0.0, 1.0))
-    with pytest.raises(DriverError, match="driver stage: cannot be read: ValueError: 2 positions of 1 joints"):
+    with pytest.raises(DriverError, match="driver stage: cannot be read: ValueError: 2 positions for 1 joints"):
         device.read()
 
 

@@ -84,7 +84,7 @@ def test_an_infinite_position_is_no_reading_and_a_missing_one_is(device, monkeyp
     monkeypatch.setattr(Noting, "reading", Reading((math.nan,)))
     assert math.isnan(device.read()[0])
     monkeypatch.setattr(Noting, "reading", Reading((0.0,), (1.0,)))
-    with pytest.raises(DriverError, match="1 forces, 0 were announced"):
+    with pytest.raises(DriverError, match="1 forces, but Capabilities.forces is 0"):
         device.read()
 
 

@@ -154,12 +154,12 @@ def test_each_axis_is_its_own(stand):
         ),
         ("", {"axis": "2"}, "has no axis '2', it has 1; give one of them as gcs.axis"),
         ("", {"position_unit": "mm"}, "measures axis 1 in UM, but gcs.position_unit is mm; make them equal"),
-        ("", {"safe_voltage": 200.0}, r"range of -30 … 130 V without gcs.safe_voltage = 200 V"),
+        ("", {"safe_voltage": 200.0}, r"range of -30 … 130 V, which does not contain gcs.safe_voltage = 200 V"),
         ("", {"channel": "4"}, r"does not answer 'VMI\? 4'"),
         ("WAV 1 X PNT 1 2 0 1\nWSL 1 1\nWGO 1 1", {}, r"is in motion \(#9\); end the program"),
         ("SVO 1 1\nMOV 1 90", {}, r"is in motion \(#5\)"),
         ("fault busy:0:9", {}, "is busy with another task; wait"),
-        ("fault error:0:9:602", {}, "error 602: a fault of the high voltage; remove the cause"),
+        ("fault error:0:9:602", {}, "error 602: a fault in the high-voltage supply; remove the cause"),
         ("fault silent:0:9", {}, r"does not answer '\*IDN\?' \(timed out\)"),
         ("fault cut:0:9", {}, r"has closed the connection at '\*IDN\?': it is off, or in use by another program"),
     ],
@@ -361,7 +361,7 @@ def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a
     plant.reset()
     step(plant, row, 24.0, 1)
     assert f"the output is still at {left:g} V" in plant.failure, "a reset does not make it safe"
-    with pytest.raises(DriverError, match=f"the output is still at {left:g} V; take the voltage off at the device"):
+    with pytest.raises(DriverError, match=f"the output is still at {left:g} V; switch the voltage off at the device"):
         plant.make_safe()
     assert axis.open_value == left
     stand.faults.add("none")
@@ -396,7 +396,7 @@ def test_a_device_that_is_left_with_a_voltage_says_so_at_the_end(stand):
     device.write([24.0])
     until(lambda: stand.controller.axes["1"].open_value == 24.0)
     stand.faults.add("cut:0:60")
-    assert "the output is still at 24 V; take the voltage off" in device.close()
+    assert "the output is still at 24 V; switch the voltage off" in device.close()
     assert device.close() == ""
 
 

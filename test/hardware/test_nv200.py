@@ -168,7 +168,7 @@ def test_the_makers_package_moves_the_emulated_amplifier(running):
     ("changes", "said"),
     [
         ({"actuator": "TRITOR"}, "has the actuator 'EMULATED', which does not contain nv200.actuator = 'TRITOR'"),
-        ({"safe_voltage": 200.0}, "range of -30 … 130 V without nv200.safe_voltage = 200 V"),
+        ({"safe_voltage": 200.0}, "range of -30 … 130 V, which does not contain nv200.safe_voltage = 200 V"),
         ({"fault": "error:0:9:8"}, "fails when it opens its loop .*Error 8: Overload"),
         ({"fault": "silent:0:9"}, "is connected"),
         ({"fault": "cut:0:9"}, "is connected|hung up"),

@@ -100,7 +100,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
             "in none of 12 frames.* does not lie",
         ),
         (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "has no frame rate: give --rate HZ"),
-        (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "holds no frames"),
+        (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "contains no frames"),
         (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "there is no such file or folder"),
         (("{0}/tip.avi", "-o", "x.txt", "--scale", "1um"), "unknown kind of file '.txt'"),
         (("{0}/tip.avi", "--known", "{0}/known.csv", "--rate", "nan"), "'nan': must be a finite number"),

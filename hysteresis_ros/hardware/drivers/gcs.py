@@ -63,7 +63,7 @@ MEANINGS = {
     SYNTAX: "a parameter is not a number",
     UNKNOWN_COMMAND: "the command is not known",
     TOO_LONG: "the command is too long",
-    SERVO_OFF: "a move with the servo off, or of an axis that is not referenced",
+    SERVO_OFF: "a move was commanded with the servo off, or for an axis that is not referenced",
     POSITION_LIMIT: "the position is beyond the limits",
     8: "the velocity is beyond the limits, or the axis is not referenced",
     STOPPED: "stopped by a command",
@@ -74,15 +74,15 @@ MEANINGS = {
     NO_TABLE: "there is no such record table",
     READ_ONLY: "the parameter is read only",
     66: "the voltage is beyond the limits",
-    GENERATOR_RUNS: "a move while the wave generator runs",
+    GENERATOR_RUNS: "a move was commanded while the wave generator runs",
     NO_WAVE: "the wave generator has no wave table",
-    SERVO_ON: "an open-loop command with the servo on",
+    SERVO_ON: "an open-loop command was sent with the servo on",
     215: "the connection between controller and stage may be broken",
     VOLTAGE_LIMIT: "the voltage is beyond the limits",
-    333: "a fault of the hardware",
+    333: "a hardware fault",
     WAVE_TYPE: "there is no such type of wave",
     WAVE_LENGTH: "the wave is too long",
-    602: "a fault of the high voltage",
+    602: "a fault in the high-voltage supply",
     603: "the temperature is out of range",
     BUSY: "busy with a lengthy operation",
 }
@@ -90,7 +90,7 @@ MEANINGS = {
 #: Metres per unit, in the spelling of controllers.
 UNITS = {"m": 1.0, "mm": 1.0e-3, "um": 1.0e-6, "µm": 1.0e-6, "nm": 1.0e-9}
 
-#: Parameters by their number.
+#: Numbers of the controller's parameters.
 RANGE_MINIMUM, RANGE_MAXIMUM, AXIS_UNIT = 0x07000000, 0x07000001, 0x07000601
 VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM = 0x0B000007, 0x0B000008
 SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004, 0x16000200, 0x16000300
@@ -134,7 +134,7 @@ class GcsLink:
 
     Answers have no number that assigns them to queries. So no answer may be pending when a query is sent, each answer
     must match its query, and each exchange ends with the answer to ``ERR?``, which has another form. A mismatch or a
-    missing answer breaks the link: after one extra line, each answer would belong to the query before.
+    missing answer breaks the link: after one extra line, each query would get the answer to the previous one.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class GcsLink:
         try:
             self._socket.sendall(text.encode("latin-1"))
         except OSError as error:
-            raise self._gone(f"does not take {what!r} ({error})") from error
+            raise self._gone(f"does not accept {what!r} ({error})") from error
 
     def _require_silence(self, what: str) -> None:
         """Refuse an unexpected line: it would shift every later answer to another query."""
@@ -235,7 +235,7 @@ class GcsLink:
         return [line.decode("latin-1").rstrip() for line in lines]
 
     def ask(self, question: str) -> list[str]:
-        """Return the lines of the answer to a query, which the answer to ``ERR?`` must follow.
+        """Return the lines of the answer to a query, and check that the answer to ``ERR?`` follows them.
 
         Parameters
         ----------
@@ -308,9 +308,9 @@ class GcsLink:
     def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
         """Return the numbers of several items in one exchange, and the code of the last error.
 
-        The answer to ``ERR?`` has no equals sign. It comes alternately at the end and at the start of an exchange, and
-        encloses several items. So neither an extra or missing line nor a repeated answer can shift a number to another
-        item.
+        The answer to ``ERR?`` has no equals sign. Its query is sent alternately after and before a single item, and
+        both before and after several items. So neither an extra or missing line nor a repeated answer can shift a
+        number to another item.
 
         Parameters
         ----------
@@ -425,12 +425,12 @@ class GcsLink:
             self.require(code, "does not stop")
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         with contextlib.suppress(OSError):
             self._socket.close()
 
 
-#: Number of stored recent voltages; a checked output may still have any of them.
+#: Number of stored recent voltages; the output may still be at any of them when it is checked.
 RECENT = 4
 #: Points of a wave per command, and polling interval for its end [s].
 POINTS, PATIENCE = 40, 0.02
@@ -573,7 +573,7 @@ class GcsDriver(Driver):
         said = link.ask("*IDN?")[0]  # clears earlier errors
         if given.identification.lower() not in said.lower():
             problem = f"identifies as {said!r}, which does not contain gcs.identification = {given.identification!r}"
-            raise DriverError(link.name, problem, "give the address of the right one, or its name")
+            raise DriverError(link.name, problem, "correct gcs.host, gcs.port or gcs.identification")
         axes = link.ask("SAI?")
         if given.axis not in axes:
             problem = f"has no axis {given.axis!r}, it has {', '.join(axes)}"
@@ -584,8 +584,11 @@ class GcsDriver(Driver):
         self._unit = self._unit_of(link)
         low, high = self._range = self._range_of(link)
         if not low <= given.safe_voltage <= high:
-            problem = f"has a range of {low:g} … {high:g} V without gcs.safe_voltage = {given.safe_voltage:g} V"
-            raise DriverError(link.name, problem, "give one within it")
+            problem = (
+                f"has a range of {low:g} … {high:g} V, which does not contain gcs.safe_voltage = "
+                f"{given.safe_voltage:g} V"
+            )
+            raise DriverError(link.name, problem, "choose a safe voltage within this range")
         self._make_safe(link)
         self._check(link, *link.numbers(*self._looks))
 
@@ -738,7 +741,7 @@ class GcsDriver(Driver):
         longest = int(link.number("SPA?", f"{given.axis} {WAVE_POINTS:#x}"))
         if not 0 < len(voltages) <= longest or not low <= min(voltages) <= max(voltages) <= high:
             problem = f"plays up to {longest} voltages within {low:g} … {high:g} V"
-            raise DriverError(link.name, problem, "give fewer or smaller ones")
+            raise DriverError(link.name, problem, "give fewer or smaller voltages")
         cycle = link.number("SPA?", item)
         if not 0.0 < cycle < period * LONGEST:
             raise DriverError(
@@ -820,7 +823,7 @@ class GcsDriver(Driver):
         return self._recent[-1] if self._recent else None
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._hang_up()
 
     def _hang_up(self) -> None:

@@ -37,7 +37,7 @@ from hysteresis_ros.registry import later
 
 #: Volts per unit of scale.
 MILLIVOLT = 1.0e-3
-#: Largest plausible raw value, scale or offset, and the smallest one relative to it.
+#: Largest plausible raw value, scale or offset; the smallest plausible one is the reciprocal of it.
 LARGEST = 1.0e20
 CHANNEL = re.compile(r"(alt)?voltage\d*")
 
@@ -198,7 +198,7 @@ class Channel:
             finally:
                 os.close(file)
         except OSError as error:
-            raise self._failed(path, f"does not take {value}", error) from error
+            raise self._failed(path, f"does not accept the value {value}", error) from error
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
         """Return the least and greatest voltage [V], from the raw range that the device or parameter file states.
@@ -229,13 +229,13 @@ class Channel:
         Raises
         ------
         DriverError
-            Another process holds it.
+            Another process holds the lock.
         """
         return claim(self.raw, self.name)
 
 
 def _believed(text: str) -> float:
-    """Return the number in a text; ValueError when it is not a number or not plausible."""
+    """Return the number in a text; raise ValueError when it is not a number or not plausible."""
     value = float(text)
     if not abs(value) <= LARGEST or 0.0 < abs(value) < 1.0 / LARGEST:
         raise ValueError(text)
@@ -319,8 +319,11 @@ class IioDriver(Driver):
             output = Channel(device_at(directory, given.output_device), "out", given.output_channel)
             low, high = output.range(given.output_raw_range)
             if not low <= given.safe_voltage <= high:
-                problem = f"has a range of {low:g} … {high:g} V without iio.safe_voltage = {given.safe_voltage:g} V"
-                raise DriverError(output.name, problem, "give one within it")
+                problem = (
+                    f"has a range of {low:g} … {high:g} V, which does not contain iio.safe_voltage = "
+                    f"{given.safe_voltage:g} V"
+                )
+                raise DriverError(output.name, problem, "choose a safe voltage within this range")
             self._claimed = output.claim()
             self._output = output
             self.make_safe()

@@ -178,39 +178,45 @@ class Nv200Driver(Driver):
     def _suits(self, device: Any) -> None:
         """Refuse a device that is not suitable for the axis."""
         given = self._given
-        actuator = self._wait("says its actuator", device.get_actuator_name)
+        actuator = self._wait("is asked for its actuator", device.get_actuator_name)
         if given.actuator.lower() not in actuator.lower():
             problem = f"has the actuator {actuator!r}, which does not contain nv200.actuator = {given.actuator!r}"
-            raise DriverError(self._name, problem, "connect the right one, or give its name")
-        if not self._wait("says its sensor", device.has_position_sensor):
-            raise DriverError(self._name, "has an actuator without sensor", "take one with a sensor")
-        units = self._wait("says its unit", device.get_position_unit), self._wait("says it", device.get_voltage_unit)
+            raise DriverError(self._name, problem, "connect the right actuator, or correct nv200.actuator")
+        if not self._wait("is asked for its sensor", device.has_position_sensor):
+            raise DriverError(self._name, "has an actuator without a sensor", "use one with a sensor")
+        units = (
+            self._wait("is asked for its position unit", device.get_position_unit),
+            self._wait("is asked for its voltage unit", device.get_voltage_unit),
+        )
         if units[0] not in UNITS or units[1] != "V":
-            problem = f"measures in {units[0]} and puts out {units[1]}"
+            problem = f"measures in {units[0]} and outputs {units[1]}"
             raise DriverError(self._name, problem, f"an axis needs V and one of {', '.join(UNITS)}")
         self._unit = UNITS[units[0]]
-        low, high = self._range = self._wait("says its range", device.get_voltage_range)
+        low, high = self._range = self._wait("is asked for its voltage range", device.get_voltage_range)
         if not low <= given.safe_voltage <= high:
-            problem = f"has a range of {low:g} … {high:g} V without nv200.safe_voltage = {given.safe_voltage:g} V"
-            raise DriverError(self._name, problem, "give one within it")
+            problem = (
+                f"has a range of {low:g} … {high:g} V, which does not contain nv200.safe_voltage = "
+                f"{given.safe_voltage:g} V"
+            )
+            raise DriverError(self._name, problem, "choose a safe voltage within this range")
 
     def _check(self) -> None:
         """Refuse a device that is in error, or whose settings were changed."""
-        status = self._wait("says its status", lambda: self._device.read_int_value("stat"))
+        status = self._wait("is asked for its status", lambda: self._device.read_int_value("stat"))
         found = [text for bit, text in FAULTS.items() if status & bit]
         found += [] if status & CONNECTED else ["no actuator is connected"]
         found += ["another program has closed its loop"] if status & CLOSED else []
         if found:
             self._hang_up()
-            raise DriverError(self._name, f"is not ready: {', '.join(found)}", "correct this, then start again")
+            raise DriverError(self._name, f"is not ready: {', '.join(found)}", "remove the cause, then start again")
         self._checked = time.monotonic()
 
     # -- samples -------------------------------------------------------------------------------------------------
 
     def _put_out(self, voltage: float) -> None:
-        answer = self._wait("is written", lambda: self._device.write(f"set,{voltage:.3f}"))
+        answer = self._wait("is sent a voltage", lambda: self._device.write(f"set,{voltage:.3f}"))
         if answer is None:  # the package ignores a missing answer
-            raise self._failed("does not answer when it is written")
+            raise self._failed("does not answer when it is sent a voltage")
 
     def _measure(self) -> float:
         return self._unit * self._wait("measures", self._device.get_current_position)
@@ -262,8 +268,8 @@ class Nv200Driver(Driver):
     def _make_safe(self) -> None:
         device, given = self._device, self._given
         self._wait("opens its loop", lambda: device.pid.set_closed_loop(False))
-        self._wait("chooses its setpoint", lambda: device.write("modsrc,0"))
-        now = self._wait("says its setpoint", device.get_setpoint)
+        self._wait("selects the source of its setpoint", lambda: device.write("modsrc,0"))
+        now = self._wait("is asked for its setpoint", device.get_setpoint)
         ramp(self._put_out, now, given.safe_voltage, given.safe_time)
 
     def close(self) -> None:
