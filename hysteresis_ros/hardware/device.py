@@ -227,7 +227,7 @@ class Device:
         Returns
         -------
         str
-            Problem that remains at the device, for instance a voltage that is still at its output; empty when none does.
+            Problem that remains at the device, for instance a voltage that is still at its output; empty: none.
         """
         self.desist()
         if not self._open:

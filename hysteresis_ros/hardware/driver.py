@@ -166,7 +166,7 @@ class Driver(ABC):
         """
 
     def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code accesses the open device; None if it has only Python methods.
+        """Return the functions by which machine code accesses the open device; None: it has only Python methods.
 
         The functions stay valid until :meth:`close`. The fused loop refuses a driver without them, because it would
         have to wait for Python's lock in each sample.
