@@ -121,7 +121,7 @@ class Axis:
 
     @property
     def given(self) -> np.ndarray:
-        """Indices in the row of the inputs of a run."""
+        """Indices of the inputs of a run in the row of a sample."""
         return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(
@@ -194,7 +194,7 @@ class Axis:
         return other
 
     def apply(self, change: Change, place: int = 0) -> None:
-        """Start, stop or retune a part between two samples; ``place`` is 0, as a stage has places."""
+        """Start, stop or retune a part between two samples; ``place``, the index of an axis in a stage, is 0."""
         part = self.by_node[change.node]
         if change.action == "retune":
             present = part.parameters

@@ -45,7 +45,7 @@ KEPT = (
 LONG = 512
 #: Alignment of the rows [numbers]: two axes never share a cache line.
 LINE = 8
-#: Names of the nodes by the fields of :class:`.Parts`, and indices of their kernels in :class:`.Laws`.
+#: Names of the nodes for the fields of :class:`.Parts`, and indices of their kernels in :class:`.Laws`.
 NODES = {
     "plant": "plant_simulator",
     "source": "reference_generator",
@@ -84,7 +84,7 @@ class ArrayRun:  # numpydoc ignore=PR02
     signals : dict of str to ndarray, shape (n, N)
         Signals of all axes in SI units.
     parameters : tuple of AxisParameters
-        Those of each axis.
+        Parameters of each axis.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class ArrayRun:  # numpydoc ignore=PR02
         Returns
         -------
         Recording
-            Copies of its signals; figures, plots and reports take it.
+            Copies of its signals, for figures, plots and reports.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class AxisArray:
         self.sample = 0
 
     def _settle(self, axis: Axis) -> None:
-        """Write the arrays of all axes, in their state of rest, into the memory."""
+        """Write the arrays of all axes, at rest, into the memory."""
         table = self.memory.reshape(len(self.parameters), self.stride)
         shapes = [array.shape for _, array in _leaves(axis.parts)]
         built, filled, values = axis, np.zeros(0, dtype=int), np.zeros(0)
@@ -210,7 +210,7 @@ class AxisArray:
             table[number, filled] = values
 
     def _require_same_structure(self, number: int, first: Axis, axis: Axis, shapes: list[tuple[int, ...]]) -> None:
-        """Refuse an axis of another structure than axis 0."""
+        """Refuse an axis whose structure differs from that of axis 0."""
         found = [(path.partition(".")[0], array) for path, array in _leaves(axis.parts)]
         strange = {part for (part, array), shape in zip(found, shapes, strict=False) if array.shape != shape}
         strange |= {part for part, some in OF_PART.items() if axis.laws[some] != first.laws[some]}
@@ -218,8 +218,8 @@ class AxisArray:
         if strange:
             names = ", ".join(node for part, node in NODES.items() if part in strange)
             raise ConfigurationError(
-                f"axis {number}: {names}: the structure differs from that of axis 0 (a type, an order, a length of an "
-                "array); only values may differ between the axes of an array"
+                f"axis {number}: {names}: the structure differs from that of axis 0 (a type, an order, an array "
+                "length); only values may differ between the axes of an array"
             )
 
     def __len__(self) -> int:
@@ -245,7 +245,7 @@ class AxisArray:
         Returns
         -------
         ndarray, shape (n,)
-            Voltage of each axis [V]. ``array["displacement"]`` and all other signals of the sample are in the array.
+            Voltage of each axis [V]. Other signals of the sample by name: ``array["displacement"]``.
 
         Raises
         ------
@@ -380,8 +380,8 @@ def _axis_of(parameters: AxisParameters, number: int, before: Axis | None = None
     plant = parameters.plant_simulator
     if plant.type != "actuator":
         raise ConfigurationError(
-            f"axis {number}: plant_simulator: type = {plant.type!r}: an array has simulated actuators; run an inchworm "
-            "motor or a camera as a single axis"
+            f"axis {number}: plant_simulator: type = {plant.type!r}: an array contains only simulated actuators; run "
+            "an inchworm motor or a camera as a single axis"
         )
     shared = [name for name in NODE_PARAMETERS if name != "plant_simulator"]
     # in a fused axis the compensator depends on the plant
@@ -406,7 +406,7 @@ def _address(array: np.ndarray) -> int:
 
 
 def _places(parts: Parts) -> tuple[list[int], int]:
-    """Return the place of each array of an axis in its row, and the length of the row.
+    """Return the index at which each array of an axis begins in its row, and the length of the row.
 
     Arrays that share memory continue to share it.
     """

@@ -62,7 +62,7 @@ class CompensationArrays(NamedTuple):
 
 
 class AdaptiveArrays(NamedTuple):
-    """All arrays of a compensator in the loop whose inverse adapts to the actuator."""
+    """All arrays of a compensator whose inverse adapts to the actuator."""
 
     p: CompensatorArrays
     x: CompensatorArrays
@@ -133,7 +133,7 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # the motion of the path plus at most the slew rate to safe
+        # the voltage follows the path, and its difference from the path changes at most at the slew rate to safe
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -240,7 +240,7 @@ class CompensatorPart:
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, (faulty.COMMAND,), self.parameters.sample_rate)
-        # the numbers of the commands also start now
+        # the sample numbers of the commands also start now
         self.arrays.watch_x.guard[STAMP] = -1.0
         watch_p = self.arrays.watch_p._replace(faults=p)
         self.arrays = self.arrays._replace(
@@ -325,7 +325,7 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Return the safe voltage [V], output at once: the last message of a node that exits."""
+        """Go to the safe voltage [V] at once and return it; a node that exits publishes it last."""
         limits = self.arrays.p.limits
         # the slew rate limit must not keep the last message from being the safe voltage
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0

@@ -106,7 +106,7 @@ USE_ORIGIN = 3  # 1: the measurement is relative to the sequencer's origin
 PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is missing
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
-NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a force there is no command
+NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force there is no command
 OWN_PARAMETERS = 8
 
 # Own state.
@@ -116,7 +116,7 @@ ON_PATH = 2  # 1 while the reference fades from the displacement to the received
 UNANSWERED = 3  # samples since the last achieved command
 ANSWERED = 4  # 1 after the first achieved command
 REFERENCE = 5  # last finite reference [m]
-COMMANDED = 6  # last command [m]; with a damping this is the output of the damping, not of the law
+COMMANDED = 6  # last command [m]; with active damping this is the output of the damping, not of the law
 OFFSET_LEFT = 7  # remaining part of the previous offset, which fades after a change [m]
 FORCE = 8  # measured force of the last sample [N]
 OWN_STATES = 9
@@ -127,7 +127,7 @@ NO_OFFSET = 1e-18
 
 @kernel
 def present_offset(own_p, own, decay):
-    """Return the offset of the measurement in this sample [m]; after a change it fades from the old to the new."""
+    """Return the offset of the measurement in this sample [m]; after a change it fades to the new value."""
     left = own[OFFSET_LEFT]
     if left == 0.0:
         return own_p[PRELOAD]
@@ -240,7 +240,7 @@ def control(laws, arrays, row):
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode == FOLLOWING:
-        # at the slew rate to safe; without it an achieved command would close a loop with gain one
+        # limited to the slew rate to safe: otherwise the achieved command would close a loop with gain one
         command = towards(command, value, own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     if mode in (TRIPPED, STOPPED, STALE):
@@ -263,7 +263,7 @@ def control(laws, arrays, row):
 
 @nested
 def carried_out(arrays, applied):
-    """Give the controller the achieved part [m] of the last command; NaN: unknown."""
+    """Give the controller the achieved value [m] of its last command; NaN: unknown."""
     own = arrays.watch_x.own
     heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
     if heard - heard == 0.0:
@@ -337,7 +337,7 @@ class ControllerPart:
         return float(self._watch_x.own[COMMANDED])
 
     def install(self, controller: Controller) -> None:
-        """Replace the controller at rest; :meth:`retune` replaces it live."""
+        """Replace the controller of an axis at rest; :meth:`retune` replaces it while the axis runs."""
         self.controller = controller
         self._pack_own(self.parameters)
         self._connect()
@@ -349,7 +349,7 @@ class ControllerPart:
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
         p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
-        # the numbers of the measurements also start now
+        # the sample numbers of the measurements also start now
         self._watch_x.guard[STAMP] = -1.0
         self._watch_p = self._watch_p._replace(faults=p)
         self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
@@ -417,13 +417,13 @@ class ControllerPart:
         self._connect()
 
     def _require_force(self, block: ControllerParameters) -> None:
-        """Refuse a damping that feeds back the force when no force is measured."""
+        """Refuse damping by force feedback when no force is measured."""
         if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
             remedy = f"missing force joint '{self.parameters.force_joint}': no force is measured; use irc or ppf"
             raise ParameterError([Problem("damping.type", block.damping.type, remedy)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
-        """Refuse another damping when the order of an observer or of inverse dynamics depends on the present one."""
+        """Refuse another type of damping when the order of observer or inverse dynamics depends on the present type."""
         given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
         damping = self.parameters.damping.type
         fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"

@@ -9,9 +9,9 @@
 
 """A device that replaces the simulated plant, accessed by a driver in Python or by two compiled functions.
 
-The compiled functions need no lock of Python and allocate nothing. The voltages are monitored as those of the simulated
-plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it is made
-safe at once and not used until the axis is started again.
+The compiled functions do not need Python's lock and allocate no memory. The voltages are monitored as those of the
+simulated plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it
+is made safe at once and not used until the axis is started again.
 
 The limits are those of the parameter file, which must lie within the device's range.
 """
@@ -92,7 +92,7 @@ class DevicePlantArrays(NamedTuple):
 
 
 def link_to(compiled: Compiled | None) -> np.ndarray:
-    """Return the link array of a device, or of none."""
+    """Return the link array of a device; all zeros without a device."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
         link[:SELF] = compiled.read, compiled.write, compiled.make_safe, compiled.device
@@ -187,7 +187,7 @@ def output_of_device(arrays):
 
 @nested
 def read_device(arrays):
-    """Return the measurement [m] of the device; NaN without one."""
+    """Return the measurement [m] of the device; NaN if there is no new one."""
     code = call_with(arrays.link, READ, arrays.positions)
     reading = arrays.positions[0]
     if code == NOTHING_NEW:
@@ -212,7 +212,7 @@ def stop_for_homing(trip, homing):
 
 @nested
 def sense_device(laws, arrays, row):
-    """Read a device; without one, the row contains the readings, and the voltage of a device that has failed."""
+    """Read the device; in a repeated run the row already has its readings, and its voltage if it has failed."""
     faulty.begin_sample(arrays.watch_x.faults)
     trip = arrays.watch_x.trip
     recorded = row[at.PLANT_VOLTAGE]
@@ -307,7 +307,7 @@ class DrivenPlant(Plant):
     @property
     def failure(self) -> str:
         """Error of a device that has stopped the axis, and the voltage that it may still output."""
-        left = self._left  # the device is released in the background
+        left = self._left  # read once, because another thread clears it when the device is safe
         return f"{self._failure}; the device {left}" if left else self._failure
 
     def _require(self, can: Capabilities) -> None:
@@ -315,10 +315,8 @@ class DrivenPlant(Plant):
         parameters, device = self.parameters, f"driver {self.parameters.driver}:"
         low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
         if can.keeps_time:
-            remedy = (
-                "the package must keep the time: let the driver sample the device, or write a node (docs/hardware.md)"
-            )
-            raise DriverError(device, "the device keeps the time itself", remedy)
+            remedy = "the package must set them: let the driver sample the device, or write a node (docs/hardware.md)"
+            raise DriverError(device, "the device sets the sample times itself", remedy)
         units, given = (can.position_unit, can.voltage_unit), parameters.calibration
         if units != (given.sensor.unit, given.amplifier.unit):
             remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
@@ -340,7 +338,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, f"the device supports at most {can.highest_rate:g} Hz", "lower sample_rate")
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
             problem = f"the device's watchdog of {can.watchdog:g} s is no longer than a sample of {1.0 / rate:g} s"
-            raise DriverError(device, problem, "raise sample_rate, or the watchdog's time")
+            raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
 
     @property
     def _opened(self) -> Device:
@@ -380,7 +378,7 @@ class DrivenPlant(Plant):
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Allowed range of the measurement [m], by the model in the parameter file."""
+        """Allowed range of the measurement [m], from the model in the parameter file."""
         return self.parameters.allowed_travel
 
     @property
@@ -396,7 +394,7 @@ class DrivenPlant(Plant):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row; NaN without one."""
+        """Read the position into the row; NaN if there is no new one."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -443,7 +441,7 @@ class DrivenPlant(Plant):
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the axis; a device that has failed is tried again, and its relative sensor has lost its zero."""
+        """Start the axis; a device that has failed is accessed again, and a relative sensor is homed again."""
         failed, left = bool(self.failure), self._is_left()
         if failed:
             self.sensor.begin_homing()
@@ -461,7 +459,7 @@ class DrivenPlant(Plant):
     def _try_device(self, left: bool) -> None:
         """Read and write the device once at its safe voltage, so that a start reports a device that still fails.
 
-        A device that was left at another voltage is made safe first: the first voltage would be a step.
+        A device that was left at another voltage is made safe first; otherwise its first voltage would be a step.
         """
         try:
             if left:
@@ -601,7 +599,7 @@ class CompiledPlant(DrivenPlant):
             compiled, joints = self._opened.compiled(), self.capabilities
             if compiled is None:
                 self.close()
-                problem = "is written in Python, which would wait for its lock in each sample"
+                problem = "is written in Python, which would wait for the interpreter lock in each sample"
                 remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
                 raise DriverError(f"driver {parameters.driver}:", problem, remedy)
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
@@ -650,7 +648,7 @@ class CompiledPlant(DrivenPlant):
         return f"{text}; the device cannot be made safe: {explain(safe_code).problem}: {left}"
 
     def _is_left(self) -> bool:
-        if super()._is_left() or self.arrays is self:  # which it is until the device is open
+        if super()._is_left() or self.arrays is self:  # self.arrays is self until the device is open
             return bool(self._left)
         return bool(self._watch_x.trip[TRIP] == DEVICE_FAILED and self.arrays.answer[SAFE_CODE])
 

@@ -58,9 +58,11 @@ FAULTS = {
     "spike": FaultKind(MEASUREMENT, SPIKE, f"the value is added to one measurement in {SPIKE_PERIOD}", 1e-6, "m"),
     "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement stays at its first value during the fault"),
     "late": FaultKind(
-        MEASUREMENT, DELAY, "the measurement is delayed by that many samples", 1.0, "samples", 1, LONGEST_DELAY
+        MEASUREMENT, DELAY, "the measurement is delayed by VALUE samples", 1.0, "samples", 1, LONGEST_DELAY
     ),
-    "drop": FaultKind(MEASUREMENT, DROP, "that fraction of the measurements is missing, at random", 0.3, "1", 0.0, 1.0),
+    "drop": FaultKind(
+        MEASUREMENT, DROP, "the fraction VALUE of the measurements is missing, at random", 0.3, "1", 0.0, 1.0
+    ),
     "offset": FaultKind(MEASUREMENT, ADD, "the value is added to the measurement", 1e-6, "m"),
     "disorder": FaultKind(
         MEASUREMENT, DISORDER, "every second measurement is a repeat of the previous one, with its old stamp"
@@ -68,9 +70,11 @@ FAULTS = {
     "unanswered": FaultKind(APPLIED, LOST, "the controller does not receive the achieved command"),
     "lost_command": FaultKind(COMMAND, LOST, "no command reaches the compensator"),
     "lost_voltage": FaultKind(VOLTAGE, LOST, "no voltage reaches the plant"),
-    "late_voltage": FaultKind(VOLTAGE, DROP, "that fraction of the voltages is late, at random", 0.5, "1", 0.0, 1.0),
+    "late_voltage": FaultKind(
+        VOLTAGE, DROP, "the fraction VALUE of the voltages is late, at random", 0.5, "1", 0.0, 1.0
+    ),
     "lost_grip": FaultKind(
-        GRIP, SCALE, "the front clamp grips with that fraction of its force", 0.0, "1", 0.0, 1.0, motor=True
+        GRIP, SCALE, "the front clamp grips with the fraction VALUE of its force", 0.0, "1", 0.0, 1.0, motor=True
     ),
     "lost_force": FaultKind(FORCE, LOST, "the force sensor gives no value"),
     "stop": FaultKind(STOP, SET, "the controller is stopped, and started again at the end"),
@@ -142,7 +146,7 @@ def checked_value(text: str, name: str, start: float, duration: float, value: fl
     if name not in FAULTS:
         close = difflib.get_close_matches(str(name), FAULTS, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}? " if close else ""
-        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are:  {', '.join(FAULTS)}")
+        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are: {', '.join(FAULTS)}")
     kind = FAULTS[name]
     if not all(math.isfinite(number) for number in (start, duration, value or 0.0)):
         raise ConfigurationError(f"fault '{text}': {FORM}")
@@ -186,7 +190,7 @@ def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True)
             f"fault '{text}': DURATION is shorter than a sample; give at least {1.0 / sample_rate:.6g} s"
         )
     if kind.motor and not motor:
-        raise ConfigurationError(f"fault '{text}': only an inchworm motor has it")
+        raise ConfigurationError(f"fault '{text}': only an inchworm motor can have this fault")
     return Fault(name, numbers[0], numbers[1], value)
 
 

@@ -95,7 +95,7 @@ def ask_for(parameters: RealtimeParameters) -> str:
 
 
 def has_priority() -> bool:
-    """Whether the calling thread has a priority in real time."""
+    """Whether the calling thread has a real-time priority."""
     return hasattr(os, "sched_getscheduler") and bool(os.sched_getparam(0).sched_priority)
 
 
@@ -203,7 +203,7 @@ def _reason(error: Exception) -> str:
 #: Sample rate that the loop sustains without Numba [Hz]: a sample takes up to 0.4 ms (of a motor), and another thread
 #: of Python may hold the interpreter for 5 ms, one period.
 INTERPRETED_RATE = 200.0
-#: Time for which samples are kept for readers [s], and least and largest number of samples.
+#: Time for which samples are kept for readers [s], and smallest and largest number of kept samples.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
 #: Duration of a sample after which the device counts as blocked [s].
 BLOCKED = 0.5
@@ -264,7 +264,7 @@ class FusedLoop:
     """Runs an axis, or all axes of a stage, in a thread of its own.
 
     All methods may be called from any thread. While it runs, nothing else may run or change the axis. Methods that
-    concern one axis of a stage take its place among the axes; an axis alone has place 0.
+    concern one axis of a stage take its index among the axes (``place``); a single axis has index 0.
     """
 
     def __init__(
@@ -387,7 +387,7 @@ class FusedLoop:
             self.axis.sample = self.sample
 
     def _run_loop(self) -> None:
-        """Run the compiled loop, anew after each change of the parts themselves."""
+        """Run the compiled loop, and start it again each time a part has been replaced."""
         state = self._state
         ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
         state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
@@ -418,7 +418,7 @@ class FusedLoop:
         self._post({place: dict(zip(places, (setpoint, request, speed), strict=True))})
 
     def set_together(self, setpoints: Mapping[int, float]) -> None:
-        """Request setpoints [m] of several axes, by their places, for the same sample."""
+        """Request setpoints [m] of several axes, by index, for the same sample."""
         self._post({place: {at.POST_SETPOINT: value} for place, value in setpoints.items()})
 
     def halt(self) -> None:
@@ -426,11 +426,11 @@ class FusedLoop:
         self._post({place: {at.POST_HALTS: None} for place in range(len(self._asked))})
 
     def apply(self, change: Change, places: Sequence[int] = (0,)) -> int:
-        """Make a change of these axes, wait until it is done, and return the first sample for which it holds."""
+        """Make a change of these axes, wait until it is done, and return the first sample to which it applies."""
         return self.apply_together({place: change for place in places})
 
     def apply_together(self, changes: Mapping[int, Change]) -> int:
-        """Make a change of each of several axes, by their places, at the same sample; return it as :meth:`apply`."""
+        """Make one change on each of several axes, by index, before the same sample, and return this sample."""
         with self._changing:
             switches = {place: (change.node, change.action) for place, change in changes.items()}
             sample = None
@@ -476,7 +476,7 @@ class FusedLoop:
         return next(found)
 
     def _change(self, changes: Mapping[int, Change]) -> int:
-        """Apply changes between two samples; return the first one for which they hold."""
+        """Apply changes between two samples; return the first sample to which they apply."""
         parameters = {place: self._rehearse(place, change) for place, change in changes.items()}
         before = self.axis.laws, self.axis.parts
         with self._between_samples():
@@ -655,7 +655,7 @@ def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
 
 
 def tick_cost(parameters: AxisParameters | StageParameters) -> float:
-    """Return the least computing time of a sample on this machine [s], of an axis or a stage; plants are simulated."""
+    """Return the least computing time of a sample of an axis or a stage on this machine [s], with simulated plants."""
     axis = at_rest(parameters)
     found = []
     for _ in range(BATCHES):

@@ -106,7 +106,7 @@ class Together(NamedTuple):
 
     laws: Any  #: Tuple of the laws of each axis.
     parts: Any  #: Tuple of the parts of each axis.
-    group: Any  #: What the axes have in common, of :class:`hysteresis_ros.loop.stage.GroupArrays`.
+    group: Any  #: Arrays that the axes share, of :class:`hysteresis_ros.loop.stage.GroupArrays`.
 
 
 class Pace(NamedTuple):
@@ -116,10 +116,10 @@ class Pace(NamedTuple):
     state: np.ndarray
     #: Counters of each axis, int64, shape (axes, COUNTS), see below.
     counts: np.ndarray
-    #: Places of the inputs in a row.
+    #: Indices of the inputs in a row.
     given: np.ndarray
-    #: Inputs of the parts, then the row of the sample, and behind it the switches before the sample, shape (axes, row
-    #: length + MOST_SWITCHES, 1).
+    #: The row of the sample, which first contains the inputs of the parts, and after it the switches to make before the
+    #: sample, shape (axes, row length + MOST_SWITCHES, 1).
     column: np.ndarray
     #: Rows that the parts work on, shape (axes, row length).
     row: np.ndarray
@@ -140,17 +140,20 @@ class Pace(NamedTuple):
     timespec: np.ndarray
 
 
-# State, written by the loop: number of the next sample; samples ever in the ring; skipped samples; posts taken; number
-# of events; greatest lateness, all time spent beyond waiting, the longest of it [ns]; skipped samples in a row.
+# State, written by the loop. SAMPLE: number of the next sample. HEAD: number of samples written to the ring so far.
+# MISSED: skipped samples. TAKEN: posts taken. EVENT_COUNT: number of events. LATEST: greatest lateness [ns].
+# BUSY, BUSIEST: total and longest computing time of samples [ns]. IN_ROW: skipped samples in a row.
 SAMPLE, HEAD, MISSED, TAKEN, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9)
-# Written by other threads: 1: end before the next sample; sample before which to end, 0: never; number of posts; time
-# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the last pause
-# that was requested, and of the last one that is over.
+# State, written by other threads. LEAVE: 1 ends the loop before the next sample. UNTIL: sample before which the loop
+# ends, 0: never. POSTED: number of posts. ORIGIN: time of sample 0 [ns]. PERIOD: sample time [fs]. UNPACED: 1 runs the
+# loop without waiting. FIRST: number of the first sample in the ring. PAUSE: number of the last requested pause.
+# RESUMED: number of the last pause that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(9, 18)
-# Number of the last pause that has begun; start of the sample in progress [ns], 0: no sample is in progress.
+# PAUSED: number of the last pause that has begun. AT_WORK: start of the sample in progress [ns], 0: none.
 PAUSED, AT_WORK = 18, 19
-# Time before a deadline at which the thread begins to poll the clock [ns]; upper bound of this time while it follows
-# the wake-up times [ns], 0: it is fixed; estimated quantile of the wake-up times [ns]; total time of polling [ns].
+# AHEAD: time before a deadline at which the thread begins to poll the clock [ns]. MOST_AHEAD: upper bound of this time
+# while it follows the wake-up times [ns], 0: it is fixed. WAKE: estimated quantile of the wake-up times [ns].
+# LOOKED: total time of polling [ns].
 AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
 STATES = 24
 
@@ -175,14 +178,14 @@ LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
 #: Longest uninterrupted wait [ns], which is the largest delay of a request to end.
 PIECE = 50_000_000
-#: Steps of the estimated quantile at a longer and at a shorter wake-up time [ns]: it settles where they are balanced,
-#: at 98 %, and follows a change of 10 µs within some 200 long wake-ups.
+#: Step up of the estimate at a longer wake-up time, and step down at a shorter one [ns]. The estimate settles where
+#: both balance, at the 98 % quantile, and follows a change of 10 µs within some 200 long wake-ups.
 LONGER, SHORTER = 49, 1
 #: First estimate of the wake-up time [ns].
 FIRST_WAKE = 50_000
 #: Polling interval for the end of a pause [ns].
 PAUSE_PIECE = 20_000
-#: Skipped samples in a row, as a fraction of the ring, after which the loop waits for readers, and the time to wait
+#: The loop waits for readers after it has skipped a ring length divided by ``CATCH_UP`` in a row; duration of this wait
 #: [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
@@ -279,7 +282,7 @@ def note_lateness(state, histogram, late):
 
 @nested
 def take_setpoint(own, i):
-    """Write a new setpoint of the schedule into the column of an axis, unless it ever received a setpoint."""
+    """Write a new setpoint of the schedule into the column of an axis that has not received a setpoint yet."""
     counts, schedule = own.counts[i], own.schedule
     index = counts[SCHEDULED]
     while counts[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= own.state[SAMPLE]:
@@ -291,7 +294,7 @@ def take_setpoint(own, i):
 
 @nested
 def take_post(own, i, motor):
-    """Read all requests to an axis since the last sample; write the switches to make behind its row.
+    """Read all requests to an axis since the last sample; write the switches to make after its row.
 
     Several posts between two samples act as one: each contains all requests so far. The table of a post is complete
     before its number is written, and it is overwritten POSTS posts later.
@@ -326,7 +329,7 @@ def log_switches(own, i):
 
 @nested
 def make_switches(laws, parts, column):
-    """Make the switches behind the row of one axis."""
+    """Make the switches that follow the row of one axis."""
     for place in range(column.shape[0] - MOST_SWITCHES, column.shape[0]):
         code = int(column[place, 0])
         if code != NOTHING:
@@ -335,7 +338,7 @@ def make_switches(laws, parts, column):
 
 @each
 def switch_axes(laws, parts, column):
-    """Make the switches behind the row of one axis of a stage."""
+    """Make the switches that follow the row of one axis of a stage."""
     make_switches(laws, parts, column)
 
 
@@ -351,7 +354,7 @@ def compute(step, part, own):
 
 @by_part
 def keep_joints(step, part, numbers):
-    """Write what ``joint_states`` has beside the row."""
+    """Write the contents of ``joint_states`` that are not in the row."""
 
 
 @nested
@@ -386,7 +389,7 @@ def _compute_together(step, part, own):
 
 @nested
 def _keep_together(step, part, numbers):
-    """Do nothing, because an axis of a stage is that of an actuator."""
+    """Do nothing, because the axes of a stage are actuators."""
 
 
 switch_all.kinds[Alone], switch_all.kinds[Together] = _switch_alone, _switch_together

@@ -181,7 +181,7 @@ class RealtimeParameters(Parameters):
     )
 
 
-#: Drivers with parameters, and the class of these.
+#: Parameter classes of the drivers that have parameters of their own, by driver name.
 _OWN = {name: item.parameters for name, item in DRIVERS.items() if item.parameters is not ActuatorParameters}
 
 
@@ -341,13 +341,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             yield Problem("driver", self.driver, remedy)
         if self.time_mode == "fused" and not self.driver_is_compiled:
             remedy = (
-                "is written in Python, which would wait for its lock in each sample: give time_mode: realtime, or a "
-                "driver with a compiled form (docs/hardware.md)"
+                "is written in Python, which would wait for the interpreter lock in each sample: give time_mode: "
+                "realtime, or a driver with a compiled form (docs/hardware.md)"
             )
             yield Problem("driver", self.driver, remedy)
         if self.real_time_factor != 1.0:
             yield Problem(
-                "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
+                "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device runs in real time"
             )
         if self.type != "actuator":
             remedy = "drives one actuator (type: actuator); an inchworm motor needs its own node, see docs/hardware.md"
@@ -357,7 +357,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         spin, most = self.realtime.spin, SPIN_PART / (self.sample_rate * self.real_time_factor)
         if self.time_mode == "fused" and spin > most and not self.realtime.force:
             remedy = (
-                f"leaves too little of a core to the system: give at most {SPIN_PART:g} of a period, {most:.3g} s, or "
+                f"leaves the system too little of a core: give at most {SPIN_PART:g} of a period, {most:.3g} s, or "
                 "-1 (automatic), or lower sample_rate; on a core that has nothing else to do (isolcpus=, "
                 "kernel.sched_rt_runtime_us = -1) also realtime.force: true"
             )
@@ -385,7 +385,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             remedy = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
             yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, remedy)
         if self.joint == self.force_joint:
-            yield Problem("force_joint", self.force_joint, "must be another name than joint")
+            yield Problem("force_joint", self.force_joint, "must differ from joint")
         if self.type == "inchworm":
             yield from seed_problems(self)
             others = JOINT_NAMES[1:]
@@ -705,10 +705,10 @@ def _force_problems(plant, controller):
 
 #: Time-outs of the nodes: monitored input, reaction, and safe value of the output.
 TIMEOUTS = {
-    ("motion_controller", "measurement_timeout"): "no usable measurement: command to safe_command",
-    ("inchworm_sequencer", "measurement_timeout"): "no joint_states: both clamps close",
-    ("hysteresis_compensator", "command_timeout"): "no command: voltage to safe_voltage",
-    ("plant_simulator", "voltage_timeout"): "no voltage: voltage to safe_voltage",
+    ("motion_controller", "measurement_timeout"): "without a usable measurement, the command goes to safe_command",
+    ("inchworm_sequencer", "measurement_timeout"): "without joint_states, both clamps close",
+    ("hysteresis_compensator", "command_timeout"): "without a command, the voltage goes to safe_voltage",
+    ("plant_simulator", "voltage_timeout"): "without a voltage, the output goes to safe_voltage",
 }
 
 
@@ -831,7 +831,7 @@ class AxisParameters:
         if not 0.0 < duration < float("inf"):
             raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:
-            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; give less")
+            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; shorten it")
         samples = max(round(duration * self.plant_simulator.sample_rate), 1)
         changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
         if not self.plant_simulator.external_plant:

@@ -238,9 +238,9 @@ def sense_motor(laws, arrays, row):
 def actuate_motor(laws, arrays, row):
     """Hold three voltages on a motor.
 
-    Safety never opens a clamp, because a free slider falls. A clamp goes to its initial voltage, or keeps its present
-    voltage when that is higher. The gait always keeps one clamp closed; on the way back from the safe state, a clamp
-    opens only when the other one has the gait's voltage.
+    A safe state never opens a clamp, because a free slider would fall. A clamp goes to its initial voltage, or keeps
+    its present voltage when that is higher. The gait always keeps one clamp closed; on the way back from the safe
+    state, a clamp opens only when the other one has the gait's voltage.
     """
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
@@ -418,7 +418,7 @@ class Plant:
         self.forgive()
 
     def lose(self, name: str) -> None:
-        """Stop the axis because a node of it is lost, until it is started again; an earlier reason is kept."""
+        """Stop the axis because one of its nodes is lost, until it is started again; an earlier reason is kept."""
         self.lost = name
         if self._watch_x.trip[TRIP] in (NOT_TRIPPED, WITHOUT_VOLTAGE):
             self._watch_x.trip[TRIP] = PARTNER_LOST
@@ -597,7 +597,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant and, where frames are evaluated at once, the part that does this."""
+    """The camera of a plant and, where frames are evaluated at once, the part that evaluates them."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera

@@ -15,8 +15,8 @@ The range is computed from the models of compensator and controller, because the
 creep, times the DC gain of the controller's model. With inverse ``none`` it is the nominal gain times the limits. Steps
 may briefly need more than that; this is not refused.
 
-*Bandwidth* is checked for closed loops and waveforms with one fundamental f. Open loop, chirp, multisine and files are
-experiments and not checked:
+*Bandwidth* is checked for closed loops and waveforms with one fundamental f. Open loops, chirps, multisines and files
+are experiments and are not checked. The checks are:
 
 - The command that produces the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
   stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics work above this frequency as
@@ -47,14 +47,14 @@ CUT_PEAKS = 0.1
 
 
 def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] at rest, without preload, by the axis' own models."""
+    """Return the smallest and largest displacement [m] at rest, without preload, from the models of the axis."""
     gain = _gain(axis.motion_controller.model.dynamics)
     low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
     return min(low * gain, high * gain), max(low * gain, high * gain)
 
 
 def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
-    """Return |G| in SI at ``turns`` cycles per sample; signed at 0."""
+    """Return |G| in SI units at ``turns`` cycles per sample; at 0 the gain keeps its sign."""
     model = dynamics.state_space
     scale = dynamics.output_scale / dynamics.resolved_input_scale
     if turns == 0.0:
@@ -165,8 +165,9 @@ def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, m
     if half > passed * room:
         needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
         remedy = (
-            f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % there: the {waveform.type} needs "
-            f"commands of {needed}, but the range is {_range(low, high)}; lower frequency or amplitude"
+            f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % at this frequency: the "
+            f"{waveform.type} needs commands of {needed}, but the range is {_range(low, high)}; lower frequency or "
+            "amplitude"
         )
         yield Problem("reference_generator: waveform.frequency", waveform.frequency, remedy)
 
@@ -188,8 +189,8 @@ def axes(configuration: Configuration, namespace: str | None = None) -> list[Axi
     clocks = [axis.namespace or "/" for axis in found if axis.plant_simulator.publish_clock]
     if len(clocks) > 1:
         raise ConfigurationError(
-            f"{configuration.source}: {' and '.join(clocks)} both set publish_clock; /clock may have one source, "
-            "set publish_clock: true for one plant_simulator only"
+            f"{configuration.source}: {' and '.join(clocks)} both set publish_clock; /clock may have only one "
+            "publisher: set publish_clock: true for one plant_simulator only"
         )
     return found
 
@@ -199,5 +200,7 @@ def single_axis(configuration: Configuration, namespace: str | None = None) -> A
     found = axes(configuration, namespace)
     if len(found) > 1:
         names = ", ".join(axis.namespace for axis in found)
-        raise ConfigurationError(f"{configuration.source}: holds several axes ({names}); choose one with --namespace")
+        raise ConfigurationError(
+            f"{configuration.source}: contains several axes ({names}); choose one with --namespace"
+        )
     return found[0]

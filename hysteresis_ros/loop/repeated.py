@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Repetition of a recorded run: the files that an axis reads, and the axis with the recorded contents of these."""
+"""Repetition of a recorded run: the files that an axis reads, and the axis that uses their recorded contents."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, 
 
 
 def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
-    """Return those input files named by a configuration for its nodes that exist."""
+    """Return the existing input files that a configuration names for its nodes."""
     return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})
 
 
@@ -61,7 +61,7 @@ def recorded_stage(recorded: Recording, name: str) -> Iterator[tuple[StageParame
 
 @contextlib.contextmanager
 def _recorded_configuration(recorded: Recording, name: str) -> Iterator[tuple[Configuration, list[str]]]:
-    """Yield the configuration of a recording with the recorded contents of its files, and lines about these."""
+    """Yield the configuration of a recording with the recorded contents of its files, and lines about unused files."""
     text = in_force(recorded)
     if not text:
         raise RecordingError(

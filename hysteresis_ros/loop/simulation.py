@@ -9,9 +9,9 @@
 
 """Offline simulation of a recorded run; plants that differ from their models, or drift; modes of the parts.
 
-Each draw multiplies these quantities by independent factors 1 + m u, with u uniform in ±1: the gain, the loop width of
-the hysteresis (each model declares its parameters for it, and may declare more factors), the time scale of the linear
-dynamics, and the rate of the creep. The compensator's and the controller's models do not change.
+Each draw multiplies these quantities by independent factors 1 + m u, with the mismatch m and u uniform in ±1: the gain,
+the loop width of the hysteresis (each model declares its parameters for it, and may declare more factors), the time
+scale of the linear dynamics, and the rate of the creep. The compensator's and the controller's models do not change.
 """
 
 from __future__ import annotations
@@ -197,8 +197,8 @@ def _value(value):
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
-    The measurements of a device are taken from the recording, and whether it could be made safe when it failed.
-    Everything that follows from them is computed again.
+    Two things are taken from the recording: the measurements of a device, and whether it could be made safe after a
+    failure. Everything that follows from them is computed again.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
@@ -210,7 +210,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     # a device's true displacement is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
     if parameters.displacement_camera is not None:
-        unknown = {"measured"}  # signal of the plant, which the controller's input replaces in a recording
+        unknown = {"measured"}  # a recording has the controller's input in place of this signal of the plant
     return unequal(recorded, twin, unknown)
 
 

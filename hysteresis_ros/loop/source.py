@@ -176,7 +176,7 @@ class SequencerSourceArrays(NamedTuple):
 
 @nested
 def sequenced(laws, arrays, row):
-    """Reference, origin and clamp voltages of an inchworm motor.
+    """Compute reference, origin and clamp voltages of an inchworm motor.
 
     While the plant has stopped the axis the sequencer gets no measurement: both clamps close and hold.
     """

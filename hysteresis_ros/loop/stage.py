@@ -9,9 +9,9 @@
 
 """A stage in the loop: several axes, each with the parts of a single axis, coupled by one structure.
 
-A sample of a stage is, in this order: every axis measures; the sensor matrix transforms the readings into degrees of
-freedom; every axis computes its reference and its command; the decoupling transforms these commands into commands of
-the actuators; every axis compensates its hysteresis and outputs its voltage; the structure advances by one sample.
+In each sample of a stage every axis measures, and the sensor matrix transforms the readings into degrees of freedom.
+Every axis then computes its reference and its command. The decoupling transforms these commands into commands of the
+actuators. Every axis compensates its hysteresis and outputs its voltage. Finally the structure advances by one sample.
 
 The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
 and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the commands times the decoupling; their
@@ -244,7 +244,7 @@ def hold_with_stage(own, held):
 
 @each
 def find_trip(laws, parts, row):
-    """Write into a row the reason of a stop of the plant, and whether the measurement is stale."""
+    """Write into a row why the plant is stopped, and whether the measurement is stale."""
     row[at.TRIPPED] = parts.plant.watch_x.trip[TRIP]
     row[at.CONTROLLER_MODE] = 0.0
     if is_stale(parts.controller.watch_p.guard, parts.controller.watch_x.guard):
@@ -260,7 +260,7 @@ def stop_axis(laws, parts, row):
 
 @each
 def hold_axis(laws, parts, row):
-    """Hold the controller of one axis while, by its row, the measurement of another axis is stale."""
+    """Hold the controller of one axis while its row reports that the measurement of another axis is stale."""
     hold_with_stage(parts.controller.watch_x.own, row[at.CONTROLLER_MODE])
 
 
@@ -371,12 +371,12 @@ class Stage:
 
     @property
     def group(self) -> GroupArrays:
-        """The arrays of what the axes have in common."""
+        """The arrays that the axes share."""
         return self._coupling.arrays
 
     @property
     def given(self) -> np.ndarray:
-        """Places in the row of an axis of the inputs of a run, for the loop."""
+        """Indices of the inputs of a run in the row of an axis."""
         return np.array(self.kind.given, dtype=float)
 
     def default_samples(self) -> int:
@@ -395,7 +395,8 @@ class Stage:
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        Setpoints, changes and signals go by the names of the axes; a sample is skipped (1) for all of them, or not (0).
+        Setpoints, changes and signals are given by the names of the axes. ``skipped`` is 1 for a sample that all axes
+        skip, otherwise 0.
         """
         waiting = self._sorted(changes or {})
         given = self.given

@@ -46,7 +46,7 @@ MOST_AXES = 16
 HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
 #: Parameters that all axes of a stage and the stage itself have in common.
 SHARED = ("sample_rate", "time_mode")
-#: Parameters of the plants that all axes have in common, because one thread has the time of the stage.
+#: Parameters of the plants that all axes have in common, because one thread paces the stage.
 OF_THE_CLOCK = (
     "real_time_factor",
     "samples",
@@ -178,7 +178,7 @@ def _singular(stage: StageNodeParameters):
 
 
 def _other_clock(axis: AxisParameters, first: AxisParameters):
-    """Yield a Problem for each parameter of the time of an axis that differs from that of the first axis."""
+    """Yield a Problem for each timing parameter of an axis that differs from that of the first axis."""
     own, wanted = axis.plant_simulator.to_mapping(), first.plant_simulator.to_mapping()
     for name in OF_THE_CLOCK:
         if own[name] != wanted[name]:
@@ -223,7 +223,7 @@ class StageParameters:
         Raises
         ------
         ConfigurationError
-            The file describes no stage, or other axes than the stage names.
+            The file describes no stage, or its axes are not those that the stage names.
         ParameterError
             A parameter is wrong, or parameters do not fit together; every problem is named with its section.
         """
@@ -284,7 +284,7 @@ class StageParameters:
 
     @property
     def scanning_axes(self) -> tuple[str, ...]:
-        """Names of the axes that follow x, y and, of a tilted plane, z of the scan; none without one."""
+        """Names of the axes that follow x, y and, of a tilted plane, z of the scan; empty without a scan."""
         scan = self.scan
         return () if scan is None else (self.stage.scan.axes or self.names)[: scan.axes]
 
@@ -306,7 +306,7 @@ class StageParameters:
             return found
         wrong = [name for name in names if name not in self.names]
         if wrong or len(set(names)) < scan.axes:
-            allowed = f"must name {scan.axes} different axes, of {', '.join(self.names)}"
+            allowed = f"must name {scan.axes} different axes out of {', '.join(self.names)}"
             raise ParameterError([Problem(f"{where}.axes", given.axes or self.names, allowed)])
         axes = list(self.axes)
         for name, coordinate in zip(names, COORDINATES, strict=False):
@@ -321,7 +321,7 @@ class StageParameters:
             what: tuple(getattr(source.approach, f"maximum_{what}") or np.inf for source in sources)
             for what in ("velocity", "acceleration", "jerk")
         }
-        # the samples show nothing beyond half their rate
+        # samples contain no frequencies beyond half their rate
         limits["bandwidth"] = 0.5 * self.sample_rate
         limits["low"] = tuple(source.minimum - source.initial_setpoint for source in sources)
         limits["high"] = tuple(source.maximum - source.initial_setpoint for source in sources)
@@ -441,7 +441,7 @@ class StageParameters:
         for axis in self.axes:
             found = {name: getattr(axis, name) for name in NODE_PARAMETERS}
             nodes |= {f"{axis.namespace}/{name}": node for name, node in found.items() if node is not None}
-        # ROS has no type for an empty array, and arrays that may be empty are so by default
+        # ROS has no type for an empty array, and arrays that may be empty are empty by default
         return dump_configuration(
             {
                 name: {key: value for key, value in node.to_mapping().items() if value != ()}

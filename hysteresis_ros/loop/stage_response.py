@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The linear response of a stage about rest, and what a scan asks of it: bandwidth and commands.
+"""The linear response of a stage about rest, and what a scan requires of it: bandwidth and commands.
 
 The bandwidth of the loop of an axis is the frequency up to which its displacement follows its reference with at least
-0.71 of the amplitude. What a scan needs is the frequency below which 99.99 % of the power of the path of that axis is.
-Feedback alone follows nothing beyond its bandwidth; learned corrections do, as far as the actuators reach.
+0.71 of the amplitude. The bandwidth that a scan needs is the frequency below which the path of that axis has 99.99 % of
+its power. Feedback alone cannot follow motions beyond its bandwidth; learned corrections can, within the range of the
+actuators.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.scan import OCCUPIED, rounded_down
 from hysteresis_ros.references.waveforms.scan import repetition
 
-#: Angle that stands for rest: integrators have no response at 0.
+#: Angle [rad per sample] used for rest, because the response of an integrator at 0 is infinite.
 RESTING = 1e-7
-#: Grid of the bandwidth of a loop, as parts of the sample rate.
+#: Grid of the bandwidth of a loop, as fractions of the sample rate.
 GRID = np.geomspace(1e-5, 0.5, 2000)
-#: Harmonics of a path below this part of the largest one do not count.
+#: Harmonics of a path below this fraction of the largest one do not count.
 SMALLEST = 1e-7
-#: Part of the amplitude that counts as followed.
+#: Smallest fraction of the amplitude that counts as followed.
 FOLLOWED = math.sqrt(0.5)
-#: Steps of the search for a frame rate that the actuators reach, each by this factor.
+#: Largest number of steps of the search for a frame rate within the range of the actuators, and the factor of a step.
 STEPS, SLOWER = 60, 0.97
 
 
@@ -63,7 +64,7 @@ def in_series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def stage_plant(parameters: StageParameters) -> StateSpace:
-    """Return the plant from the commands of the degrees of freedom to their measurements, the hysteresis compensated.
+    """Return the plant from the commands of the degrees of freedom to their measurements, with compensated hysteresis.
 
     It includes the delays of the actuators, and each measurement precedes the commands of its sample. With hysteresis
     inside the structure it is the linear plant for motions that are smaller than the radius of every play.
@@ -81,7 +82,7 @@ def stage_plant(parameters: StageParameters) -> StateSpace:
 
 
 def controllers_of(parameters: StageParameters) -> list[StateSpace]:
-    """Return controller and damping of each axis, inputs reference and measurement, output command."""
+    """Return the controller of each axis with its damping, from reference and measurement to the command."""
     found = []
     for axis in parameters.axes:
         controller = whole_loop(part(axis.motion_controller, ControllerParameters), 1.0 / parameters.sample_rate)[0]
@@ -94,16 +95,16 @@ def controllers_of(parameters: StageParameters) -> list[StateSpace]:
 
 
 def stage_loop(parameters: StageParameters) -> StateSpace:
-    """Return the loop transfer of a stage, cut at the commands of the degrees of freedom, negative feedback.
+    """Return the loop transfer of a stage, cut at the commands of the degrees of freedom, with negative feedback.
 
-    Controllers and dampings are linear about rest, as for the margins of a single axis.
+    Controllers and damping laws are linearised about rest, as for the margins of a single axis.
     """
     feedbacks = [StateSpace(one.A, one.B[:, 1:], -one.C, -one.D[:, 1:]) for one in controllers_of(parameters)]
     return in_series(stage_plant(parameters), diagonal(feedbacks))
 
 
 def stage_response(parameters: StageParameters, angles) -> np.ndarray:
-    """Return the closed loop from references to displacements at angles in the z plane, shape (F, n, n)."""
+    """Return the closed loop from references to displacements at angles [rad per sample], shape (F, n, n)."""
     z = np.exp(1j * np.maximum(np.abs(angles), RESTING))
     plant, count = stage_plant(parameters).response(z), len(parameters.names)
     both = np.array([one.response(z)[:, 0] for one in controllers_of(parameters)])
@@ -148,7 +149,7 @@ def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
 
 
 def loop_bandwidths(parameters: StageParameters) -> np.ndarray:
-    """Return up to which frequency each axis follows its reference, shape (n,) [Hz]."""
+    """Return the frequency up to which each axis follows its reference, shape (n,) [Hz]."""
     sizes = np.abs(np.diagonal(stage_response(parameters, 2.0 * np.pi * GRID), axis1=1, axis2=2))
     lost = sizes < FOLLOWED
     first = np.where(lost.any(axis=0), np.argmax(lost, axis=0), len(GRID) - 1)
@@ -156,7 +157,7 @@ def loop_bandwidths(parameters: StageParameters) -> np.ndarray:
 
 
 def path_bandwidths(parameters: StageParameters) -> np.ndarray:
-    """Return below which frequency 99.99 % of the power of the path of each axis is, shape (n,) [Hz]; 0: it holds."""
+    """Return the frequency below which the path of each axis has 99.99 % of its power, shape (n,) [Hz]; 0: at rest."""
     paths = scanned_paths(parameters)
     power = np.cumsum(np.abs(np.fft.rfft(paths, axis=1)[:, 1:]) ** 2, axis=1)
     found = []
@@ -167,12 +168,12 @@ def path_bandwidths(parameters: StageParameters) -> np.ndarray:
 
 
 def check_scan(parameters: StageParameters) -> None:
-    """Refuse a scan that needs commands beyond the reach of the actuators, whatever controls them.
+    """Refuse a scan that needs commands beyond the range of the actuators; the controller makes no difference.
 
     Raises
     ------
     ParameterError
-        The message says which actuator, by how much, and which frame rate it reaches.
+        The message states the actuator, the excess, and the highest frame rate within its range.
     """
     scan = parameters.scan
     if scan is None:
@@ -185,16 +186,16 @@ def check_scan(parameters: StageParameters) -> None:
     rate = 0.0 if slower is None else rounded_down(slower * scan.rate)
     remedy = f"allowed: ≤ {rate:.4g} Hz, a frame in {1.0 / rate:.4g} s or more" if rate else "make the scan smaller"
     text = (
-        f"the actuator of {parameters.names[place]} would need commands that are {over[place]:.4g} times as far from "
-        f"the middle as it reaches; {remedy}"
+        f"the actuator of {parameters.names[place]} would need commands that are {over[place]:.4g} times its range, "
+        f"from the middle of the scan; {remedy}"
     )
     raise ParameterError([Problem("scan: frame_rate", scan.rate, text)])
 
 
 def _overreach(parameters: StageParameters, speed: float) -> np.ndarray:
-    """Return the largest command of each actuator as a part of its reach on that side, shape (n,).
+    """Return the largest command of each actuator as a fraction of its range on that side, shape (n,).
 
-    Units: ``speed`` of the scan as a part of the configured one.
+    Units: ``speed`` of the scan as a fraction of the configured speed.
     """
     paths = scanned_paths(parameters)
     count = paths.shape[1]

@@ -29,7 +29,7 @@ from hysteresis_ros.recordings.dataset import Recording, note_output, output_tol
 
 #: Number of instants within each sample at which displacements are computed.
 INSTANTS = 5
-#: Largest condition number of the modes for which a structure is continued between its samples.
+#: Largest condition number of the modes for which a structure is integrated between its samples.
 WORST_CONDITION = 1e10
 
 
@@ -133,7 +133,7 @@ def displacements_between(
     else:
         preloads = np.array([axis.plant_simulator.preload.offset for axis in parameters.axes])
         between = np.tensordot(parameters.stage.matrix("sensor_matrix"), found + preloads[:, None, None], 1)
-    # behind the last sample nothing is recorded
+    # nothing is recorded after the last sample
     time = (recording.time[:-1, None] + places * step).ravel()
     between = between[:, :-1].reshape(len(names), -1)
     return np.append(recording.time[0], time), np.hstack([sampled[:, :1], between])
@@ -193,10 +193,10 @@ class CouplingError:
 def coupling_errors(parameters: StageParameters, duration: float | None = None) -> list[CouplingError]:
     """Return how far a scan of each axis moves the others, in runs of ``duration`` [s] or of the waveforms' length.
 
-    Every axis with a waveform scans in its own run while the others hold their setpoints. From their displacements,
-    those of a run in which all axes hold are subtracted. Both runs have the same sensor noise, which therefore cancels,
-    and so do creep and the approach to the setpoint. The true displacements are compared. The result is empty for a
-    single axis, and when no axis has a waveform.
+    Every axis with a waveform scans in its own run while the others hold their setpoints. The displacements of a run in
+    which all axes hold are subtracted. Both runs have the same sensor noise, which therefore cancels, and so do creep
+    and the approach to the setpoint. The true displacements are compared. The result is empty for a single axis, and
+    when no axis has a waveform.
     """
     scanning = [name for name in parameters.names if parameters.waveform(name) != "hold"]
     found: list[CouplingError] = []

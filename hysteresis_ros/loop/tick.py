@@ -12,8 +12,8 @@
 plant (measure) → source → controller → compensator → plant (hold the voltage)
 
 Every part reads the other parts' signals from the row of the sample and writes its own signals into it;
-:mod:`hysteresis_ros.signals` defines the places in the row. Offline, a row is a line of the table of the run; a node
-has its own row, into which it writes the contents of its messages.
+:mod:`hysteresis_ros.signals` defines the index of each signal in the row. Offline, a row is a line of the table of the
+run; a node has its own row, into which it writes the contents of its messages.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hysteresis_ros.models.block import kernels_of, nested
 
 @kernels_of("kernel", "kernel", "kernel", "kernel", "controller", "kernel", "inverse")
 class Laws(NamedTuple):
-    """The kernels of an axis; an unused place holds a placeholder."""
+    """The kernels of an axis; an unused entry is a placeholder."""
 
     hysteresis: Callable
     front_hysteresis: Callable

@@ -48,9 +48,9 @@ GUARD_PARAMETERS = 4
 
 # State of a guard.
 GOOD = 0  # last good value
-AGE = 1  # samples since then
+AGE = 1  # samples since the last good value
 BEGUN = 2  # 1 after the first good value
-STAMP = 3  # its sample number
+STAMP = 3  # sample number of the last good value
 SUSPECTS = 4  # values in a row that were rejected as spikes
 SAME = 5  # equal values in a row
 LAST = 6  # last value, good or not
@@ -72,9 +72,9 @@ def samples_of(duration: float, sample_rate: float) -> float:
 def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
-    It rejects values that are not finite, not newer than the last one by their sample number ``stamp``, too far from
-    the last one, or from a frozen sensor. After a time-out the next finite value is accepted, because nothing recent
-    could contradict it.
+    A value is rejected when it is not finite, not newer than the last good one by its sample number ``stamp``, too far
+    from the last good one, or from a frozen sensor. After a time-out the next finite value is accepted, because nothing
+    recent could contradict it.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -116,7 +116,7 @@ def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
 
 @kernel
 def is_stale(p, x):
-    """Tell whether a guard has had no good value for its time-out; never before the first one."""
+    """Tell whether a guard has had no good value for its time-out; false before the first good value."""
     return x[AGE] >= p[TIMEOUT]
 
 
@@ -136,7 +136,7 @@ HOLD_PARAMETERS = 4
 # State of a held voltage.
 HELD = 0  # output [V]
 GIVEN = 1  # last received voltage [V]
-HELD_AGE = 2  # samples since then
+HELD_AGE = 2  # samples since the last received voltage
 HELD_BEGUN = 3  # 1 after the first received voltage
 FOLLOWS = 4  # 1 while the output equals the received voltage
 HOLD_STATES = 5
@@ -190,5 +190,5 @@ def least_beside(x, other):
 
 
 def hold_state(voltage: float) -> np.ndarray:
-    """Return the state of a held voltage with the output ``voltage`` [V], before any was received."""
+    """Return the state of a held voltage with the output ``voltage`` [V], before any voltage was received."""
     return np.array([voltage, voltage, 0.0, 0.0, 1.0])

@@ -269,8 +269,8 @@ def test_setpoints_of_a_run_are_a_row_for_each_axis(given):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ({"config": "inchworm_travel", "axes": 2}, "type = 'inchworm': an array has simulated actuators"),
-        ({"config": "auwal2017_camera", "axes": 2}, "type = 'camera': an array has simulated actuators"),
+        ({"config": "inchworm_travel", "axes": 2}, "type = 'inchworm': an array contains only simulated actuators"),
+        ({"config": "auwal2017_camera", "axes": 2}, "type = 'camera': an array contains only simulated actuators"),
         ({"config": "xy_scanner", "axes": 2}, "this is a stage of coupled axes"),
         ({"config": "kim2009", "axes": 2, "requests": [1.0]}, "axes: requests, speeds, a scan and setpoints"),
         ({"config": "kim2009", "axes": 2, "setpoints": {"x": [0.0]}}, "axes: requests, speeds, a scan and setpoints"),

@@ -268,7 +268,7 @@ WRONG = [
     ("drop:0:1:1.5", "VALUE must be within 0 … 1"),
     ("late:0:1:0", "VALUE must be within 1 … 10000 samples"),
     ("late:0:1:2.5", "VALUE must be within 1 … 10000 samples"),
-    ("lost_grip:0:1", "only an inchworm motor has it"),
+    ("lost_grip:0:1", "only an inchworm motor can have this fault"),
 ]
 
 
@@ -300,7 +300,7 @@ def test_simulate_says_what_each_time_out_means_and_what_the_parts_did(tmp_path)
     code, lines = hysteresis("simulate", "kim2009", "-o", tmp_path / "x.npz", *words)
     text = "\n".join(lines)
     assert code == 0, text
-    assert "motion_controller measurement_timeout = 0.2 s = 600 samples: no usable measurement" in text
+    assert "motion_controller measurement_timeout = 0.2 s = 600 samples: without a usable measurement" in text
     assert "hysteresis_compensator command_timeout = 0.4 s = 1200 samples" in text
     assert "plant_simulator late_limit = 1500: more than 1500 late voltages in a row or within 3000 samples" in text
     assert "controller: holding from 0.1 to 0.299333 s (599 samples)" in text
@@ -325,7 +325,7 @@ def test_faults_stand_in_a_configuration_once_for_all_nodes():
     [
         ("motion_controller", {"faults": ["stale:0:1"]}, "motion_controller: faults", "give it once, under '/**'"),
         ("every", {"faults": ["frosen:0:1"]}, "faults", "did you mean frozen?"),
-        ("every", {"faults": ["lost_grip:0:1"]}, "faults", "only an inchworm motor has it"),
+        ("every", {"faults": ["lost_grip:0:1"]}, "faults", "only an inchworm motor can have this fault"),
         ("every", {"faults": ["stale:0:0.0001"]}, "faults", "shorter than a sample"),
     ],
 )

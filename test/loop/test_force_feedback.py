@@ -90,7 +90,7 @@ def test_a_force_that_was_never_there_moves_nothing():
     with pytest.raises(ParameterError, match=r"motion_controller: damping\.type = 'iff': missing force joint 'force'"):
         parameters("stage700", plant_simulator={"force_sensor__stack_stiffness": 0.0}, motion_controller=IFF)
     camera = {"force_joint": "stage"}
-    with pytest.raises(ParameterError, match=r"force_joint = 'stage': must be another name than joint"):
+    with pytest.raises(ParameterError, match=r"force_joint = 'stage': must differ from joint"):
         parameters("stage700", every=camera)
 
 

@@ -64,7 +64,7 @@ def test_axes_are_chosen_by_name_and_the_others_hold():
     np.testing.assert_allclose(run["x/reference"], path[1], atol=1e-15)
     with pytest.raises(ConfigurationError, match="no end"):
         simulate_stage(parameters)
-    assert "must name 2 different axes, of x, y" in refused(RASTER, stage={"scan__axes": ["y", "z"]})
+    assert "must name 2 different axes out of x, y" in refused(RASTER, stage={"scan__axes": ["y", "z"]})
     assert "must name 3 different axes" in refused((*RASTER, "axes=3"))
 
 
@@ -139,7 +139,9 @@ def test_a_scan_beyond_what_actuators_and_samples_can_do_is_refused():
     fast = following("lissajous", (*values[:3], values[3].format(800)), reference_generator=limits)
     with pytest.raises(ParameterError) as error:
         check_scan(fast)
-    words = re.search(r"would need commands that are (\S+) times .* reaches; allowed: ≤ (\S+) Hz", str(error.value))
+    words = re.search(
+        r"would need commands that are (\S+) times its range, .* scan; allowed: ≤ (\S+) Hz", str(error.value)
+    )
     assert float(words[1]) > 1.5
     rate = int(float(words[2]))
     assert 400 < rate < 800

@@ -93,7 +93,7 @@ def test_a_stage_that_dies_is_named_and_the_axis_stays_stopped(processes, observ
 @pytest.mark.parametrize(
     ("driver", "words"),
     [
-        ("simulated", "driver = 'simulated': is written in Python, which would wait for its lock"),
+        ("simulated", "driver = 'simulated': is written in Python, which would wait for the interpreter lock"),
         (None, "stage /nowhere_at_all is not there; start `stage_device"),
     ],
 )

@@ -95,7 +95,7 @@ def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are
 def test_commands_that_the_lag_makes_larger_than_the_stroke_are_named():
     # the lag of the stage passes 71 % at 12 Hz: 24 µm around the middle need 34, there are 25
     changed = {"minimum": 0.0, "maximum": 50e-6}
-    with pytest.raises(ParameterError, match=r"waveform\.frequency = 12\.0.*pass 71\.1 % there: the sine needs"):
+    with pytest.raises(ParameterError, match=r"frequency = 12\.0.*pass 71\.1 % at this frequency: the sine needs"):
         axis("picma_stage", reference_generator=sine(24e-6, 12.0, 25e-6, **changed))
     followed = axis("picma_stage", reference_generator=sine(24e-6, 1.0, 25e-6, **changed))
     assert reach_warnings(followed) == ()
