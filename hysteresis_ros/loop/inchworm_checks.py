@@ -67,7 +67,7 @@ def inchworm_problems(plant, parts):
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
-    """Return the warnings: clamps below twice the load, a load too heavy for the stroke, motions that are too fast."""
+    """Return the warnings: clamps that hold less than twice the load, a load too heavy for the stroke, too fast motions."""
     return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
 
 

@@ -69,7 +69,7 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
         if not wanted.label and wanted.id not in allowed:
             now = self._state_machine.current_state[1]
             names = ", ".join(f"{label} ({number})" for number, label in allowed.items())
-            self.get_logger().warning(f"transition {wanted.id} refused: {now} now, which allows {names}")
+            self.get_logger().warning(f"transition {wanted.id} refused: the node is {now}, which allows {names}")
             response.success = False
             return response
         return getattr(super(), _CHANGE_STATE)(request, response)
@@ -216,7 +216,7 @@ class ChangeLog:
         return list(self._entries)[len(self._entries) - new :], self._made
 
     def end(self, sample: int, stopped: bool = False) -> None:
-        """Publish once that the run has ended at a sample; later entries do not belong to the run."""
+        """Publish the end of the run at a sample, once; later entries do not belong to the run."""
         if not self._is_over:
             self._is_over = True
             extra = {"stopped": True} if stopped else {}
@@ -336,7 +336,7 @@ def _at_work(node) -> tuple[int, str, dict]:
     elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
         level = WARN  # the other nodes are still starting
     elif late and not level:
-        level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the one before"
+        level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the previous one"
     contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep a second publisher ends the run
     if contested:
         node.warn("others", contested, every=10.0, error=True)
@@ -650,7 +650,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         answer = self._answer_service(response, "reset")
         if answer.success:
             stopped = "; stopped: call ~/start to resume" if not self.running else ""
-            still = f"; before it did not work: {before}; if that is still so, it does not now" if before else ""
+            still = f"; before the reset it did not run: {before}; it runs only when this is resolved" if before else ""
             answer.message = f"reset{stopped}{still}"
         return answer
 

@@ -11,7 +11,7 @@
 
 The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
 (:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at
-``publish_rate``, with the stamps of the samples. The ring of the loop holds every sample.
+``publish_rate``, with the stamps of the samples. The ring of the loop contains every sample.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ SWITCH_INTERVAL = 5e-4
 #: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
 COMPILING_TEXT = (
-    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start takes it "
+    "compiling the loop, which takes 10 to 60 s once; the nodes do not answer meanwhile, and the next start loads it "
     "from the cache"
 )
 
@@ -99,14 +99,14 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 class FusedAxis:
     """The nodes of one axis in this process, and the loop that runs once all nodes of its axes are active.
 
-    The axes of a stage share one loop: each has its place in it. They start, stop and reset together.
+    The axes of a stage share one loop, in which each has an index. They start, stop and reset together.
     """
 
     def __init__(self, first: FusedAxis | None = None, stage: StageParameters | None = None):
         self.nodes: dict = {}
         self.loop: FusedLoop | None = None
         self.axis: Axis | None = None
-        #: The axes that share the loop, in the order of their places.
+        #: The axes that share the loop, in the order of their indices.
         self.together: list[FusedAxis] = [] if first is None else first.together
         self.place = len(self.together)
         self.together.append(self)
@@ -153,7 +153,7 @@ class FusedAxis:
 
     @property
     def _is_complete(self) -> bool:
-        """Whether all nodes are there: those of another axis of a stage may still have to be made."""
+        """Whether all nodes exist: those of another axis of a stage may not have been created yet."""
         if self._stage is None:
             return True
         return len(self.together) == len(self._stage.axes) and all(
@@ -192,7 +192,7 @@ class FusedAxis:
             loop.halt()
 
     def _enter(self, loop: FusedLoop, axis: Axis) -> None:
-        """Show the parts of an axis of a loop that is about to start, which takes the state of the nodes."""
+        """Give the nodes their parts of a loop that is about to start, and the loop the state of the nodes."""
         self.axis, self.loop = axis, loop
         self._over = self._leaving = False
         self._told.clear()
@@ -213,7 +213,7 @@ class FusedAxis:
 
     @contextlib.contextmanager
     def _compilation_reported(self):
-        """Log that the loop is being compiled if what is done here takes long."""
+        """Log that the loop is being compiled if the enclosed code takes longer than ``COMPILING``."""
         report = threading.Timer(COMPILING, self.plant.get_logger().info, [COMPILING_TEXT])
         report.start()
         try:
@@ -284,12 +284,12 @@ class FusedAxis:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
-        """Let the part of a node begin again with everything at rest, of a plant all parts; samples count on."""
+        """Reset the part of a node to rest, for the plant all parts; the count of samples continues."""
         if self.loop is None or self.axis is None:
             return
         whole = node.kind == "plant_simulator"
         if whole:
-            self._make_safe()  # a reset part puts out no voltage, so from any other state the voltage would step
+            self._make_safe()  # a reset part outputs no voltage, so from any other state the voltage would step
         axes = self.together if whole else [self]
         for name in reversed(self.plant.axis_kind.nodes) if whole else (node.kind,):
             if name in self.axis.by_node:
@@ -391,10 +391,14 @@ class FusedAxis:
         assert self.loop is not None
         driver = self.plant.parameters.driver
         watchdog = self.plant.part.capabilities.watchdog if driver else None
-        acts = f"acts after {watchdog:g} s without a voltage" if watchdog else "does not exist"
+        acts = (
+            f"makes it safe after {watchdog:g} s without a voltage"
+            if watchdog
+            else "does not exist, so nothing makes it safe"
+        )
         return (
-            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is sent, "
-            f"and only the device's own watchdog, which {acts}, makes it safe; remove what blocks the driver"
+            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is sent; "
+            f"the device's own watchdog {acts}; remove what blocks the driver"
         )
 
     def _show(self, samples) -> None:
@@ -542,5 +546,5 @@ class Fused(RealTime):
         return (
             f"more than {limit} samples within a second were skipped at {rate:g} Hz "
             f"({found.missed} so far; 99 % of all began within {1e6 * found.p99:.3g} µs): give the loop a processor "
-            "and priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
+            "core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
         )

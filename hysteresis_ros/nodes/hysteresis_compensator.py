@@ -27,7 +27,7 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
-#: Longest ramp to the safe voltage when the node exits [s]; the rest of the way is then one step of the voltage.
+#: Longest ramp to the safe voltage when the node exits [s]; after it the voltage steps to the safe voltage.
 LEAVING_TIME = 0.3
 
 _COMPENSATE = interpreted(compensate)
@@ -174,11 +174,11 @@ class HysteresisCompensatorNode(Responder):
 
     @property
     def rests(self) -> bool:
-        """Whether it is stopped and its voltage safe."""
+        """Whether the node is stopped and its voltage is safe."""
         return not self.running and self.voltage == self.parameters.safe_voltage
 
     def go_safe(self) -> None:
-        """Publish the ramp to the safe voltage; in lockstep, which has no time, the safe voltage only."""
+        """Publish the ramp to the safe voltage; in lockstep, where no time passes, only the safe voltage."""
         if self.sample == 0:
             return
         self.part.stop()
@@ -205,7 +205,7 @@ class HysteresisCompensatorNode(Responder):
         return {AMPLIFIER: self.compensator.limits.limited_samples}
 
     def release(self) -> None:
-        """Log once, at the end, for how long of the run the limits restricted the voltage."""
+        """Log once, at the end, for how long in the run the limits restricted the voltage."""
         if self.part is None or self._told:
             return
         self._told = True

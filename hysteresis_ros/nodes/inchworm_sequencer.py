@@ -41,7 +41,7 @@ ERRORS = {
     "~/start",
     at.RUNAWAY_ERROR: "the slider moved although nothing should move it (guard.runaway {runaway:g} m): both clamps "
     "hold; check clamps and load, then call ~/start",
-    at.SLIP_ERROR: "the front clamp slips (guard.slip {slip:g} m) again and again: both clamps hold; raise its voltage "
+    at.SLIP_ERROR: "the front clamp slips (guard.slip {slip:g} m) repeatedly: both clamps hold; raise its voltage "
     "or lower the load, then call ~/start",
 }
 
@@ -130,7 +130,7 @@ class InchwormSequencerNode(ReferenceSource):
             x[at.FRONT_VOLTAGE] = x[at.FRONT_FROM] = front
             x[at.REAR_VOLTAGE] = x[at.REAR_FROM] = rear
 
-    # -- what people ask for -----------------------------------------------------------------------------------
+    # -- requests of the user ---------------------------------------------------------------------------------
 
     def take_setpoint(self, value: float) -> str:
         """Take a setpoint [m]; return why it is refused, empty when it is taken."""
@@ -299,7 +299,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # closing both clamps takes too long at this speed of the gait
+        # at this speed of the gait both clamps would close too late, so the grip voltage is output at once
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()

@@ -112,8 +112,8 @@ def require_ros() -> None:
 def node_environment() -> dict[str, str]:
     """Return the environment of ``python -m`` processes, which must not import modules from the current folder.
 
-    Otherwise a file ``yaml.py`` beside a user's recordings would replace the library. The folder of this package stays
-    in the path when it is itself the current one, as in a clone that is not installed.
+    Otherwise a file ``yaml.py`` in the folder of a user's recordings would replace the library. The folder of this
+    package stays in the path when it is itself the current one, as in a clone that is not installed.
     """
     environment = dict(os.environ, PYTHONSAFEPATH="1")
     home = pathlib.Path(__file__).resolve().parents[2]
@@ -124,7 +124,7 @@ def node_environment() -> dict[str, str]:
 
 
 class GraphError(HysteresisError):
-    """A node died or refused to start; the rest of the graph was brought down."""
+    """A node ended or refused to start; the other nodes of the graph were stopped."""
 
     def __init__(self, text: str, exit_code: int):
         super().__init__(text)
@@ -247,7 +247,7 @@ class Graph:
             self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
 
     def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
-        """Start the nodes of all axes: a process for those of one kind, or one process, which a fused stage needs."""
+        """Start the nodes of all axes: one process per kind of node, or a single one, which a fused stage needs."""
         axes = [replace(axis, recorder=replace(axis.recorder, configuration=str(path))) for axis in self.axes]
         path.write_text(replace(stage, axes=tuple(axes)).configuration_text(), encoding="utf-8")
         fused = stage.stage.time_mode == "fused"

@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return number and command line of the process that has claimed a node; '' without such a process."""
+    """Return the number and the command line of the process that has claimed a node; '' if there is none."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -155,7 +155,7 @@ class IdentifiedSubscription(Waitable):
             node.add_waitable(waitable)
 
     def hand_over_to(self, callback) -> None:
-        """Pass all further messages to another callback; None: to none."""
+        """Pass all further messages to another callback; None: discard them."""
         self._callback = callback
 
     def __enter__(self):
@@ -227,7 +227,7 @@ class Master:
         self.identity: bytes | None = None
         #: Full name of the node of the active publisher, once the graph knows it.
         self.name = ""
-        #: Whether the user has allowed another node to replace the active publisher once that is silent or has left.
+        #: Whether the user has allowed another node to replace an active publisher that is silent or has left.
         self.released = False
         self._rival = b""
         self._was_there = False
@@ -407,7 +407,7 @@ class Masters:
         self._node.get_logger().info(
             f"{master.topic} is now accepted from {self.name_of(master.topic, identity)}: the previous publisher has "
             f"left, or has been silent for {self.patience:g} s, and the new one "
-            + ("is the same node" if not master.released else "was allowed by ~/reset")
+            + ("has the same node name" if not master.released else "was allowed by ~/reset")
         )
 
     def replaced(self, master: Master) -> None:
@@ -437,8 +437,8 @@ class Masters:
 def publishers(node, topic: str) -> list[str]:
     """Return the full names of the nodes that publish a topic of the loop, except joint_states, which may have many.
 
-    A killed node stays in the graph for some seconds beside its replacement, so equal names count once. Publishers
-    without a known name are all counted.
+    A killed node stays in the graph for some seconds together with its replacement, so equal names count once.
+    Publishers without a known name are all counted.
     """
     if node.count_publishers(topic) < 2:
         return []

@@ -179,7 +179,7 @@ class MotionControllerNode(Responder):
         self._connect_part()
         self.compile()
         if parameters.time_mode == "realtime":
-            self.part.prepare()  # otherwise a change of the controller would halt the loop
+            self.part.prepare()  # otherwise a change of the controller would stop the loop for its compilation
         self._clear()
 
     def _connect_part(self) -> None:
@@ -254,7 +254,7 @@ class MotionControllerNode(Responder):
 
     @property
     def rests(self) -> bool:
-        """Whether it is stopped and its command safe."""
+        """Whether the node is stopped and its command is safe."""
         return not self.running and self.command == self.parameters.safe_command
 
     def stopped(self) -> str:
@@ -284,7 +284,7 @@ class MotionControllerNode(Responder):
         return self.parameters.use_origin and self._mode == HOLDING
 
     def change_details(self) -> dict:
-        """Return whether the last sample still lacks its achieved command; a change now takes effect before it."""
+        """Return whether the last sample still lacks its achieved command; a change then precedes that command."""
         if self.runner.exact and not self.runner.confirmed:
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
@@ -321,7 +321,7 @@ class MotionControllerNode(Responder):
     # -- messages ------------------------------------------------------------------------------------------------
 
     def read(self, message, row) -> bool:
-        """Also write the measured force into the row, NaN without one; some damping laws require it."""
+        """Also write the measured force into the row, NaN if none is measured; some damping laws require it."""
         if not super().read(message, row):
             return False
         joint, names = self.parameters.force_joint, message.name
@@ -420,7 +420,7 @@ class MotionControllerNode(Responder):
         if self.unpaired:
             return 2, "reference and origin are stale", values
         if self.runner.absent:
-            text = f"{' and '.join(self.runner.absent)} no longer received: the last value is kept"
+            text = f"{' and '.join(self.runner.absent)} no longer received; the last value is kept"
             self.warn("absent", text, every=10.0)
             return 1, text, values
         if rejected:

@@ -103,14 +103,14 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
         return None
     there = ", ".join(map(str, folders)) or "nowhere"
     remedy = (
-        f"a file named over the graph must be in {there} ({where}); name one there, give it in the parameter "
+        f"a file named over the graph must be in {there} ({where}); choose a file there, give it in the parameter "
         f"file of the node, or start the node with {FOLDERS}=FOLDER"
     )
     return Problem(row.name, value, remedy)
 
 
 def _working_folder() -> list[pathlib.Path]:
-    """Return the working folder; None for the root folder, which contains every file."""
+    """Return the working folder; an empty list for the root folder, which contains every file."""
     folder = pathlib.Path.cwd()
     return [folder] if folder != pathlib.Path(folder.anchor) else []
 

@@ -38,7 +38,7 @@ from hysteresis_ros.nodes.realtime import (
 )
 from hysteresis_ros.nodes.spin import QUIET
 
-#: Real time: a wait is interruptible until this time before its end, then a sleep, which is more accurate [s].
+#: Real time: this long before its end [s] an interruptible wait continues as a sleep, which is more accurate.
 EXACT_WAIT = 0.02
 
 #: Interval at which a device is kept alive between samples [s].
@@ -47,11 +47,11 @@ PAUSE = 0.01
 #: Nodes of an axis that read joint_states.
 READERS = 3
 
-#: Delay [periods] above which the schedule is shifted instead of caught up with.
+#: Delay [periods] above which the schedule is shifted; a smaller delay is caught up.
 FAR_BEHIND = 10.0
 
-#: Time [s] and number of periods without a voltage after which none counts as pending; and the maximum wait, as a
-#: multiple of these.
+#: Time [s] and number of periods without a voltage, the longer of which must pass until none counts as pending; and the
+#: maximum wait, as a multiple of this time.
 ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Nodes whose absence opens the loop.
@@ -133,7 +133,7 @@ class LockstepPlant(Lockstep):
 
     @property
     def is_answered(self) -> bool:
-        """Whether all voltages of the present sample have come."""
+        """Whether all voltages of the present sample have arrived."""
         return self.is_measured and len(self._came) == len(self.node.inputs)
 
     def finish_sample(self) -> None:
@@ -197,9 +197,9 @@ class RealTimePlant(RealTime):
     """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
     A voltage carries no number, so it is assigned to a sample by count. A voltage that answers an earlier sample is
-    late; the last voltage in time is held instead, unless any number may be late or the loop is open. At the first
-    voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered samples is unknown: the
-    next sample then waits until no voltage is pending, and the count starts there. A node that joins a running axis
+    late; the last voltage in time is held instead, unless ``late_limit`` allows any number or the loop is open. At the
+    first voltages, after a reset and after ``~/start`` of a stopped axis, the number of unanswered samples is unknown:
+    the next sample then waits until no voltage is pending, and the count starts there. A node that joins a running axis
     does not delay the samples: voltages are accepted as they arrive until some samples in a row have been answered, and
     are counted from there.
     """
@@ -214,7 +214,7 @@ class RealTimePlant(RealTime):
         self._published = array("d", bytes(8 * PUBLISHED))
         self._answers = array("d", bytes(8 * ANSWERS))
         self._answered = 0
-        # the thread writes one, the executor the other
+        # the timing thread writes _asked, the executor _given
         self._asked = 0
         self._given: dict[str, int] = {}
         self._heard: dict[str, float] = {}  #: Awake time of the last voltage of each topic [s].
@@ -535,11 +535,11 @@ class RealTimePlant(RealTime):
 
     @property
     def is_unaligned(self) -> bool:
-        """Whether the count of voltages has to start anew before the next sample."""
+        """Whether the count of voltages must restart before the next sample."""
         return self._unaligned
 
     def align_now(self) -> bool:
-        """If the count has to start anew, wait until no voltage is pending; return whether it had to."""
+        """If the count must restart, wait until no voltage is pending; return whether it was restarted."""
         if self._unaligned:
             self._align()
             return True

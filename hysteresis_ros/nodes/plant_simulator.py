@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
+"""Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it sets the sample times of the axis.
 
 The simulated plant is a part of the loop (:mod:`hysteresis_ros.loop.plant`); an inchworm has three voltages and four
 joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.device`). Its runner decides when a sample is
@@ -128,7 +128,7 @@ def explain_trip(part, runner) -> str:
         return "an emergency stop (~/stop of a fused axis, or estop); call ~/start to resume"
     if part.overtravelled:
         low, high = part.travel
-        where = f"measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm (overtravel)"
+        where = f"the measurement is beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm (overtravel)"
         others = "check gains, delay and scaling"
         late = runner.late_samples
         if not late:
@@ -173,7 +173,7 @@ _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 class PlantSimulatorNode(AxisNode):
     """Simulates an actuator or an inchworm motor in place of real hardware.
 
-    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived (of an inchworm all three).
+    ``lockstep``: publishes sample k and advances to k+1 only when voltage k has arrived (for an inchworm all three).
     ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
@@ -216,7 +216,7 @@ class PlantSimulatorNode(AxisNode):
         if parameters.external_plant:
             raise ConfigurationError(
                 "external_plant = True: your own node replaces this one; do not start this one (`hysteresis up --plant "
-                "external`), or set it to false"
+                "external`), or give external_plant: false"
             )
         self.parameters = parameters
         self.part = self.make_part(parameters)
@@ -287,7 +287,7 @@ class PlantSimulatorNode(AxisNode):
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
     def state_signals(self) -> dict[str, str]:
-        """Return the content of ``~/state``, without the true displacement of a device or a camera measurement."""
+        """Return the content of ``~/state``; it lacks a device's true displacement, and a camera's measurement."""
         unknown = "displacement" if self.parameters.driver else "measured" if self.is_seen else ""
         return {name: signal for name, signal in super().state_signals().items() if name != unknown}
 
@@ -353,7 +353,7 @@ class PlantSimulatorNode(AxisNode):
             self.log_change("halt")
 
     def lose(self, name: str) -> None:
-        """Stop the axis with a latch because one of its nodes is lost; called with the lock held."""
+        """Stop the axis until ~/start because one of its nodes is lost; called with the lock held."""
         if not self.part.tripped:
             self.log_change("halt")
         elif self.part.lost != name:
@@ -474,7 +474,7 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
-        # only on the way back to a path; the cause of a way to safe is reported elsewhere
+        # only while the output returns to the path; the cause of a motion to safe is reported elsewhere
         if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
             differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
             self.held_back += int(differs)
@@ -498,7 +498,7 @@ class PlantSimulatorNode(AxisNode):
             self.warn(input_.topic, f"{input_.topic} {voltage} V refused, {self.part.held():.6g} V kept")
 
     def loop_complete(self) -> bool:
-        """Return whether every voltage, and the commands behind it, have a publisher."""
+        """Return whether the command and every voltage have a publisher."""
         topics = (self.resolve_topic_name("command"), *(input_.full_name for input_ in self.inputs))
         return all(self.count_publishers(topic) for topic in topics)
 
@@ -603,7 +603,7 @@ class PlantSimulatorNode(AxisNode):
         super().destroy_node()
 
     def make_safe(self) -> None:
-        """Move a device to its safe state, unless a loop still runs it, which holds the safe voltage."""
+        """Move a device to its safe state, unless a loop still runs it and holds the safe voltage."""
         if self.is_fused and self.fused.loop.running:
             return
         patience = time.monotonic() + RETURN

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real-time mode: the plant or a driver keeps the time; all other nodes answer its measurements on arrival.
+"""Real-time mode: the plant or a driver sets the sample times; all other nodes answer its measurements on arrival.
 
 Within a sample the order is the same as in lockstep: a measurement is answered when the other inputs of its sample have
 arrived. Float64 messages carry no number, so they are assigned to measurements by count. An input that has not arrived
@@ -59,7 +59,7 @@ AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
 #: Reason for the loss of a partner that has been replaced.
 ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not announced that it stops"
 
-#: The node that keeps the time; without its measurements no other node can be expected to send anything.
+#: The node that sets the sample times; without its measurements no other node can be expected to send anything.
 PLANT = "plant_simulator"
 
 #: Fraction of the loss time after which measurements count as paused; their answers are then matched anew.
@@ -68,7 +68,7 @@ PAUSED = 0.5
 #: Consecutive samples that an input may miss before it is no longer awaited.
 GIVE_UP = 3
 
-#: Consecutive measurements that may find a waiting message before its first one is dropped as surplus.
+#: Number of consecutive measurements at which a message already waits, after which the oldest message is dropped.
 SUSPICION = 50
 
 #: Maximum number of waiting measurements; beyond it the oldest ones are answered.
@@ -126,7 +126,7 @@ class Follower:
         """Note a message."""
         self.last = data
         if not self.present:
-            # its measurement has been answered; the next message is awaited
+            # the measurement of this message has already been answered; the next message is awaited
             self.present, self._owed, self._missed = True, 0, 0
             self.waiting.clear()
         elif self._owed:
@@ -183,8 +183,8 @@ class RealTime(Runner):
         node = self.node
         if node.active and not node.rests and self.is_live:
             raise HysteresisError(
-                f"refused: the axis is live, and {node.kind} alone would make it jump; call ~/stop and wait until it "
-                "is safe, deactivate it, or reset the plant"
+                f"refused: the axis is running, and a reset of {node.kind} alone would make it jump; call ~/stop and "
+                "wait until the axis is safe, deactivate the node, or reset the plant"
             )
 
     def make_pace(self) -> Pace:
@@ -327,7 +327,7 @@ class RealTimeResponder(RealTime):
         return time.monotonic() - self._last if self.node.sample else math.inf
 
     def _stood_still(self, now: float) -> bool:
-        """Return whether the inputs have not been checked for longer than a measurement may be old."""
+        """Return whether the last check of the inputs is older than a measurement may be."""
         return now - self._looked > max(self.node.patience, SUSPENDED * WATCHDOG_PERIOD) + WATCHDOG_PERIOD
 
     def _has_waited(self) -> bool:
@@ -395,7 +395,7 @@ class RealTimeResponder(RealTime):
         self._answer_waiting()
 
     def _lend(self, message) -> None:
-        """Store a measurement that is not a trigger: its stamp belongs to the state of its answer."""
+        """Store a measurement that triggers no answer, and publish the state of an answer that waits for its stamp."""
         node = self.node
         if not node.read(message, node.row):
             return
@@ -423,7 +423,7 @@ class RealTimeResponder(RealTime):
         return True
 
     def pair_answer(self) -> None:
-        """Publish ``~/state`` of the last answer if its measurement has come."""
+        """Publish ``~/state`` of the last answer if its measurement has arrived."""
         node = self.node
         # one message is from the plant and one from the controller, so their order is random
         values = node.state_values()
@@ -508,7 +508,7 @@ class RealTimeResponder(RealTime):
         self._has_tripped = False
         self._returned.discard(partner)
         node.row[signals.TRIPPED] = 1.0
-        text = f"{name} is lost: {why}; safe until ~/start of plant_simulator"
+        text = f"{name} is lost: {why}; this node stays safe until ~/start of plant_simulator"
         node.warn("lost", text, every=0.0, error=True)
         self.say_of(LOST, partner, name)
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``recorder``: records every topic of an axis in one bag, with acknowledgement to the plant against loss."""
+"""Node ``recorder``: records every topic of an axis in one bag, and acknowledges samples to the plant."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class RecorderNode(AxisNode):
 
     identity = ("path",)
     has_state = False
-    #: Whether the diagnostics of all nodes are in its bag by this node.
+    #: Whether this node records the diagnostics of all nodes.
     hears_diagnostics = True
     parameters: RecorderNodeParameters
 
@@ -133,7 +133,7 @@ class RecorderNode(AxisNode):
 
     @property
     def _opened(self) -> GuardedBag:
-        """What :meth:`build` has opened."""
+        """The bag that :meth:`build` has opened."""
         if self.recording is None:
             raise RuntimeError("the recorder is not configured")
         return self.recording
@@ -179,10 +179,10 @@ class RecorderNode(AxisNode):
             heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
             self._record(topic, message_type, heard, durability, index, partner)
         if self.parameters.external_plant and self.runner.by_message:
-            # the outputs that it reports, if it reports them
+            # an external plant may report its outputs here
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # from the node that accepts them: a publisher that leaves at once may be discovered here too late
+        # setpoints come from the node that accepts them: a publisher that exits at once may be discovered too late
         heard = f"{self._axis_kind.source}/taken"
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
@@ -212,7 +212,7 @@ class RecorderNode(AxisNode):
         self.timer(self._period, self._tend)
 
     def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="", heard="") -> str:
-        """Write the messages of a topic, ``heard`` on another one; return the full name of that one."""
+        """Record a topic, received on the topic ``heard`` if given; return the full name of the received topic."""
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
         def write(data: bytes) -> None:
@@ -258,7 +258,7 @@ class RecorderNode(AxisNode):
                 self._ended.add(entry.get("node"))
 
     def _lacking_changes(self) -> set[str]:
-        """Return the nodes whose change log has not ended, within a time-out: a lost message is repeated late."""
+        """Return the nodes whose change log has not ended; none after the time-out for repeated lost messages."""
         waited = time.monotonic() - self._last_arrival
         if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
             return set()
@@ -272,7 +272,7 @@ class RecorderNode(AxisNode):
             self.runner.heard()
         if index == 0:
             self.pace.tick()
-            self.sample = counts[0] - 1  # the present one: the first may take until all nodes have started
+            self.sample = counts[0] - 1  # the present sample; the first one may last until all nodes have started
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 

@@ -74,7 +74,7 @@ class Beginning:
         if math.isfinite(place):
             node.begin_at(place)
             node.get_logger().info(
-                f"the axis is running: beginning at its position, {place:.6g} m, until a setpoint or ~/start"
+                f"the axis is running: the reference holds its position, {place:.6g} m, until a setpoint or ~/start"
             )
 
     def take(self, message) -> bool:
@@ -140,7 +140,7 @@ class ExternalRun:
             "motion_controller": node.count_publishers(self._command),
             "hysteresis_compensator": node.count_publishers(self._applied),
             "a publisher of joint_states (the external plant)": node.count_publishers(self._joint_states),
-            # beside this node and the recorder
+            # in addition to this node and the recorder
             "a subscriber of voltage (the external plant)": node.count_subscribers(self._voltage)
             > 1 + node.parameters.wait_for_recorder,
             "recorder": self._recorded or not node.parameters.wait_for_recorder,

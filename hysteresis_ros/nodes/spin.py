@@ -167,7 +167,7 @@ def _collect() -> None:
 
 
 def _over(nodes) -> bool:
-    """Return whether a node has failed, or all have finished; called about seven times a sample, so no generators."""
+    """Return whether a node has failed or all have finished; about seven calls a sample, therefore no generators."""
     finished = True
     for node in nodes:
         # a node whose manual configuration failed waits for other parameters
@@ -205,7 +205,7 @@ def _leave(executor, nodes, regular: bool) -> None:
     if regular:
         for node in nodes:
             node.wait_acknowledged(deadline)
-    # The controller before the compensator, the compensator before the plant, which still receives the safe voltage.
+    # The controller exits before the compensator, and this before the plant, which still receives the safe voltage.
     listening = []
     for node in reversed(nodes):
         if not node.active:

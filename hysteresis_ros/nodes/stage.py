@@ -428,7 +428,7 @@ class StageControllerNode(MotionControllerNode):
         found = super().health()
         if self.part.arrays.watch_x.own[STOP] != WITH_STAGE:
             return found
-        return 2, "the measurement of another axis of the stage is stale: safe until it returns", found[2]
+        return 2, "the measurement of another axis is stale: this axis stays safe until it returns", found[2]
 
 
 class StageSources(Group):
@@ -456,7 +456,7 @@ class StageSources(Group):
         return ""
 
     def follow(self, given: dict[str, Points]) -> None:
-        """Follow trajectories, by the joints that they move, all from the same sample on, or none; no points: stop.
+        """Follow trajectories, given by joint, from the same sample on, all or none; without points a joint stops.
 
         Raises
         ------
@@ -491,7 +491,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def __init__(self, group: StageSources, **options):
         self.group = group
-        #: What was requested of several axes at once: first sample, and what to call before it.
+        #: Requests to several axes at once: the first sample that each affects, and the function to call before it.
         self.coming: deque = deque()
         super().__init__(**options)
         group.nodes.append(self)

@@ -119,11 +119,11 @@ class Pairing:
     """Matches answers to measurements in real time; the two arrive on different topics in any order.
 
     Every measurement is answered once, so the n-th answer belongs to the n-th measurement; the first of the two to
-    arrive waits. An answer precedes its measurement only by chance and by little; a measurement may wait as long as a
-    loaded machine takes. Two rules keep a loss from shifting all later pairs. First, an entry that waits too long is
-    discarded (a watchdog's command answers no measurement). Second, when answers repeatedly find several waiting
-    measurements, the oldest of them was rejected, thus never answered, and is dropped; an answer that every measurement
-    finds waiting is dropped as well, because answers follow their measurements.
+    arrive waits. An answer precedes its measurement only by chance and only by a short time; a measurement may wait as
+    long as a loaded machine takes. Two rules keep a loss from shifting all later pairs. First, an entry that waits too
+    long is discarded (a watchdog's command answers no measurement). Second, when answers repeatedly find several
+    waiting measurements, the oldest of them was rejected and never answered, so it is dropped; an answer that every
+    measurement finds waiting is dropped as well, because answers follow their measurements.
     """
 
     #: Maximum number of waiting entries, and their maximum age [s].

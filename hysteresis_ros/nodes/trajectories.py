@@ -199,7 +199,7 @@ class Trajectories:
     def _look_for_samples(self) -> None:
         """Abort the moves of an axis that no longer produces samples (timer callback).
 
-        In lockstep no clock decides anything, and the loss of a node ends the run.
+        In lockstep there is no time-out for samples, and the loss of a node ends the run.
         """
         if self._node.runner.exact:
             return

@@ -113,7 +113,7 @@ def test_a_driver_that_does_not_return_ends_the_run_by_its_name(processes, tmp_p
     bag = tmp_path / "bag"
     up = processes.command("up", path, "--fused", "--record", str(bag))
     assert up.wait() == 1, up.output
-    said = r"has not returned from sample (\d+) for 0\.5 s: no voltage is sent, and only the device's own watchdog"
+    said = r"has not returned from sample (\d+) for 0\.5 s: no voltage is sent; the device's own watchdog"
     found = re.search(said, up.output)
     assert found and "Traceback" not in up.output, up.output
     # every sample before is in the recording; those that were skipped have not called the driver

@@ -50,7 +50,7 @@ def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for
     until(lambda: steered.now("displacement") > 6e-6, what="an axis far from rest")
     for node in (CONTROLLER, COMPENSATOR):  # alone they would make it jump
         answer = observer.trigger(f"/{node}/reset")
-        assert not answer.success and "the axis is live" in answer.message
+        assert not answer.success and "the axis is running" in answer.message
     assert observer.trigger(f"/{PLANT}/reset").success
     steered.ask(5e-6)
     until(lambda: steered.now("displacement") > 3e-6, what="an axis that goes on after a reset")

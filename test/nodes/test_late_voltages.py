@@ -207,7 +207,7 @@ def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observe
         # alone amid a live axis they would make it jump; on a busy machine it may seem still for once
         refused = [answer.message for answer in answers if not answer.success]
         assert bool(refused) == (name != "reference_generator")
-        assert all("the axis is live" in message for message in refused)
+        assert all("the axis is running" in message for message in refused)
         more(plant, 30)
         settled(plant)
         assert not plant.part.tripped, name

@@ -332,7 +332,7 @@ def test_a_reset_says_that_a_partner_is_still_lost(graph):
     graph.until_safe()
     answer = graph.observer.trigger("/plant_simulator/reset")
     assert answer.message == (
-        "reset; before it did not work: /motion_controller is lost; if that is still so, it does not now"
+        "reset; before the reset it did not run: /motion_controller is lost; it runs only when this is resolved"
     )
     graph.until_safe()
 

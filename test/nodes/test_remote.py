@@ -93,7 +93,7 @@ def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys)
         ({"mode": 4.0}, "`hysteresis call /x/plant_simulator start` resumes it"),
         ({"mode": 0.0, "phase": 1.0, "error": 1.0}, ""),
         ({"mode": 0.0, "phase": 1.0, "error": 4.0}, "has stopped with the error slip: `hysteresis call /x/inch"),
-        ({"mode": 0.0, "phase": 9.0, "error": 0.0}, "has let the slider go"),
+        ({"mode": 0.0, "phase": 9.0, "error": 0.0}, "has released the slider"),
     ],
 )
 def test_a_source_that_cannot_move_says_why_and_what_to_do(state, words):

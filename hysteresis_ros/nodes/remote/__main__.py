@@ -20,7 +20,7 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.remote.client import AbsentError, Client
 from hysteresis_ros.nodes.remote.commands import call, echo, get, set_, setpoint, status
 
-#: What can be asked for; each gets the client and the further arguments.
+#: The commands; each is called with the client and the further arguments.
 COMMANDS: dict[str, Callable[..., int | None]] = {
     "status": status,
     "get": get,

@@ -305,7 +305,7 @@ def _lines(axis: AxisStatus):
     units = {signal: unit for _, signal, unit in LAST} | {"displacement": "m"}
     order = ("setpoint", "reference", "displacement", "voltage")
     values = [f"{name} {readable(axis.last[name], units[name])}" for name in order if name in axis.last]
-    yield f"  {', '.join(values) or 'nothing was said of where it is'}"
+    yield f"  {', '.join(values) or 'no position was reported'}"
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
@@ -552,7 +552,7 @@ def stands(source: str, state: dict[str, float]) -> str:
     if error > at.SENSOR_ERROR:  # this error clears itself
         return f"has stopped with the error {at.ERROR_NAMES[error]}: {start} after repair"
     if round(state.get("phase", 0.0)) == at.RELEASED:
-        return f"has let the slider go: {start}"
+        return f"has released the slider: {start}"
     return ""
 
 
@@ -568,9 +568,9 @@ def _require_moving(client: Client, source: str, value: float, state: dict[str, 
     if not client.until(made, min(ANSWER, client.timeout)):
         if state:
             now = readable(state.get("setpoint", math.nan), "m")
-            raise AbsentError(f"{source} accepted it, but {now} is in force: another setpoint came after it")
+            raise AbsentError(f"{source} accepted the setpoint, but another one replaced it: {now} is in force")
         joints = f"{source.rsplit('/', 1)[0]}/joint_states"
-        why = f"{joints} has no publisher" if not client.node.count_publishers(joints) else "time stands still"
+        why = f"{joints} has no publisher" if not client.node.count_publishers(joints) else "the axis' time is paused"
         raise AbsentError(
             f"{source} has the setpoint but has computed no sample with it: {why}; see `hysteresis status`"
         )

@@ -71,8 +71,8 @@ NODES = {
     "recorder": RecorderNode,
 }
 
-#: Optional processes beside the nodes: enclave name → function that returns the profile, ``profile(axes, context,
-#: used_by)``.
+#: Optional processes in addition to the nodes: enclave name → function that returns the profile, ``profile(axes,
+#: context, used_by)``.
 FURTHER = {
     PAGE: "hysteresis_ros.laboratory.watch.link:profile",
     RECORDS: "hysteresis_ros.laboratory.epics.link:profile",
@@ -195,7 +195,7 @@ def _of_a_command(axis: AxisParameters, context) -> Profile:
 
 
 def _further(name: str, axes: list[AxisParameters], context) -> Profile:
-    """Return the profile of a process beside the nodes of the axes; imports its module."""
+    """Return the profile of an optional process; imports its module."""
     module, _, function = FURTHER[name].partition(":")
     return getattr(importlib.import_module(module), function)(axes, context, used_by)
 
