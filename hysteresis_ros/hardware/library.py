@@ -9,11 +9,11 @@
 
 """Drivers in C: a shared library with the functions of ``hysteresis_driver.h``, loaded only from trusted places.
 
-The file and every folder on its path are checked, also behind symbolic links, as sshd does for keys. They must belong
-to root, to the user of this process, or to the owner of this package (who could change the package as well), and no
-other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all: only the owner of
-an entry can remove or rename it, and that owner is checked next. A group may write when it has no other members, such
-as the private group that many systems give each user. Access control lists are not checked.
+The file and every folder on its path are checked, including the targets of symbolic links, as sshd does for keys. They
+must belong to root, to the user of this process, or to the owner of this package (who could change the package as
+well), and no other user may write to them. A folder with the sticky bit, such as ``/tmp``, may be writable for all:
+only the owner of an entry can remove or rename it, and that owner is checked next. A group may write when it has no
+other members, such as the private group that many systems give each user. Access control lists are not checked.
 """
 
 from __future__ import annotations

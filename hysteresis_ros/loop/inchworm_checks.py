@@ -44,7 +44,7 @@ def inchworm_problems(plant, parts):
         ("highest_extension", gait.highest_extension + gait.fine_margin),
     ):
         if not lowest <= value <= highest:
-            remedy = f"with fine_margin beyond the range of the compensator, {lowest:.4g} … {highest:.4g} m"
+            remedy = f"lies, with fine_margin, beyond the range of the compensator, {lowest:.4g} … {highest:.4g} m"
             yield Problem(f"inchworm_sequencer: gait.{name}", getattr(gait, name), remedy)
     yield from motor.holding_problems(gait.grip_voltage, gait.grip_voltage, prefix="plant_simulator: inchworm.")
     for name in ("front_clamp", "rear_clamp"):
@@ -67,7 +67,7 @@ def inchworm_problems(plant, parts):
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
-    """Return the warnings: clamps that hold less than twice the load, a load too heavy for the stroke, too fast motions."""
+    """Return the warnings: clamps that hold less than twice the load, a load too heavy for the stroke, fast motions."""
     return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
 
 

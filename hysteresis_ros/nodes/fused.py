@@ -545,6 +545,6 @@ class Fused(RealTime):
         found = loop.lateness()
         return (
             f"more than {limit} samples within a second were skipped at {rate:g} Hz "
-            f"({found.missed} so far; 99 % of all began within {1e6 * found.p99:.3g} µs): give the loop a processor "
-            "core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
+            f"({found.missed} so far; 99 % of all samples began within {1e6 * found.p99:.3g} µs): give the loop a "
+            "processor core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
         )

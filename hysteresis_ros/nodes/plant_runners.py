@@ -257,7 +257,7 @@ class RealTimePlant(RealTime):
                     node.lose(name)
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset to the initial state."""
         super().clear()
         self._lost = {}
 

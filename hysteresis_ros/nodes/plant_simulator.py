@@ -108,7 +108,7 @@ class VoltageInput:
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset to the initial state."""
         self.value = math.nan
         self.received = 0.0
         #: Number of voltages so far, and the time of the first one since the loop was last opened [s].

@@ -62,7 +62,7 @@ ANOTHER_PROCESS = "a new process has replaced it, and the previous one had not a
 #: The node that sets the sample times; without its measurements no other node can be expected to send anything.
 PLANT = "plant_simulator"
 
-#: Fraction of the loss time after which measurements count as paused; their answers are then matched anew.
+#: Fraction of the loss time after which measurements count as paused; afterwards, answers are matched from the start.
 PAUSED = 0.5
 
 #: Consecutive samples that an input may miss before it is no longer awaited.
@@ -114,7 +114,7 @@ class Follower:
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset to the initial state."""
         self.waiting: deque = deque(maxlen=2)
         self.last = math.nan
         self.present = False

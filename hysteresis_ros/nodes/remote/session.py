@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands beside a running axis.
+"""``python -m hysteresis_ros.nodes.remote.session``: executes the user's commands while an axis runs.
 
 It keeps a participant in the graph, so that a command needs no discovery; between commands it sleeps.
 """
