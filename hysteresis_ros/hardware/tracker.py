@@ -224,7 +224,7 @@ def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contra
 
 
 def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return the rows, counted from their middle, and column and slope of the line where blocks change most."""
+    """Return the rows, counted from their middle, and column and slope of the line of the largest grey-level change."""
     rows = np.arange(grey.shape[0]) - 0.5 * (grey.shape[0] - 1)
     blocks = grey.shape[0] // BLOCK
     means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)

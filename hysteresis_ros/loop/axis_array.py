@@ -250,7 +250,7 @@ class AxisArray:
         Raises
         ------
         ParameterError
-            The number of setpoints is not that of the axes.
+            The number of setpoints differs from the number of axes.
         """
         given = _numbers(setpoints)
         if given.shape not in ((), (len(self),)):

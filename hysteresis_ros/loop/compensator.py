@@ -277,7 +277,7 @@ class CompensatorPart:
         self._take(self.parameters, adaptation.identified)
 
     def saved(self) -> dict:
-        """Return the adapted model as parameters of the node; an axis with them starts in this state."""
+        """Return the adapted model as parameters of the node; an axis that starts with them has the adapted model."""
         adaptation = self._adapted()
         model = {f"hysteresis.{name}": value for name, value in adaptation.weighted.to_mapping().items()}
         chosen = f"hysteresis.{self.parameters.hysteresis.type}."

@@ -213,9 +213,8 @@ def control(laws, arrays, row):
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
     elif own_p[USE_ORIGIN] != 0.0:
-        value = row[
-            at.REFERENCE
-        ]  # without reference and origin the target of the extender is unknown, so the extender holds
+        # without reference and origin the target of the extender is unknown, so the extender holds
+        value = row[at.REFERENCE]
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
     offset = present_offset(own_p, own, arrays.p.handover[DECAY])

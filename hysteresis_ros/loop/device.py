@@ -325,7 +325,7 @@ class DrivenPlant(Plant):
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if not 0 <= can.forces <= 1:
-            raise DriverError(device, f"the device has {can.forces} forces", "an axis has none or 1")
+            raise DriverError(device, f"the device has {can.forces} forces", "an axis has 0 or 1")
         if can.voltages < 1:
             raise DriverError(device, "the device has no voltage output", "an axis needs 1: choose another device")
         least, most = sorted(map(self.amplifier.value, (low, high)))
@@ -337,7 +337,7 @@ class DrivenPlant(Plant):
         if not rate <= can.highest_rate:
             raise DriverError(device, f"the device supports at most {can.highest_rate:g} Hz", "lower sample_rate")
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
-            problem = f"the device's watchdog of {can.watchdog:g} s is no longer than a sample of {1.0 / rate:g} s"
+            problem = f"the device's watchdog of {can.watchdog:g} s is not longer than a sample of {1.0 / rate:g} s"
             raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
 
     @property

@@ -97,7 +97,7 @@ def _walking_doubts(motor, walk):
     if walk.swing > 0.0 and abs(walk.swing / swing - 1.0) > SWING_RANGE:
         yield (
             f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider oscillates on the extender at "
-            f"{swing:.4g} Hz: learning may not converge"
+            f"{swing:.4g} Hz: learning may not converge; set walk.swing to this frequency"
         )
     deflection = abs(motor.slider.force) / motor.extender_stiffness
     if deflection > walk.bound:

@@ -10,7 +10,7 @@
 """The compiled loop of the fused runner: absolute deadlines, start and stop requests, the ring of finished samples.
 
 It computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests, inputs
-and the ring have a place for each axis.
+and the ring have an entry for each axis.
 
 Starts and stops within a sample are switched here; every other change is made in Python
 (:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as the methods ``start``, ``stop``, ``halt`` and
@@ -524,7 +524,7 @@ class Reader:
 
 
 def latest(own: Pace, axis: int = 0) -> tuple[int, np.ndarray]:
-    """Return number of the last sample and its row of an axis; -1 and NaN before the first one."""
+    """Return the number of the last sample and the row of an axis; -1 and NaN before the first sample."""
     state, rows = own.state, own.rows
     while True:
         head = int(state[HEAD])

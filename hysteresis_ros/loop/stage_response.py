@@ -168,7 +168,7 @@ def path_bandwidths(parameters: StageParameters) -> np.ndarray:
 
 
 def check_scan(parameters: StageParameters) -> None:
-    """Refuse a scan that needs commands beyond the range of the actuators; the controller makes no difference.
+    """Refuse a scan for which any controller would need commands beyond the range of the actuators.
 
     Raises
     ------

@@ -183,8 +183,8 @@ def hold_voltage(p, x, voltage, stopped, least):
 def least_beside(x, other):
     """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
 
-    The sequencer opens one clamp after it has commanded the other to close; after a stop the other one may still be
-    closing.
+    Otherwise it is -inf. The sequencer opens one clamp after it has commanded the other to close; after a stop the
+    other one may still be closing.
     """
     return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
 

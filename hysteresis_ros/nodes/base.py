@@ -681,7 +681,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return self.fused is not None and self.fused.loop is not None
 
     def take_part(self, part) -> None:
-        """Show this part of a fused loop instead of the node's own part."""
+        """Use this part of a fused loop instead of the node's own part."""
         self.part = part
 
     # -- the run -------------------------------------------------------------------------------------------------

@@ -357,7 +357,7 @@ class FusedAxis:
         return self.loop.latest(self.place)
 
     def show(self) -> None:
-        """Publish the last sample, the changes, and the end of the run, of all axes; they show the same sample."""
+        """Publish the last sample, the changes and the end of the run; all axes publish the same sample."""
         loop = self.loop
         if loop is None or self._over:
             return
@@ -546,5 +546,6 @@ class Fused(RealTime):
         return (
             f"more than {limit} samples within a second were skipped at {rate:g} Hz "
             f"({found.missed} so far; 99 % of all samples began within {1e6 * found.p99:.3g} µs): give the loop a "
-            "processor core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
+            "processor core and a priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then "
+            "call ~/start"
         )

@@ -20,7 +20,7 @@ from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.timing import Runner
 
 #: Time-out of the first sample: discovery, and compilation of the kernels on a machine without a cache [s]. A node that
-#: has done its part of sample 0 also waits this long: with a recorder it counts as matched before its partner is
+#: has done its part of sample 0 also waits this long: with a recorder the node counts as matched before its partner is
 #: present.
 STARTUP_TIMEOUT = 120.0
 
@@ -32,7 +32,7 @@ _FAILED = "failed: "
 #: Maximum length of another node's failure message that is passed on [characters].
 LONGEST_REASON = 1000
 
-#: All nodes wait for the plant, and it waits for all: a node that waits only for the plant reports last.
+#: All nodes wait for the plant, and the plant waits for all: a node that waits only for the plant reports last.
 PLANT = "plant_simulator"
 
 #: Remedy when the nodes of a run are inconsistent.
@@ -144,7 +144,7 @@ class Lockstep(Runner):
             self.reset_pending = False
             return True
         if self.reset_pending:
-            return False  # pending since before the reset; sample 0 has not come yet
+            return False  # sent before the reset; sample 0 has not arrived yet
         if index == 0:
             who = f"{node.get_name()} is at {node.sample}"
             node.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")

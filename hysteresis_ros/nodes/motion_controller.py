@@ -226,14 +226,14 @@ class MotionControllerNode(Responder):
         self.part.retune(parameters)
 
     def retuned(self, parameters) -> None:
-        """Show the present controller and log a change of its type."""
+        """Use the present controller and log a change of its type."""
         self._connect_part()
         before = self.parameters.type
         if parameters.type != before:
             self.get_logger().info(f"{parameters.type} takes over from {before}")
 
     def take_part(self, part) -> None:
-        """Show this part of a fused loop from now on."""
+        """Use this part of a fused loop from now on."""
         super().take_part(part)
         self._connect_part()
 

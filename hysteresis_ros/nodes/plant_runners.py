@@ -580,7 +580,7 @@ class RealTimePlant(RealTime):
                 node.stamps.go_on(node.sample)
 
     def is_awaited(self, recorded: bool) -> bool:
-        """Return whether the loop is complete, and with ``recorded`` the recorder is there."""
+        """Return whether the loop is complete, and, with ``recorded``, the recorder is present."""
         node = self.node
         complete = node.readers() >= READERS + recorded
         complete = complete and all(node.count_publishers(input_.full_name) for input_ in node.inputs)

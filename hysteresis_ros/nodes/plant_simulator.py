@@ -95,7 +95,7 @@ class Stamps:
 
     @property
     def are_off_clock(self) -> bool:
-        """Return whether stamps of the wall clock deviate from it, because it was set; False if it cannot be read."""
+        """Return whether the stamps deviate from the wall clock because it was set; False if it cannot be read."""
         now = _wall_clock() if self._stands_for_the_clock else None
         return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
 

@@ -44,7 +44,7 @@ LONGEST_CHECK = 2.0 * WATCHDOG_PERIOD
 #: Presence messages: a node reports that it is active or stopped (``here NODE``, ``gone NODE``), and that a partner is
 #: lost or back (``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``; NAME is the partner's full name).
 HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
-#: And the message of the plant when a person has started a stopped axis: ``started NODE``.
+#: Presence message of the plant when a person has started a stopped axis: ``started NODE``.
 STARTED = "started"
 #: Number of measurements of a stopped axis that may still arrive after the plant has announced the start.
 UNDER_WAY = 2
@@ -74,7 +74,7 @@ SUSPICION = 50
 #: Maximum number of waiting measurements; beyond it the oldest ones are answered.
 BACKLOG = 2
 
-#: Checks of the inputs that may be missed before the process itself counts as halted or starved.
+#: Checks of the inputs that may be missed before the process itself counts as halted or short of processor time.
 SUSPENDED = 10
 
 #: A message within this fraction of a period after the last one has waited in the queue.
@@ -525,7 +525,7 @@ class RealTimeResponder(RealTime):
             self._lose(partner, name or partner, ANOTHER_PROCESS)
 
     def follow_trip(self, tripped: bool) -> None:
-        """Resume when the plant, which was stopped for the loss, is started again."""
+        """Resume when the plant, which was stopped because of the loss, is started again."""
         self._stopped = tripped
         self._going = max(self._going - 1, 0) if tripped else 0
         if self.latched and tripped:

@@ -363,7 +363,8 @@ class RecorderNode(AxisNode):
         """Return whether every message of the run is in the bag."""
         return min(self._counts) >= self.end_of_run and not self._lacking_changes()
 
-    #: Longest delay of messages on a busy machine [s]; the last ones are those of an axis that moves to safe values.
+    #: Longest delay of messages on a busy machine [s]; the last messages are those of an axis that moves to safe
+    #: values.
     listens_for = 3.0
 
     @property

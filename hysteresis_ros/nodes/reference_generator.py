@@ -74,7 +74,7 @@ class Beginning:
         if math.isfinite(place):
             node.begin_at(place)
             node.get_logger().info(
-                f"the axis is running: the reference holds its position, {place:.6g} m, until a setpoint or ~/start"
+                f"the axis is running: the reference stays at its position, {place:.6g} m, until a setpoint or ~/start"
             )
 
     def take(self, message) -> bool:

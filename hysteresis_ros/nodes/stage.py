@@ -84,7 +84,7 @@ class Group:
 
 
 class StagePlants(Group):
-    """The plants of a stage: one sample of all actuators, with the structure between them."""
+    """The plants of a stage: they compute one sample of all actuators and of the structure that couples them."""
 
     def __init__(self, parameters: StageParameters):
         super().__init__(parameters)

@@ -172,7 +172,7 @@ class Pairing:
 
 #: Length of the reported interval [s].
 LATELY = 60.0
-#: Beginning of the text of such a report.
+#: Beginning of the text that reports limited time.
 LIMITED = "output limited for"
 #: Name of the voltage limits, when the reason is not the return to a path.
 AMPLIFIER = "limits (range or slew rate)"
@@ -186,7 +186,7 @@ class LimitedTime:
         self._counts: deque[tuple[float, dict[str, int]]] = deque()
 
     def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
-        """Return the time of the last minute in which limits restricted the output, longest first.
+        """Return for how long in the last minute limits restricted the output, with the causes, the longest first.
 
         ``sample_rate`` is in Hz, ``now`` in s.
         """

@@ -161,7 +161,7 @@ class Trajectories:
         return self.attend(points, tolerances, told)
 
     def attend(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
-        """Report how a trajectory ends that the generator has begun to follow."""
+        """Report the ending of a trajectory that the generator has begun to follow."""
         node = self._node
         number, _ = node.part.generator.trajectory
         move = Move(number, tolerances)

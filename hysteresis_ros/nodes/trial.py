@@ -46,7 +46,7 @@ class Answers:
 class Trial:
     """Recorded runs of an axis as nodes, in an isolated ROS domain."""
 
-    axis: AxisParameters  #: What runs.
+    axis: AxisParameters  #: Parameters of the axis.
     samples: int  #: Length of a run.
     composed: bool  #: Whether all nodes share one process.
 

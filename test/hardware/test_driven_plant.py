@@ -180,7 +180,7 @@ def test_a_reset_does_not_make_the_voltage_jump(device):
         ({"minimum": 0.0}, r"range of 0 … 120 V does not contain limits\.minimum … limits\.maximum = -30 … 120 V"),
         ({"maximum": math.nan}, "range of -30 … nan V"),
         ({"highest_rate": 1000.0}, "supports at most 1000 Hz; lower sample_rate"),
-        ({"watchdog": 1e-4}, "watchdog of 0.0001 s is no longer than a sample"),
+        ({"watchdog": 1e-4}, "watchdog of 0.0001 s is not longer than a sample"),
     ],
 )
 def test_a_device_that_is_not_what_the_axis_needs_is_refused(device, monkeypatch, changes, words):

@@ -66,7 +66,7 @@ MEANINGS = {
     SERVO_OFF: "a move was commanded with the servo off, or for an axis that is not referenced",
     POSITION_LIMIT: "the position is beyond the limits",
     8: "the velocity is beyond the limits, or the axis is not referenced",
-    STOPPED: "stopped by a command",
+    STOPPED: "the motion was stopped by a command",
     WRONG_AXIS: "there is no such axis",
     OUT_OF_RANGE: "a parameter is out of range",
     WRONG_COUNT: "the number of parameters is wrong",
@@ -84,7 +84,7 @@ MEANINGS = {
     WAVE_LENGTH: "the wave is too long",
     602: "a fault in the high-voltage supply",
     603: "the temperature is out of range",
-    BUSY: "busy with a lengthy operation",
+    BUSY: "the controller is busy with a lengthy operation",
 }
 
 #: Metres per unit, in the spelling of controllers.
@@ -221,7 +221,7 @@ class GcsLink:
     def _line(self, asked: str) -> bytes:
         while END not in self._rest:
             if len(self._rest) > LONGEST_LINE:
-                raise self._gone(f"answers {asked!r} with more than {LONGEST_LINE} characters and no end")
+                raise self._gone(f"answers {asked!r} with more than {LONGEST_LINE} characters and no line end")
             self._rest += self._receive(asked)
         line, _, self._rest = self._rest.partition(END)
         return line + END
@@ -810,7 +810,7 @@ class GcsDriver(Driver):
         self._require_there(link, "SVA?", safe)
 
     def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
-        """Check that the controller has the safe value, whatever it has answered before."""
+        """Check that the controller reports the safe value, even if it has accepted the command."""
         value = self._value(safe)
         given = link.number(question, self._given.axis)
         if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):

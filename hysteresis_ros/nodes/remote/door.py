@@ -25,7 +25,7 @@ from contextlib import suppress
 
 #: Environment variables that determine discovery and identity: a session with other values is not used.
 ENVIRONMENT = ("ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "CYCLONEDDS_")
-#: Variables with the same prefix that have no effect on it.
+#: Variables with the same prefix that do not affect discovery or identity.
 OTHERS = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_LOG_DIR", "ROS_HOME", "ROS_PACKAGE_PATH")
 
 

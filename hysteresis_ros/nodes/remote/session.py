@@ -98,7 +98,8 @@ class Session:
 
         class Served(Client):
             def hear(self) -> None:
-                if select.select([connection], [], [], 0.0)[0]:  # the command sends nothing more: it has left
+                # readable although nothing more is sent: the command has exited
+                if select.select([connection], [], [], 0.0)[0]:
                     raise BrokenPipeError
                 super().hear()
 
