@@ -8,9 +8,9 @@
 // specific language governing permissions and limitations under the License.
 
 /* A driver in C: the five methods of a driver (hysteresis_ros/hardware/driver.py) as functions of a shared library.
- * The package keeps the time: once per sample it calls hysteresis_read and, at the end of the sample, hysteresis_write.
- * In the fused loop one thread calls them from machine code, without Python and its lock, so both must return within a
- * small part of a sample: they must not wait, allocate memory, or write to a file.
+ * The package sets the sample times: once per sample it calls hysteresis_read and, at the end of the sample,
+ * hysteresis_write. In the fused loop one thread calls them from machine code, without Python and its lock, so both must
+ * return within a small fraction of a sample: they must not wait, allocate memory, or write to a file.
  *
  * Two functions are never called at the same time. A result of 0 means success. Any other result, except
  * HYSTERESIS_NOTHING_NEW, is an error code of the driver: the axis is stopped, hysteresis_make_safe is called at once,
@@ -31,7 +31,7 @@ extern "C" {
 /* Capabilities of the device; all fields are zero before hysteresis_open fills them in. */
 struct hysteresis_capabilities {
     int32_t joints;        /* positions that are read */
-    int32_t voltages;      /* voltages that are put out */
+    int32_t voltages;      /* voltages that are output */
     int32_t keeps_time;    /* 1: the device sets the sample times; the package has no such loop and refuses it */
     int32_t reserved;
     double minimum;        /* range of its output [voltage_unit] */

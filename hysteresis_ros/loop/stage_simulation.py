@@ -140,7 +140,7 @@ def displacements_between(
 
 
 def _continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
-    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts); None if they do not exist."""
+    """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts); None if not continuous."""
     import scipy.signal
 
     poles, vectors = (found.astype(complex) for found in np.linalg.eig(model.A))
