@@ -11,7 +11,7 @@
 
 Read ``workflow`` (identify, validate) first, then the modules that it calls: ``reading`` → ``data`` →
 ``preprocessing``; ``registry`` → ``procedures`` (one per model) → the model's own module; ``hammerstein`` and
-``dynamics`` for the linear stage behind a hysteresis; ``plant_model`` → ``prediction`` → ``parameter_file``. Linear
+``dynamics`` for the linear stage after a hysteresis; ``plant_model`` → ``prediction`` → ``parameter_file``. Linear
 models: ``linear_systems``, ``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``. Several axes:
 ``coupled``.
 """

@@ -102,7 +102,7 @@ def fit_arx(
     zero_radius: float | None = None,
     units: tuple[str, str] = ("V", "m"),
 ) -> ArxFit:
-    """Fit an ARX model by least squares; W1 is na = nb = 2, delay = 1.
+    """Fit an ARX model by least squares; model W1 has na = nb = 2 and delay = 1.
 
     Units: ``sample_time`` [s].
     """
@@ -214,9 +214,9 @@ def _regression(u, y, orders: ArxOrders, offset: bool):
 def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
     """Solve with all zeros of B within ``radius``.
 
-    For up to two zeros the polynomials with a positive first coefficient and zeros within the radius are a convex cone
-    (for two, the stability triangle), spanned by those with all zeros on its corners; so the problem is linear least
-    squares with weights ≥ 0, solved exactly for both signs of the gain.
+    With up to two zeros, the polynomials that have a positive first coefficient and all zeros within the radius form a
+    convex cone (with two zeros, the stability triangle). The polynomials at the corners of this region span the cone.
+    The problem is therefore linear least squares with weights ≥ 0, which is solved exactly for each sign of the gain.
     """
     na, nb, _ = orders
     spanned = {

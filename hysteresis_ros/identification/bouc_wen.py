@@ -78,7 +78,7 @@ class BoucWenIdentification:
 
 
 def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
-    """Return an initial guess from the ranges: α a quarter of d_e, memory decaying over half the voltage range."""
+    """Return an initial guess from the ranges: α is d_e/4, and the memory decays over half the voltage range."""
     slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
     d_e, alpha = 1.25 * slope, 0.3 * slope
     rate = 2.0 / float(np.ptp(voltage))
@@ -134,7 +134,7 @@ def identify_bouc_wen_static(
 
 
 class _Normalised:
-    """A recording scaled by its ranges (h by that of the displacement), and the error of the element on it."""
+    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element on it."""
 
     def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
         n, self.free_offset, self.first = exponent, free_offset, len(history)
@@ -148,7 +148,7 @@ class _Normalised:
         self.p[4] = n
 
     def residual(self, theta):
-        """Return the simulated less the measured displacement, shape (N,)."""
+        """Return the simulated minus the measured displacement, shape (N,)."""
         self.p[:4], self.state[:] = theta, 0.0
         compiled(run_kernel)(bouc_wen, self.p, self.state, self.v, self.y)
         error = self.y[self.first :] - self.x
@@ -167,7 +167,7 @@ class _Normalised:
 
 
 def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
-    """Return warnings: outside the valid class, search not converged, parameters poorly determined."""
+    """Return warnings about parameters outside the valid class, a failed search, and poorly determined parameters."""
     warnings = [problem.remedy for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:
@@ -182,7 +182,7 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
 
 
 def _covariance(residual, theta, error, free_offset) -> np.ndarray:
-    """Return the Gauss-Newton covariance in normalised units; infinite where nothing is determined."""
+    """Return the Gauss-Newton covariance in normalised units; infinite for undetermined parameters."""
     columns = []
     for i in range(theta.size):
         step = np.zeros(theta.size)
@@ -201,8 +201,9 @@ def _in_units(search: SimplexSearch, units) -> SimplexSearch:
 
 #: Names of the fitted parameters, in the order of the vectors.
 OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
-KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # of all but the mass in the kernel's parameters
-#: Grid points per sample, for the search and for the result; linear between them, one Runge-Kutta step each.
+KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # positions in the kernel, of all but the mass
+#: Number of grid points per sample, for the search and for the result. Between the samples the input is linear, and the
+#: kernel takes one Runge-Kutta step per grid point.
 SEARCH_GRID = 4
 FINE_GRID = 16
 #: Number of trial points around the initial values, their spread (factors of 2^±SPREAD), and the largest number that is
@@ -212,7 +213,7 @@ SPREAD = 1.0
 FOLLOWED = 12
 #: Number of samples for the evaluation and refinement of trial points; the best one is then refined on all samples.
 SHORT_PART = 6000
-#: Output errors are limited to this number of strokes, because a diverging oscillation has no gradient.
+#: Output errors are limited to this multiple of the stroke, because a diverging oscillation has no gradient.
 LARGEST_ERROR = 10.0
 #: Number of periods in which a periodic start settles.
 SETTLING = 1
@@ -232,7 +233,7 @@ class BoucWenMechanicalFit:
     #: Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
     deviations: dict[str, float]
     covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`FREE`, in their units.
-    agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all.
+    agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all refined starts.
     starts: int
     intersample: str  #: intersample, initial: Assumed input between samples, and assumed initial state.
     initial: str
@@ -320,13 +321,13 @@ def fit_bouc_wen_mechanical(
 def _check_oscillator(start, intersample, initial):
     if initial == "estimate":
         raise IdentificationError(
-            "initial = 'estimate': the state of an oscillator is not fitted, it decays within a few cycles: skip "
-            "these (--skip), or use zero or periodic"
+            "initial = 'estimate': the state of an oscillator is not fitted because it decays within a few cycles; "
+            "omit these with --skip, or use zero or periodic"
         )
     if intersample not in METHODS or initial not in ("zero", "periodic"):
         raise IdentificationError(
-            f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
-            "zero or periodic"
+            f"intersample = {intersample!r}, initial = {initial!r}: intersample must be one of {', '.join(METHODS)}; "
+            "initial must be zero or periodic"
         )
     if start.beta == 0.0 or start.alpha == 0.0:
         raise IdentificationError("alpha and beta of the initial values must not be 0: they set the scale of z")
@@ -348,7 +349,7 @@ class _OscillatorProblem:
         self.finer = {grid: _finer(u, grid, intersample, initial == "periodic") for grid in (SEARCH_GRID, FINE_GRID)}
 
     def residual(self, z, grid, samples=None):
-        """Output error over the stroke, without its mean."""
+        """Return the output error divided by the stroke, without its mean."""
         n = len(self.y) if samples is None else min(samples + self.skip, len(self.y))
         parameters = z * self.scale
         bad = np.full(n - self.skip, LARGEST_ERROR)
@@ -391,7 +392,7 @@ class _OscillatorProblem:
         rmse = self.rms(found)
         if not rmse < self.stroke:
             raise IdentificationError(
-                f"no initial values lead to a fit: the RMS error is {rmse:.3g} m, the stroke {self.stroke:.3g} m; "
+                f"no initial values lead to a fit: the RMS error is {rmse:.3g} m for a stroke of {self.stroke:.3g} m; "
                 "give better initial values"
             )
         beta = self.start.beta

@@ -16,12 +16,12 @@ The steps, each based on the result of the previous one:
    (``frequency_response``);
 2. linear dynamics at the middle level: subspace method, modes refined on the response (``subspace``), order chosen by
    the error of the simulation on held-out realisations;
-3. hysteresis inside the structure (``structure_fit``): gains and plays first, the linear part with them, then C_z, then
-   B_w, by Gauss-Newton on the error of the simulation. The search ends where the error on the held-out realisations
-   rises.
+3. hysteresis inside the structure (``structure_fit``), by Gauss-Newton on the error of the simulation: first gains and
+   plays, then also the linear part, then C_z, then B_w and the radii. The search ends when the error on the held-out
+   realisations rises.
 
-C_z starts as Γ C Λ^τ, the motion of the actuators τ samples ahead, with Γ the inverse of the static gain: without this
-advance the search ends far from the plant.
+C_z starts as Γ C Λ^τ, the motion of the actuators τ samples ahead, where Γ is the inverse of the static gain. Without
+this advance, the search ends far from the plant.
 """
 
 from __future__ import annotations
@@ -49,22 +49,24 @@ SAME_LEVEL = 1.2
 ORDERS = (4, 8, 12, 20, 28, 36, 44)
 #: An order suffices when its error on the held-out realisations is at most the smallest error times this factor.
 ENOUGH = 1.02
-#: Fraction to which every mode must decay over the run-in: the error of a simulation that begins at rest.
+#: Fraction to which every mode must decay during the run-in; it is the remaining error of a simulation that starts from
+#: rest.
 REMAINDER = np.exp(-5.0)
-#: Advance τ of the motion that acts on the plays at the start [samples].
+#: Initial value of the advance τ of the motion that acts on the plays [samples].
 ADVANCE = 1.1
-#: Radii at the start, as fractions of the RMS motion at the highest level.
+#: Smallest and largest initial radius of the plays, as fractions of the RMS motion at the highest level.
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.05, 2.0
-#: Weight of the plays at the start.
+#: Initial weight of the plays.
 FIRST_WEIGHT = 1e-3
-#: Steps on the response, and of each early stage with plays; those see two realisations a level and half a period.
+#: Number of steps on the response, and of each early stage with plays. The early stages use two realisations of each
+#: level and half a period.
 RESPONSE_STEPS = 30
 EARLY_STEPS, EARLY_REALISATIONS = 6, 2
-#: Steps that may pass without a better error on the realisations held out.
+#: Number of consecutive steps without a smaller error on the held-out realisations, after which the search ends.
 PATIENCE = 3
-#: What an error may count.
+#: Allowed weightings of the errors.
 WEIGHTINGS = ("distortion", "absolute")
-#: Parameters of the stages: each has those of the stages before it.
+#: Stages of the search, with the parameters that each adds to those of the earlier stages.
 STAGES = (
     ("gains and plays", ("gains", "weights")),
     ("linear part", ("sigma", "gamma", "B", "C", "D")),
@@ -133,7 +135,7 @@ class StructureData:
         return replace(self, u=self.u[chosen], y=self.y[chosen])
 
     def averaged(self, run_in: int) -> Experiments:
-        """Return one period, averaged over the periods, behind a run-in of the end of it."""
+        """Return one period, averaged over all periods; a run-in that repeats its end precedes it."""
         R, _, m = self.u.shape
         u, y = (part.reshape(R, -1, self.period, part.shape[2]).mean(axis=1) for part in (self.u, self.y))
         before = np.tile(u, (1, -(-run_in // self.period), 1))[:, -run_in:] if run_in else u[:, :0]
@@ -142,7 +144,7 @@ class StructureData:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedStructure:
-    """What :func:`identify_structure` found.
+    """Result of :func:`identify_structure`.
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ class IdentifiedStructure:
         By names with units: order, plays, the smallest and largest condition number, and for each level the errors on
         the fitted and on the held-out realisations, noise and distortion.
     warnings : tuple of str
-        What is uncertain, in sentences.
+        Sentences about what is uncertain.
     """
 
     parameters: StructureParameters
@@ -170,8 +172,8 @@ class IdentifiedStructure:
         u : array_like, shape (R, N, m) or (N, m)
             Inputs [V].
         period : int, optional
-            The inputs repeat after so many samples, and the outputs are those of the steady state: one period runs in.
-            From rest by default.
+            Number of samples after which the inputs repeat. The outputs are then those of the steady state, after one
+            period of run-in. By default, the simulation starts from rest.
 
         Returns
         -------
@@ -181,7 +183,7 @@ class IdentifiedStructure:
         Raises
         ------
         ParameterError
-            The inputs have another number of columns than the model.
+            The number of input columns is not that of the model.
         """
         u = np.asarray(u, dtype=float)
         found = []
@@ -198,9 +200,9 @@ class IdentifiedStructure:
         Parameters
         ----------
         data : StructureData
-            Recordings that the model has not seen.
+            Recordings that were not used for the fit.
         skip : int
-            Samples of each period that do not count.
+            Number of samples omitted at the beginning of each period.
 
         Returns
         -------
@@ -225,7 +227,7 @@ class IdentifiedStructure:
         return dump_configuration({"/**/plant_simulator": {f"structure.{name}": v for name, v in values.items()}})
 
     def save(self, path) -> None:
-        """Write the parameter file whole or not at all.
+        """Write the parameter file completely or not at all.
 
         Parameters
         ----------
@@ -242,12 +244,12 @@ class IdentifiedStructure:
 
 @dataclass(frozen=True)
 class StructureEstimator:
-    """An identification of a structure, ready for any recording.
+    """An estimator of a structure, for any recordings.
 
     Parameters
     ----------
     order : int or tuple of int
-        Even order of the linear part; of several, the one with the best prediction of the held-out realisations is
+        Even order of the linear part. If several are given, the order that best predicts the held-out realisations is
         chosen.
     plays : int
         Plays of each hysteresis; 0: linear dynamics alone.
@@ -265,14 +267,14 @@ class StructureEstimator:
     steps : int
         Steps of the last stage, over all parameters and all data.
     seconds : float, optional
-        No step begins later than this after the start; the best point so far is the result. If it ends the search, the
-        model depends on the speed of the machine.
+        Time limit of the search [s]: no step begins later, and the best point so far is the result. If this limit ends
+        the search, the model depends on the speed of the machine.
     band : tuple of float, optional
         Lowest and highest frequency [Hz] of the response that the linear part is fitted to; all excited lines by
         default.
     feedthrough : bool
-        Whether the outputs may follow the inputs of the same sample (D). In a loop that measures before it commands
-        they cannot.
+        Whether an output may respond to the input of the same sample (matrix D). It cannot in a loop that measures
+        before it commands.
     progress : callable, optional
         Called as ``progress(text)`` after each step.
     """
@@ -316,8 +318,8 @@ class StructureEstimator:
             if len(chosen) < m + self.held_out:
                 raise DataError(
                     "short",
-                    f"{len(chosen)} realisations of a level: {m} inputs and held_out = {self.held_out} need "
-                    f"{m + self.held_out} at least",
+                    f"{len(chosen)} realisations of a level: {m} inputs and held_out = {self.held_out} need at least "
+                    f"{m + self.held_out}",
                 )
         fitted = [chosen[: len(chosen) - self.held_out] for chosen in levels]
         judged = [chosen[len(chosen) - self.held_out :] for chosen in levels]
@@ -325,7 +327,7 @@ class StructureEstimator:
         whole = data.averaged(run_in)
         deviation = np.empty(len(data.u))
         for chosen, found in zip(levels, responses, strict=True):
-            # where distortion cannot be told, all levels count by their size
+            # without an estimate of the distortion, the errors of each level are relative to its outputs
             deviation[chosen] = found.level(found.total).mean() if found.total is not None else whole.y[chosen].std()
         if self.weighting == "absolute":
             deviation[:] = deviation.mean()
@@ -377,10 +379,10 @@ class StructureEstimator:
         return response_matrix(data.u, data.y, data.sample_time, data.period)
 
     def _linear(self, found: ResponseMatrix, orders, judge: Experiments, radius: float) -> LinearModel:
-        """Return the linear dynamics of a level, in modes."""
+        """Return the linear dynamics of a level, in modal form."""
         response = found.response if self.band is None else found.response.band(*self.band)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
-        # between absolute and relative errors: resonances do not hide the rest
+        # between absolute and relative errors, so that resonances do not dominate the fit
         weights = np.sqrt(size.mean() / size)
         models, errors = [], []
         for order in orders:
@@ -390,7 +392,7 @@ class StructureEstimator:
             )
             models.append(model)
             errors.append(judge.cost(ModalStructure.linear(model, 1.0).parameters()))
-            self._report(f"order {order}: error {np.sqrt(errors[-1]):.4g} of the distortion on what judges")
+            self._report(f"order {order}: held-out error {np.sqrt(errors[-1]):.4g} times the distortion")
         enough = np.sqrt(errors) <= ENOUGH * np.sqrt(min(errors))
         return models[min(np.flatnonzero(enough), key=lambda i: orders[i])]
 
@@ -413,7 +415,7 @@ class StructureEstimator:
         )
 
     def _plays(self, start: ModalStructure, linear: LinearModel, early, training, held, limits, run_in: int):
-        """Return the structure with plays, and the course of the last search."""
+        """Return the structure with plays, and the result of the last search."""
         gain = np.linalg.pinv(np.atleast_2d(linear.dc_gain))
         ahead = [
             np.real(scipy.linalg.fractional_matrix_power(linear.A[i : i + 2, i : i + 2], ADVANCE))

@@ -66,7 +66,7 @@ def implausible_units(
     odd = not STROKES[0] <= stroke <= STROKES[1] or (units[0] == "V" and not GAINS[0] <= gain <= GAINS[1])
     if units[1] == "m" and odd:
         small = stroke < STROKES[0] or gain < GAINS[0]
-        other = "um instead of nm (or V of mV)" if small else "um instead of mm (or V instead of mV)"
+        other = "um instead of nm (or V instead of mV)" if small else "um instead of mm (or V instead of mV)"
         each = f", {readable(gain, 'm')}/V" if units[0] == "V" else ""
         yield f"the output moves by {readable(stroke, 'm')}{each}: is its unit {other}? give it as --output NAME:UNIT"
     cycle = 2.0 * duration / reversals if reversals > 1 else 0.0
@@ -100,10 +100,10 @@ def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
 GRID_TOLERANCE = 0.1
 #: A range below this fraction of the mean level counts as constant.
 CONSTANT = 1e-12
-#: This number of equal samples in a row at the extreme may be clipping.
+#: Number of consecutive equal samples at the extreme from which on they may be clipped.
 CLIPPED_RUN = 3
-#: Smallest ratio of the length of a clipped run to that of its neighbours; at the top of a coarsely quantised sine it
-#: is 5.5.
+#: Smallest ratio of the length of a clipped run to that of its neighbours; the top of a coarsely quantised sine has a
+#: ratio of 5.5.
 CLIPPED_POPULATION = 8.0
 #: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
 DRIFT_SHARE = 0.01
@@ -163,7 +163,7 @@ class DataReport:
         return tuple(item.message for item in self.findings if item.severity == "note")
 
     def warned(self, texts) -> DataReport:
-        """Return the report, preceded by earlier warnings."""
+        """Return the report with ``texts`` as earlier warnings before its findings."""
         return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
 
     def raise_errors(self) -> None:
@@ -262,7 +262,7 @@ def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -
 def check_uniform(time) -> tuple[float, float, list[Finding]]:
     """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
 
-    Rounded times are uniform when they all lie within the rounding of a grid.
+    Rounded times count as uniform if all of them are within the rounding error of a uniform grid.
     """
     if len(time) < 2:
         return float("nan"), 0.0, []
@@ -310,8 +310,9 @@ def clipped_share(values, driver=None) -> float:
     """Return the fraction of samples at a clipped extreme, 0 without clipping.
 
     A run of at least three equal samples at the extreme is clipped if it is many times longer than the runs just before
-    and after. With a ``driver`` (the input of this output), only runs during which it moves count, because an output
-    may rest while its input rests. Without a driver, a signal that rests at many levels (steps) is not clipped.
+    and after. With a ``driver`` (the input of this output), only runs during which the driver moves count, because an
+    output may be constant while its input is. Without a driver, a signal that dwells at many levels (steps) is not
+    clipped.
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -357,7 +358,7 @@ def estimate_delay(u, y, sample_time: float) -> float:
     reach = max(2, min(n // 4, int(0.5 * n / main)))
     products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
     lags = np.arange(-reach, reach + 1)
-    # the correlation coefficient of the overlapping parts: plain products are biased towards no lag
+    # the correlation coefficient of the overlapping parts: plain products are biased towards zero lag
     first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
     overlap = n - np.abs(lags)
     sums = []
@@ -509,7 +510,7 @@ def _refuse_inchworm(path, columns, input, output) -> None:
     if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
         raise DataError(
             "inchworm",
-            f"{path}: a run of an inchworm motor: its displacement is that of the slider and does not follow the "
+            f"{path}: this run of an inchworm motor records the displacement of the slider, which does not follow the "
             "voltage; excite the extender alone, or choose the columns with --input and --output",
         )
 

@@ -20,7 +20,7 @@ The paper fixes α = 80 (for an input of -1 … 1), with which the model reprodu
 inside it, the output first moves in the wrong direction. α determines the minor loops, so it is identified from them
 (W7) if the recordings contain any. The inverse (W4) is the same with input and output exchanged.
 
-A linear part of second order behind the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
+A linear part of second order after the hysteresis is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0
 w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or the output of the identified hysteresis (G2, W5).
 """
 
@@ -68,7 +68,7 @@ class PreparedLoops:
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
     """Return the delay of the reversals of the displacement after those of the voltage [s] (Δt of W2).
 
-    Rate-independent hysteresis reverses when its input reverses; a lag reverses later. Around each reversal, two
+    Rate-independent hysteresis reverses when its input reverses; a lag delays the reversal. Around each reversal, two
     parabolas of the voltage that meet in the corner, one before and one after it, describe the displacement; the lag is
     the delay of the voltage with the smallest residual. The phase of the first harmonic would also include the
     hysteresis.
@@ -255,11 +255,11 @@ def _on_grid(grid, v, y):
 
 #: Longest substep of the integration, in 1/α.
 SUBSTEP_ALPHA = 0.25
-#: Largest α (normalised), below the overflow of exponentials; far below it, branches already switch within 1 % of the
-#: range.
+#: Largest α (normalised), below the overflow of exponentials. At much smaller values, branches already switch within 1
+#: % of the range.
 LARGEST_ALPHA = 300.0
-#: Weight of roughness (splines) and of size (networks) relative to the residual; it only decides between equally good
-#: fits.
+#: Weight of the roughness (splines) and of the size of the weights (networks), relative to the residual. It only
+#: decides between equally good fits.
 ROUGHNESS_WEIGHT = 1e-5
 SIZE_WEIGHT = 1e-5
 #: Numbers of units and of knots, tried in order until the residual is small or no longer decreases.
@@ -286,7 +286,7 @@ class Shapes:
     g: np.ndarray
     rms: float  #: rms, maximum: Residual of the loop with these functions, as a fraction of half the range.
     maximum: float
-    converged: bool  #: The training converged or reached :data:`TRAINED` (splines need none).
+    converged: bool  #: The training converged or reached :data:`TRAINED`; splines need no training.
 
 
 class LoopOperator:
@@ -447,7 +447,7 @@ def _shapes(kind, f, g, residual, converged) -> Shapes:
 
 #: The paper's α, for a normalised input of -1 … 1.
 PUBLISHED_ALPHA = 80.0
-#: Initial values of α, and the knots of the splines in the search.
+#: Initial values of α, and the number of knots of the splines in the search.
 ALPHAS = np.geomspace(0.05, 100.0, 23)
 SEARCH_KNOTS = 26
 #: Largest number of samples of the minor loops in the search.
@@ -615,7 +615,7 @@ def _minor_rms(parameters: DuhemParameters, loop: MajorLoop, minor) -> float:
 
 
 def _thinned(u, y):
-    """Return a subset of the samples of a recording, with its reversals, which rate independence allows."""
+    """Return a subset of the samples with all reversals; a rate-independent model needs no others."""
     step = max(1, u.size // SEARCH_SAMPLES)
     turns = [branch.stop for branch in split_branches(u)]
     kept = np.union1d(np.arange(0, u.size, step), np.array(turns, dtype=int))
@@ -688,7 +688,7 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # both begin with the same large reversals, whose amplitudes give the gain of the linear part
+        # both recordings begin with the same large reversals, whose amplitudes give the gain of the linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The linear dynamics behind a hysteresis, from its output and the measurement (:func:`fit_stage`).
+"""The linear dynamics after a hysteresis, from its output and the measurement (:func:`fit_stage`).
 
 Either the user names the structure (:data:`STAGES`: continuous by output error, ARX, matrix fraction), or lag, delay
 and up to two resonances are chosen here and identified alternately with the hysteresis.
@@ -21,9 +21,10 @@ structure with more parameters is chosen when, in most of the folds, it predicts
 its number of parameters explains (Bayesian information criterion).
 
 For slow recordings the hysteresis is first fitted together with lag, delay and creep on coarse data; then the dynamics
-behind it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement come
+after it are chosen again at the full rate. For fast recordings the dynamics between voltage and displacement come
 first, because a hysteresis cannot represent a resonance. In both cases hysteresis and dynamics are then refined
-alternately. A second recording of small, fast movements may give the dynamics behind a hysteresis from a slow one.
+alternately. If the hysteresis comes from a slow recording, its dynamics may come from a second recording of small, fast
+movements.
 
 References
 ----------
@@ -57,13 +58,13 @@ from hysteresis_ros.identification.transfer_function import Structure, fit_trans
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Length of the recording over that of a segment; segments overlap by half.
+#: Ratio of the length of the recording to that of a segment; segments overlap by half.
 LENGTHS = 8
 #: Number of folds; neighbouring segments belong to the same fold.
 FOLDS = 4
 #: Neighbouring frequencies are combined within this fraction of the frequency.
 RESOLUTION = 2e-3
-#: The noise is assumed smooth over this fraction of an octave to both sides, and over at least this number of
+#: The noise is assumed smooth over this fraction of an octave on both sides, and over at least this number of
 #: frequencies.
 NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
@@ -95,14 +96,14 @@ class SegmentSpectra:
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
-        """Return the mean |Y|² of a segment without linear response to w, smooth over the frequency, shape (n,)."""
+        """Return the mean |Y|² of a segment without the linear response to w, smooth over the frequency, shape (n,)."""
         tiny = np.finfo(float).tiny
         explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
         left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
         return self.smooth(left) / max(self.segments - 1, 1)
 
     def smooth(self, values, octave: float = NOISE_OCTAVE) -> np.ndarray:
-        """Return values, shape (n,), averaged over part of an octave to both sides, shape (n,)."""
+        """Return values, shape (n,), averaged over part of an octave on both sides, shape (n,)."""
         f, n = self.frequencies, len(self.frequencies)
         low = np.minimum(np.searchsorted(f, f * 2.0**-octave), np.maximum(np.arange(n) - NOISE_BINS, 0))
         high = np.maximum(np.searchsorted(f, f * 2.0**octave), np.minimum(np.arange(n) + NOISE_BINS, n))
@@ -141,7 +142,8 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
 
 #: Largest number of modes of a structure.
 MOST_MODES = 2
-#: Ranges: damping; frequency [of the sample rate]; lag and delay in samples and as fractions of a segment.
+#: Ranges: of the damping ratio; of the frequency, as a fraction of the sample rate; of lag and delay, in samples and as
+#: a fraction of a segment.
 DAMPING_RANGE = (5e-4, 0.9)
 HIGHEST = 0.49
 SHORTEST, LONGEST = 0.05, 0.25
@@ -180,7 +182,7 @@ class ModalTrial:
 
 
 def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray:
-    """Return the response of 1/(s - p) from a held input, delayed, to the samples before it changes, shape (n,).
+    """Return the response of 1/(s - p), delayed, to a held input, shape (n,), sampled just before the input changes.
 
     Units: ``pole`` [rad/s], ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
@@ -193,7 +195,7 @@ def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray
 
 
 def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
-    """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) from a held input, shape (n, 2).
+    """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
 
     Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
@@ -231,7 +233,7 @@ class ModalSearch:
         self.weigh(np.abs(self.estimate))
 
     def weigh(self, response) -> None:
-        """From now on, weight the frequencies by the residual noise of a response."""
+        """Weight the frequencies of all further fits by the residual noise of a response."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
         self.variance = np.maximum(noise, SMALLEST_ERROR**2 * around)
@@ -247,7 +249,7 @@ class ModalSearch:
         return self.spectra.samples / self.spectra.input.size
 
     def without(self, fold: int) -> ModalSearch:
-        """Return the search on the other folds, with the weights of this one."""
+        """Return a search on the other folds, with the weights of the present search."""
         spectra = self.spectra
         kept = np.arange(len(spectra.input)) != fold
         sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
@@ -335,7 +337,7 @@ class ModalSearch:
 
 
 def part_response(part: LinearPart, frequencies) -> np.ndarray:
-    """Return the response of lag, modes and delay, shape (n,), for a held input, at the samples before it changes.
+    """Return the response of lag, modes and delay to a held input, shape (n,), sampled just before the input changes.
 
     Units: ``frequencies`` [Hz].
     """
@@ -348,7 +350,7 @@ def part_response(part: LinearPart, frequencies) -> np.ndarray:
 
 
 def in_series(lag: float, pairs) -> tuple[Mode, ...]:
-    """Return lag and modes in series as parallel ones, by partial fractions.
+    """Return the parallel modes that are equivalent to a lag and modes in series, by partial fractions.
 
     Units: ``lag`` [s].
     """
@@ -374,7 +376,7 @@ JUDGED = 3
 #: A larger structure must predict better in at least this number of folds. Each added mode must also improve the
 #: prediction at frequencies within this factor of its own.
 MAJORITY, NEARBY_FREQUENCY = 3, 1.4
-#: Largest number of evaluations with held-out segments, where the search starts near its end.
+#: Largest number of evaluations of a fit without one fold, which starts near its minimum.
 FEW_EVALUATIONS = 6
 
 
@@ -407,7 +409,7 @@ def _choices(part: str, parts) -> tuple[bool, ...]:
 
 
 def _price(spectra: SegmentSpectra) -> float:
-    """Improvement in twice the log-likelihood that an additional parameter must achieve."""
+    """Return the improvement in twice the log-likelihood that an additional parameter must achieve."""
     return float(np.log(spectra.samples))
 
 
@@ -445,7 +447,7 @@ def _added_modes(modes, present) -> list[Mode]:
 
 
 def _without_modes(search: ModalSearch, lag: bool, delay: bool) -> ModalTrial:
-    """Fit lag and delay from a grid of both."""
+    """Fit lag and delay, starting from a grid of both."""
     structure, T = ModalStructure(lag, delay), search.T
     lags = np.geomspace(0.2 * T, search.lag_range[1], 10)
     delays = np.append(0.3 * T, np.geomspace(0.7 * T, search.delay_range[1], 8))
@@ -518,7 +520,7 @@ class LinearStage:
     dynamics: LinearParameters
     gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units; :data:`MODES` have no offset.
     offset: float
-    fitted: int  #: Fitted numbers.
+    fitted: int  #: Number of fitted parameters.
     numbers: dict[str, float]  #: Figures for the user, by names with units.
     part: LinearPart  #: Lag, delay and modes in continuous time; empty for :data:`STAGES`.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: Dynamics with unit DC gain.
@@ -621,7 +623,7 @@ def _unit_stage(model: LinearModel, offset, fitted, numbers, function, warnings,
 
 #: A recording that cannot be reduced to this number of samples counts as fast.
 FAST_SAMPLES = 12000
-#: Numbers of samples, for fast recordings: in the search of creep, and for the final weights.
+#: Numbers of samples used for fast recordings: to search for creep, and to compute the final weights.
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
 #: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if the voltage has
@@ -632,7 +634,7 @@ SHARP = 0.3
 
 
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
-    """Fit a hysteresis with the dynamics behind it.
+    """Fit a hysteresis with the dynamics after it.
 
     Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
@@ -656,7 +658,7 @@ class TurnSearch:
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
-            # if the samples do not resolve a step, they resolve nothing faster
+            # if the samples do not resolve a lag or delay of one sample, they resolve no faster dynamics
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
         start = self.choose(self.voltage)
@@ -666,7 +668,7 @@ class TurnSearch:
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
         if not found:
             raise IdentificationError(
-                "no hysteresis model fits behind the identified dynamics; try --linear lag,delay,creep"
+                "no hysteresis model can be fitted together with the identified dynamics; try --linear lag,delay,creep"
             )
         best, *others = found
         for fit in others:  # the simplest structure is tried first
@@ -674,7 +676,7 @@ class TurnSearch:
         return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:
-        """Fit the hysteresis to at most the first ``longest`` samples that cover the range."""
+        """Fit the hysteresis to the beginning of the recording: ``longest`` samples, or more to cover the range."""
         v, count = self.voltage, None
         if longest is not None:
             near = 0.02 * np.ptp(v)
@@ -702,9 +704,9 @@ class TurnSearch:
         return float(power[near].sum()) > LEAST_POWER * float(power.sum())
 
     def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
-        """Alternately choose the dynamics behind the hysteresis and refit the hysteresis.
+        """Alternately choose the dynamics after the hysteresis and refit the hysteresis.
 
-        With ``sharp`` only if there is a resonance that the present fit cannot represent. The first iteration chooses
+        With ``sharp``, only if there is a resonance that the present fit cannot represent. The first iteration chooses
         the structure of the hysteresis.
         """
         found: list[HammersteinFit] = []
@@ -721,7 +723,7 @@ class TurnSearch:
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
-            except ParameterError:  # no weights of the hysteresis fit with these dynamics
+            except ParameterError:  # with these dynamics, the hysteresis has no valid weights
                 break
             found = [fit]
         return found
@@ -735,7 +737,7 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     """
     if not chain.invertible:
         raise IdentificationError(
-            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis and accepts no others behind it; "
+            f"model {chain.hysteresis.type}: its hysteresis contains dynamics, so none can be added after it; "
             "choose another model"
         )
     slow = chain.continuous

@@ -65,7 +65,7 @@ class Experiment:
     periods : int
         Periods of each realisation, or blocks of each frequency, that are averaged.
     settle : int
-        Discarded periods before them.
+        Number of periods, or blocks, discarded before the averaged ones.
     realisations : int
         Realisations of the random phases of a multisine.
     points : int
@@ -95,7 +95,8 @@ class Plan:
     settle: int
     periods: int
     realisations: int
-    #: Number of samples of a period; of each block of a stepped sine; of a segment and of the whole, for noise.
+    #: Number of samples of a period of a multisine; of each block of a stepped sine; of a segment and of the whole
+    #: excitation, for noise.
     samples: tuple[int, ...]
     #: Excited harmonics of a multisine; cycles per block of each frequency of a stepped sine; first and last line of
     #: the segments of noise.
@@ -228,7 +229,7 @@ def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, 
         raise _too_slow(low, block / rate, "a block")
     cycles, samples = [], []
     for frequency in np.geomspace(low, high, asked.points):
-        # whole cycles per block: the length with the nearest frequency, no shorter than requested
+        # a whole number of cycles per block: the length with the nearest frequency, no shorter than requested
         least = max(block, round(rate / frequency))
         lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
         turns = np.maximum(np.round(frequency * lengths / rate), 1)
@@ -255,7 +256,7 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
     draws = uniform(asked.seed, 2 * N)
     values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
     frequencies = np.fft.rfftfreq(N, 1.0 / rate)
-    # one more line on both sides, because of the window
+    # one more line on each side, because of the window
     inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
     inside[0] = False
     values = np.fft.irfft(np.fft.rfft(values) * inside, N)

@@ -9,22 +9,22 @@
 
 """Measured frequency responses: estimates with uncertainty and levels of nonlinear distortion, and their files.
 
-Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's
-method takes any input, periodic multisines are averaged over periods and realisations.
+Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's method
+accepts any input; periodic multisines are averaged over periods and realisations.
 
-Several inputs and outputs (:func:`response_matrix`): each line needs as many independent experiments as there are
-inputs: orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal matrix), or R ≥ m
-random phases for each input. Differences between the periods of a realisation are noise; differences between
-realisations are noise and nonlinear distortion. Both are stored as covariances of the outputs, because a disturbance of
-one sensor also affects its neighbours.
+With several inputs and outputs (:func:`response_matrix`), each line needs as many independent experiments as there are
+inputs. These are either orthogonal multisines (realisations in groups of m, whose phases differ by an orthogonal
+matrix), or R ≥ m realisations with random phases at each input. Differences between the periods of a realisation are
+noise; differences between realisations are noise and nonlinear distortion. Both are stored as covariances of the
+outputs, because a disturbance of one sensor also affects its neighbours.
 
 In a closed loop the noise of the output is also in the input, which biases S_yu S_uu⁻¹ towards the inverse of the
 controller. S_ye S_ue⁻¹ with the external excitation e, which is uncorrelated with the noise, has no such bias (indirect
 method): all functions take e as ``excitation``. The residual is y - G u in both cases.
 
 Odd and even distortion are separated from noise by lines that are not excited. A level is stated in the unit of the
-response, as the error of the response that would have the same effect on the output. The linear response to the input's
-own content at those lines, as in a closed loop, is subtracted first.
+response, as the error of the response that would have the same effect on the output. In a closed loop the input also
+has content at these lines; the linear response to it is subtracted first.
 
 Files: NPZ, which can be read back completely, and CSV and YAML for other programs.
 
@@ -73,7 +73,7 @@ class FrequencyResponse:
     input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
     warnings: tuple[str, ...] = ()  #: Poor coherence, few averages …
-    #: Number of independent complex values in the mean that gives the total variance, or else the noise variance.
+    #: Complex degrees of freedom of the total variance, or of the noise variance if the total variance is not known.
     degrees: float | None = None
 
     def band(self, low: float, high: float) -> FrequencyResponse:
@@ -90,7 +90,7 @@ class FrequencyResponse:
         return replace(self, **kept, warnings=(*others, *_poor_coherence(kept["coherence"])))
 
     def radius(self, probability: float = 0.95) -> np.ndarray:
-        """Return the radius of the circle around each entry that contains the true one, shape (F, n_y, n_u).
+        """Return the radius of the circle around each entry that contains its true value, shape (F, n_y, n_u).
 
         |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance of ν complex degrees of freedom [1]_.
         """
@@ -116,7 +116,7 @@ def welch_response(
     output_unit="m",
     excitation=None,
 ) -> FrequencyResponse:
-    """Estimate the response ``S_yu S_uu⁻¹`` from averaged spectra of overlapping segments (half of each).
+    """Estimate the response ``S_yu S_uu⁻¹`` from averaged spectra of segments that overlap by half.
 
     Units: ``sample_time`` [s].
     """
@@ -260,7 +260,7 @@ def averaged(frequency, U, Y, E):
 
 
 def _degrees(realisations: int, periods: int, inputs: int) -> float | None:
-    """Return the degrees of freedom of the variance that determines a band."""
+    """Return the complex degrees of freedom of the total variance, or else of the noise variance."""
     if realisations > inputs:
         return float(realisations - inputs)
     return float(realisations * (periods - 1)) if periods > 1 else None
@@ -328,7 +328,7 @@ class ResponseMatrix:
         return np.sqrt(2.0 * np.einsum("fii->i", covariance).real)
 
     def at(self, kept) -> ResponseMatrix:
-        """Return the lines that are kept, shape (F,) of bool."""
+        """Return the response matrix of the lines ``kept``, shape (F,) of bool."""
         noise, total = (None if one is None else one[kept] for one in (self.noise, self.total))
         return ResponseMatrix(_at(self.response, kept), noise, total, self.condition[kept])
 
@@ -412,9 +412,9 @@ class Distortion:
 
 
 def detected(U, Y, harmonics, response) -> Distortion:
-    """Return the levels of a multisine with odd lines, some of which are omitted; NaN without such lines.
+    """Return the levels of a multisine on odd lines, some of which are omitted.
 
-    If even lines are excited too, neither odd nor even distortion has lines of its own.
+    A level is NaN without omitted lines, or if even lines are excited too: distortion then has no lines of its own.
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -478,7 +478,7 @@ class Analysis:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the response and the deviation of its noise [dB], median of the lines."""
+        """Ratio of the response to the standard deviation of its noise [dB], median of the lines."""
         found = self.response
         variance = found.total_variance if found.noise_variance is None else found.noise_variance
         if variance is None:
@@ -490,8 +490,8 @@ class Analysis:
         """Refuse a response whose signal-to-noise ratio is too low."""
         if self.ratio < LEAST_RATIO:
             raise IdentificationError(
-                f"the excitation is too weak: signal-to-noise ratio of the response {self.ratio:.1f} dB at half of the "
-                f"lines, at least {LEAST_RATIO:g} dB are needed; raise --amplitude by a factor of "
+                f"the excitation is too weak: the signal-to-noise ratio of the response is {self.ratio:.1f} dB at half "
+                f"of the lines, but at least {LEAST_RATIO:g} dB are needed; raise --amplitude by a factor of "
                 f"{10.0 ** ((LEAST_RATIO - self.ratio) / 20.0):.2g}, or --periods"
             )
 
@@ -504,8 +504,8 @@ def analyse(plan: Plan, sample_time: float, u, y, excitation=None, input_unit: s
     signals = [u, y] if excitation is None else [u, y, excitation]
     if plan.first + plan.length > len(y):
         raise IdentificationError(
-            f"the excitation of {plan.length} samples begins at sample {plan.first} and the recording has {len(y)}: "
-            "the recording was cut off; record it again"
+            f"the excitation of {plan.length} samples begins at sample {plan.first}, but the recording has only "
+            f"{len(y)} samples: the recording was cut off; record it again"
         )
     signals = [np.asarray(signal, dtype=float)[plan.first : plan.first + plan.length] for signal in signals]
     return ANALYSES[plan.kind](plan, sample_time, signals, input_unit)
@@ -564,7 +564,7 @@ def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
-    # variance of the Hann window, a third of a line squared, times the curvature: error of the response
+    # error of the response: variance of the Hann window (a third of a line squared) times the curvature
     bent = np.abs(np.diff(found.single, 2)) / 6.0
     blurred = bent > found.radius()[1:-1, 0, 0]
     if blurred.any():
@@ -579,7 +579,7 @@ ANALYSES = {"multisine": _multisine, "stepped": _stepped, "noise": _noise}
 
 
 def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
-    """Return the lines of a response that are kept."""
+    """Return the response at the lines ``kept``."""
     names = ("frequency", "response", "total_variance", "noise_variance", "coherence")
     parts: dict[str, Any] = {
         name: None if getattr(found, name) is None else getattr(found, name)[kept] for name in names
@@ -608,8 +608,8 @@ def plan_of_recording(excitation, sample_time: float, period: float | None = Non
     count = e.size // N if N else 0
     if N < 16 or count < 2:
         raise IdentificationError(
-            f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must hold two periods of "
-            "16 samples at least"
+            f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must contain at least two "
+            "periods of at least 16 samples"
         )
     # with enough periods the first one is discarded for settling
     settle = int(count > 2)
@@ -695,7 +695,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
 
 
 def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
-    """Return an array of real numbers as a vector; ValueError when it is not one, or has another size."""
+    """Return an array of real numbers as a vector; ValueError if it has another type or size."""
     array = held[name]
     if (
         array.dtype.kind not in "iuf"

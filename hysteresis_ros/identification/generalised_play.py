@@ -50,9 +50,10 @@ FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "bot
 LONGEST_RATE = 0.1
 #: Initial value and range of the common bend of both envelopes, and of their difference.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
-#: Speeds count as different from this factor on, for swings over at least this fraction of the range.
+#: Speeds count as different if their ratio exceeds this factor. Only swings over more than this fraction of the range
+#: are compared.
 DIFFERENT, LEAST_SWING = 2.0, 0.1
-#: Smallest slope without hysteresis, as a fraction of the whole slope.
+#: Smallest slope without hysteresis, as a fraction of the total slope.
 LEAST_SLOPE = 1e-6
 
 
@@ -101,7 +102,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 
 
 def competitors(before, progress) -> list[GeneralisedPlays]:
-    """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
+    """Return fits with envelopes and, if speeds differ, growing thresholds, with the linear structure of another fit.
 
     Fits whose inverse may amplify errors are omitted.
     """
@@ -160,13 +161,13 @@ class GeneralisedPlays(PlayFit):
         return np.column_stack([data.voltage, outputs - rest])
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, before a fit."""
+        """Return the same structure for other data, not fitted yet."""
         other = GeneralisedPlays(data, self.play_count, self.names)
         other.numbers = dict(self.numbers)
         return other
 
     def parameters(self) -> HysteresisParameters:
-        """Return the numbers as parameters of the block; plays without weight are left out."""
+        """Return the fit as parameters of the block, without plays of weight 0."""
         slope = max(float(self.weights[0]), LEAST_SLOPE * float(self.weights.sum()))
         found = self.shaped(self.shape, self.weights[1:], slope)
         moving = self.weights[1:] > 1e-9 * self.weights.sum()

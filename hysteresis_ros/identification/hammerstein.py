@@ -204,7 +204,7 @@ def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
 
-#: Samples for the final search of the lag with the blocks of the nodes.
+#: Number of samples for the final search of the lag with the blocks of the nodes.
 RETIMED_ON = 20000
 
 

@@ -39,7 +39,7 @@ class Minimum:
     parameters: np.ndarray
     cost: float  #: Sum of squares at this point.
     costs: tuple[float, ...]  #: Sums of squares: at the start, and after each successful step.
-    #: Whether no further step reduces the cost; false: the number of steps was reached, or the search was stopped.
+    #: Whether no further step reduces the cost; false: the limit of steps was reached, or the search was stopped.
     converged: bool
 
 

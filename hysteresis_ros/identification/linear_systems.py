@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear systems and their exact simulation: state space, transfer functions, and the dynamics behind a hysteresis.
+"""Linear systems and their exact simulation: state space, transfer functions, and the dynamics after a hysteresis.
 
 An input is held (``zoh``, as a converter does), linear (``linear`` or ``foh``, nearest to a slowly sampled monitor
 signal) or band-limited between its samples (a multisine below the Nyquist frequency, decimated data).
@@ -42,8 +42,8 @@ class Mode:
 
     frequency: float  #: Natural frequency ω/2π [Hz], undamped.
     damping: float  #: Damping ratio ζ; below 1 for a pair, 1 for a real pole, negative when unstable.
-    #: position, velocity: Numerator in a sum; ``position`` is the part of the displacement at rest that passes through
-    #: the mode.
+    #: position, velocity: Numerator in a sum; ``position`` is the fraction of the static displacement that passes
+    #: through the mode.
     position: float = 1.0
     velocity: float = 0.0
 
@@ -114,7 +114,7 @@ class LinearModel(StateSpace):
 
     @property
     def minimum_phase(self) -> bool:
-        """Whether all zeros are inside the unit circle: the inverse is stable then."""
+        """Whether all zeros are inside the unit circle, so that the inverse is stable."""
         return bool(np.all(np.abs(self.zeros) < 1.0 - BOUNDARY))
 
     @property
@@ -183,7 +183,7 @@ def _list(values):
     return ", ".join(f"{v.real:.4g}" if abs(v.imag) < 1e-12 else f"{v.real:.4g}{v.imag:+.4g}j" for v in values)
 
 
-#: Courses of an input between its samples; ``foh`` is another name of ``linear``.
+#: Assumptions about an input between its samples; ``foh`` is another name of ``linear``.
 METHODS = ("zoh", "linear", "bandlimited")
 INTERSAMPLE = (*METHODS, "foh")
 #: Number of samples by which a band-limited, non-periodic input is mirrored beyond each end.
@@ -200,7 +200,8 @@ def upsample(
     u = np.ascontiguousarray(u, dtype=np.float64)
     if method not in METHODS or factor < 1:
         raise IdentificationError(
-            f"intersample = {method!r}, factor = {factor}: must be one of {', '.join(METHODS)} and at least 1"
+            f"intersample = {method!r}, factor = {factor}: intersample must be one of {', '.join(METHODS)}, "
+            "and factor at least 1"
         )
     if factor == 1:
         return u.copy()
@@ -371,7 +372,7 @@ RESPONSES = 16
 
 
 def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
-    """Return ``x``, shape (N, ...), behind a lag 1/(τ s + 1), linear between the samples and initially at rest at zero.
+    """Return the response of a lag 1/(τ s + 1), initially zero, to ``x``, shape (N, ...), linear between the samples.
 
     Units: ``time_constant`` [s], ``sample_time`` [s].
     """
@@ -429,7 +430,7 @@ class LinearPart:
         return behind
 
     def apply(self, columns, sample_time: float) -> np.ndarray:
-        """Return the columns, shape (N,) or (N, m), behind the linear part.
+        """Return the columns, shape (N,) or (N, m), filtered by the linear part.
 
         Units: ``sample_time`` [s].
         """
@@ -484,7 +485,8 @@ class LinearPart:
     def dynamics(self, sample_time: float) -> LinearParameters:
         """Return lag, modes and delay as the discrete block of a node, whose input is held between samples.
 
-        The delay by holding is subtracted from the delay, then from the lag, so that slow movement has the same delay.
+        The delay that holding causes is subtracted from the dead time, then from the lag, so that the delay of slow
+        movement is kept.
 
         Units: ``sample_time`` [s].
         """
@@ -507,7 +509,7 @@ class LinearPart:
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay without the effect of holding, with which a lag delays by T/(1 - e^(-T/τ)), not τ."""
+        """Return lag and delay without the effect of a held input, for which a lag adds T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late
@@ -534,7 +536,7 @@ class LinearPart:
 
 @lru_cache(maxsize=RESPONSES)
 def _spectrum(part: LinearPart, samples: int, sample_time: float) -> tuple[int, np.ndarray]:
-    """Return the length of the transforms and that of the response; cached for searches."""
+    """Return the length of the Fourier transforms and the transform of the impulse response; cached for searches."""
     length = scipy.fft.next_fast_len(2 * samples - 1, real=True)
     return length, scipy.fft.rfft(part.impulse(samples, sample_time), length)
 
@@ -547,7 +549,7 @@ class Known(NamedTuple):
 
 
 def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:
-    """Return ``x`` behind a mode, linear between the samples."""
+    """Return the response of a mode to ``x``, which is linear between the samples."""
     A, B, C = mode.state_space()
     system = scipy.signal.cont2discrete((A, B[:, None], C[None], np.zeros((1, 1))), sample_time, method="foh")
     numerator, denominator = scipy.signal.ss2tf(*system[:4])
@@ -561,7 +563,8 @@ def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParamete
     return LinearParameters(A, B, C, D=(float(D),) if D else (), sample_time=sample_time, delay=float(delay))
 
 
-#: Length of the window of the smoothed derivative in :func:`undo_lag` [lags], and its least number of samples.
+#: Length of the window of the smoothed derivative in :func:`undo_lag`, as a multiple of the lag, and its least number
+#: of samples.
 LAG_WINDOW = 3.0
 FEWEST_IN_WINDOW = 5
 #: Smallest magnitude of the response of dynamics with modes that is inverted.
@@ -602,7 +605,7 @@ def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
 
 
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), whose creep gives ``y``, step by step as the compensator does.
+    """Return the displacement [m], shape (N,), that becomes ``y`` by creep; step by step, as in the compensator.
 
     Units: ``sample_time`` [s].
     """

@@ -7,15 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Response matrix where nothing repeats: the local polynomial method, with the covariance of the noise.
+"""Response matrix from inputs that do not repeat: the local polynomial method, with the covariance of the noise.
 
-Around each line k the response and the transient are smooth in frequency, the spectra of inputs and noise are not. Over
-the lines k + r, |r| ≤ n,
+Around each line k, the response and the transient are smooth in frequency; the spectra of inputs and noise are not.
+Over the lines k + r, |r| ≤ n, the model
 
     Y(k + r) = Σ_s r^s G_s U(k + r) + Σ_s r^s T_s + V(k + r),  s = 0 … R,
 
-is linear in G_s and T_s; G_0 is the response at the line. The residual has the covariance of the noise, with as many
-degrees of freedom as the window has lines beyond the unknowns [1]_. Each experiment has a transient of its own.
+is linear in G_s and T_s; G_0 is the response at the line. The covariance of the residual is that of the noise. Its
+degrees of freedom are the lines of the window minus the unknowns [1]_. Each experiment has a transient of its own.
 
 References
 ----------
@@ -39,7 +39,7 @@ from hysteresis_ros.identification.frequency_response import (
 
 #: Degree of the polynomials, and degrees of freedom of the covariance beyond the number of outputs.
 DEGREE, FREEDOM = 2, 10
-#: Lines whose equations are solved at a time.
+#: Number of lines whose equations are solved at once.
 CHUNK = 512
 
 
@@ -67,8 +67,8 @@ def local_polynomial_response(
     degree : int
         Degree R of the polynomials, even.
     freedom : int, optional
-        Degrees of freedom of the covariance at each line: more of them widen the window, and with it the error of the
-        polynomials at narrow resonances. By default the number of outputs and :data:`FREEDOM`.
+        Degrees of freedom of the covariance at each line. More of them widen the window, and thus increase the error of
+        the polynomials at narrow resonances. By default the number of outputs plus :data:`FREEDOM`.
     band : tuple of float, optional
         Lowest and highest frequency [Hz]; all excited lines by default.
     input_unit, output_unit : str
@@ -77,8 +77,8 @@ def local_polynomial_response(
     Returns
     -------
     ResponseMatrix
-        ``noise`` and ``total`` are the covariance of what is no linear response, noise and distortion together, of a
-        spectrum of N samples.
+        ``total`` is the covariance of noise and nonlinear distortion together in a spectrum of N samples; ``noise`` is
+        None.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def local_polynomial_response(
     inputs, outputs = finite_array("input", u), finite_array("output", y)
     if inputs.ndim != 3 or outputs.ndim != 3 or inputs.shape[:2] != outputs.shape[:2]:
         raise DataError(
-            "shape", f"input {inputs.shape} and output {outputs.shape}: must be (experiments, samples, channels) alike"
+            "shape", f"input {inputs.shape} and output {outputs.shape}: both must be (experiments, samples, channels)"
         )
     experiments, N, m = inputs.shape
     q = outputs.shape[2]
@@ -102,14 +102,16 @@ def local_polynomial_response(
     window = 2 * half + 1
     last = (N - 1) // 2
     if last < 2 * window:
-        raise DataError("short", f"{N} samples have {last} lines, windows of {window} need {2 * window}: record longer")
+        raise DataError(
+            "short", f"{N} samples have {last} lines, but windows of {window} lines need {2 * window}: record longer"
+        )
     # (lines, experiments, channels); the line of the mean is left out
     U, Y = (np.fft.rfft(one, axis=1)[:, 1 : last + 1].transpose(1, 0, 2) / N for one in (inputs, outputs))
     strength = np.abs(U).max(axis=(1, 2))
     if not strength.max() > 0.0:
         raise DataError("constant", "the inputs are constant; a frequency response needs inputs that move")
     frequency = np.arange(1, last + 1) / (N * sample_time)
-    # the neighbours decide: a line of noise may be small by chance
+    # the power is averaged over neighbours, because a single line of noise may be small by chance
     kernel = np.ones(window) / window
     power = np.convolve((np.abs(U) ** 2).sum(axis=(1, 2)), kernel, mode="same")
     chosen = power > EXCITED**2 * power.max()
@@ -125,7 +127,7 @@ def local_polynomial_response(
     for begin in range(0, lines.size, CHUNK):
         part = slice(begin, begin + CHUNK)
         some = lines[part]
-        # at the ends the window lies to one side
+        # at the ends of the band, the window extends to one side only
         first = np.clip(some - half, 0, last - window)
         places = first[:, None] + np.arange(window)
         r = (places - some[:, None]) / half
@@ -162,7 +164,7 @@ def local_polynomial_response(
         None,
         input_unit,
         output_unit,
-        ("no periods: noise and nonlinear distortion are not told apart",),
+        ("the inputs are not periodic: noise and nonlinear distortion are not separated",),
         float(freedoms),
     )
     return ResponseMatrix(found, None, noise, condition)

@@ -36,7 +36,7 @@ from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.models.linear import BOUNDARY
 
-#: Relative misfit below which it is attributed to rounding, not to an order that is too low.
+#: A relative misfit below this value is attributed to rounding, not to an order that is too low.
 ROUNDING = 1e-7
 
 
@@ -175,7 +175,7 @@ def identify_matrix_fraction(
 
 
 class _Candidate(NamedTuple):
-    """Result of one degree."""
+    """Result of a fit with one degree."""
 
     fraction: MatrixFraction
     dropped: list[complex]
@@ -216,14 +216,14 @@ def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
         if misfit > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
             poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
             yield (
-                f"unstable linear fit: pole(s) {poles} outside the unit circle were removed, their response is missing"
+                f"unstable linear fit: pole(s) {poles} outside the unit circle were removed; their response is missing"
             )
     if misfit > 0.5 * size:
-        yield f"the misfit of the model is {100 * misfit / size:.0f} % of the response: not usable"
+        yield f"the misfit of the model is {100 * misfit / size:.0f} % of the response: the model is not usable"
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
-    """Return the degrees to try: noise biases a low one, and adds poles to a high one."""
+    """Return the degrees to try, because noise biases a fit of low degree, and adds poles to a fit of high degree."""
     if degree is not None:
         return [degree]
     F, ny, nu = shape

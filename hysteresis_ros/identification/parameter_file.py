@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The result of an identification as ROS 2 parameter file, which nodes can run unchanged and which states its origin.
+"""The result of an identification as a ROS 2 parameter file, which nodes can run unchanged and which states its origin.
 
 Plant, compensator and controller have the usual sections of an axis. The section ``/identification`` belongs to no
 node, so ROS ignores it; it contains source, figures, assumptions and warnings.
@@ -114,7 +114,7 @@ def rate_of(sample_time: float) -> float:
 
 
 def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
-    """Return the displacements [m] at the ends of the voltage range, and at rest between them."""
+    """Return the lowest and highest displacement [m] at rest and at the ends of the voltage range."""
     if not chain.invertible:
         reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
         return (-reach if low < 0.0 else 0.0), reach
@@ -173,7 +173,7 @@ def identification_section(
 
 
 def assumptions(result: Identification) -> tuple[str, ...]:
-    """Return what the parameter file assumes, in sentences."""
+    """Return sentences about the assumptions of the parameter file."""
     low, high = limits_of(result.chain)
     found = [
         f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
@@ -183,7 +183,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
         found.append("preload.A1 is the zero offset of the sensor: displacements count from there")
     if result.chain.linear_part is not None and result.chain.linear_part.lag > 0.0:
         found.append(
-            "the lag is assumed to be behind the hysteresis; its cause (amplifier, actuator or sensor) is unknown"
+            "the lag is assumed to follow the hysteresis; its cause (amplifier, actuator or sensor) is unknown"
         )
     if result.chain.synchronous:
         found.append("quasi-static recording: an axis reads each displacement one sample later")
@@ -191,7 +191,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
 
 
 def file_text(result: Identification, section: dict, excited: float = 0.0) -> str:
-    """Return the text of the parameter file, checked: plant and compensator can be built from it.
+    """Return the text of the parameter file, after a check that plant and compensator can be built from it.
 
     Units: ``excited`` [V/s].
     """
@@ -246,7 +246,7 @@ def model_warnings(result: Identification) -> tuple[str, ...]:
 
 
 def write_file(path, text: str) -> None:
-    """Write a parameter file whole or not at all."""
+    """Write a parameter file completely or not at all."""
     write_text(path, text, IdentificationError)
 
 
@@ -275,7 +275,7 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
     try:
         return _chain(section, plant, inverse, 1.0 / float(rate)), section
     except (TypeError, ValueError, ArithmeticError) as error:
-        text = f"sample_rate of plant_simulator or {SECTION} is not written by an identification: {error}"
+        text = f"sample_rate of plant_simulator or {SECTION} was not written by an identification: {error}"
         raise ConfigurationError(f"{path}: {text}") from None
 
 

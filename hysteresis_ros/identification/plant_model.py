@@ -125,7 +125,7 @@ class Identification:
     """Result of any identification."""
 
     model: str  #: Name of the model in the registry.
-    linear: str  #: Description of the dynamics behind the hysteresis.
+    linear: str  #: Description of the dynamics after the hysteresis.
     #: The model; its hysteresis is zero at rest at 0 V, or at the remanent displacement of the recording's beginning.
     chain: PlantModel
     fitted: int  #: Number of fitted parameters.
@@ -196,7 +196,7 @@ def simulate_chain(
 ) -> np.ndarray:
     """Return the displacement of a plant under ``voltage`` by the kernels of the nodes, without limits and sensor.
 
-    It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
+    The plant starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
 
     Units: ``voltage`` [V], ``sample_time`` [s].
     """
@@ -216,7 +216,7 @@ def pass_through(block, history) -> None:
 
 
 def stretches(history) -> np.ndarray:
-    """Return voltages [V] in steps from 0 V through those of a history, shape (K,)."""
+    """Return voltages [V], shape (K,), in small steps from 0 V through the voltages of a history."""
     ends = zip((0.0, *history), history, strict=False)
     return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
@@ -241,7 +241,7 @@ def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
 def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
     """Return the hysteresis shifted to zero at rest at 0 V, and the removed constant [m].
 
-    Without the constant of the sensor in the hysteresis, references count from rest.
+    References then count from rest, because the hysteresis no longer contains the constant of the sensor.
 
     Units: ``sample_time`` [s].
     """

@@ -36,7 +36,7 @@ SEARCH_STRENGTH = 1e-2
 
 #: Small diagonal that is added to the normal equations of columns of unit length.
 GRAM_FLOOR = 1e-13
-#: Tried weights of the smoothness penalty, from nearly none to nearly linear weights of the plays.
+#: Tried weights of the smoothness penalty, from almost none to one that makes the weights almost linear.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
@@ -117,7 +117,7 @@ class PlayFit(ABC):
 
 
 def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
-    """Return ``count`` radii [V], from 0, in steps of half the range over their number.
+    """Return ``count`` radii [V] from 0, in steps of half the range divided by ``count``.
 
     A play whose radius is half the range never moves and is omitted, unless the path from rest moves it.
     """

@@ -16,12 +16,12 @@ quadratics of the peak voltage V_max. Two conditions make the branches continuou
 * the upper corners lie on the virgin curve, for every V_max (*for the quadratics*, as identities of polynomials).
 
 With these conditions nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2
-and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients
-for a given voltage — minor loops included, because branches change with the voltage only — the nine numbers are then
+and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. For a given voltage, the output of the model is linear in
+its coefficients, also in minor loops, because branches change with the voltage only. The nine numbers are therefore
 fitted to all samples at once by linear least squares, which works with any excitation. The paper rates a model by its
-largest error. If the residual comes from the shape of the loops and not from noise, the weights are therefore moved
-towards the largest residuals (Lawson's reweighting), which halves the largest error when the shape of the loops is not
-that of the model.
+largest error. Lawson's reweighting therefore moves the weights towards the largest residuals if the residual comes from
+the shape of the loops and not from noise. This halves the largest error when the loops do not have the shape of the
+model.
 
 K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
 """
@@ -146,7 +146,7 @@ SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
 #: Sample points of a branch parabola for the fit of quadratics of V_max, as a fraction of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-#: Lowest voltage, as a fraction of the highest one, below 0 V; below it the model has no branches.
+#: Lowest allowed voltage, as a fraction of the highest one (below 0 V); below it the model has no branches.
 LOWEST_PART = -0.35
 #: Smallest slope of a constrained fit, as a fraction of the mean slope.
 SMALLEST_SLOPE = 0.02
@@ -182,7 +182,7 @@ class PolynomialIdentification:
 
 
 def _basis(count: int) -> np.ndarray:
-    """Return the matrix from θ to the 21 coefficients, shape (21, count), that keeps both corners for every V_max."""
+    """Return the matrix from θ to the 21 coefficients, shape (21, count), that keeps both corner conditions."""
     basis = np.zeros((7, 3, len(FREE)))
     d_v, c_v1, c_v2, d_1, c_r2, c_f2, d_2, c_r2_slope, c_f2_slope = range(len(FREE))
     basis[0, [0, 1, 2], [d_v, c_v1, c_v2]] = 1.0
@@ -375,8 +375,8 @@ def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
     if len(peaks) < 3:
         count = SINGLE_PEAK_FREE
         warnings.append(
-            f"the recording reaches {len(peaks)} different V_max, three or more are needed for coefficients that are "
-            "quadratics of V_max; the residual displacement is assumed proportional to V_max and the bends constant: "
+            f"the recording reaches {len(peaks)} different V_max, but coefficients that are quadratics of V_max need "
+            "three or more; the residual displacement is assumed proportional to V_max and the bends constant: "
             "record triangles of growing peak from 0 V"
         )
     high, low = float(voltage.max()), float(voltage.min())
@@ -391,7 +391,7 @@ def _undetermined(matrix) -> list[str]:
     if not condition > 1e6:
         return []
     return [
-        f"the recording does not determine all coefficients (condition number {condition:.1e}); the others are "
+        f"the recording does not determine all coefficients (condition number {condition:.1e}); undetermined ones are "
         "set so that the virgin curve is straight and nothing depends on V_max"
     ]
 
@@ -427,7 +427,7 @@ class PreloadIdentification:
     parameters: PreloadParameters  #: A1, B1 and B2, with the preload in use as ``force``.
     covariance: np.ndarray  #: shape (3, 3); Covariance of A1, B1 and B2.
     rms: float  #: Residual [m].
-    stiffness: float  #: -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
+    stiffness: float  #: -1/(B1 + 2 B2 L0) [N/m], at the middle L0 of the recorded preloads.
     largest_force: float  #: Largest preload of the data [N].
     warnings: tuple[str, ...]  #: Warnings about uncertain results, as sentences.
 

@@ -21,15 +21,15 @@ another value lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The dens
 dead zones, so nodes run the model like any other of this kind.
 
 *Non-parametric density*: an individual weight ≥ 0 for each play, by linear least squares (:mod:`.play_fit`).
-*Modified*: dead zones behind the plays, which bend both branches equally, make the output bilinear in the two sets of
-weights; a few Gauss-Newton steps, each a constrained linear problem, solve it.
+*Modified*: dead zones in series after the plays, which bend both branches equally. The output is then bilinear in the
+two sets of weights, which follow from a few Gauss-Newton steps; each step is a constrained linear problem.
 
 *Ambiguity* of a recording: let f be the reversible part with the map, and W(r) the sum of the weights of plays up to
 radius r. A periodic loop between 0 and V has the slope f'(v) + W(v/2) on its rising and f'(v) + W((V - v)/2) on its
 falling branch. A change of W that is symmetric about V/4, with a compensating change of f', is therefore not
 observable, although it changes the gain of smaller loops. Densities ``exp(-κ r/h)`` for several κ are therefore fitted
-behind the identified linear part, each with its own map. All that fit about as well as the best one are possible, and
-their differences on smaller loops are the remaining uncertainty.
+together with the identified linear part, each with its own map. All that fit about as well as the best one are
+possible, and their differences on smaller loops are the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinski
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
-#: Smallest slope behind all dead zones, as a fraction of the slope at zero.
+#: Smallest slope of the sum of all dead zones, as a fraction of the slope at zero.
 LOWEST_SLOPE = 0.2
-#: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unneeded ones near zero.
+#: Penalty on the slopes that dead zones add, in residual RMS over stroke; it keeps unnecessary slopes near zero.
 ZONE_RIDGE = 1e-3
 
 
 class FreeWeights(PlayFit):
-    """Individual weights of plays, and dead zones behind them, fitted to one set of data."""
+    """Individual weights of plays, and dead zones in series after them, fitted to one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, zone_count: int):
         super().__init__(data)
@@ -160,13 +160,13 @@ class FreeWeights(PlayFit):
 
 
 def _zones(x, thresholds):
-    """Outputs of the dead zones, shape (N, k): zones for t ≥ 0 act above t, the others below."""
+    """Return the outputs of the dead zones, shape (N, k): zones for t ≥ 0 act above t, the others below."""
     inside = x[:, None] - thresholds
     return np.where(thresholds >= 0.0, np.maximum(inside, 0.0), np.minimum(inside, 0.0))
 
 
 def _monotone(zone_weights, thresholds):
-    """Reduce the slopes that make the slope behind the dead zones too small."""
+    """Raise the weights of dead zones that would make the total slope too small."""
     result = np.array(zone_weights, dtype=float)
     for side in (np.flatnonzero(thresholds >= 0.0), np.flatnonzero(thresholds < 0.0)[::-1]):
         slope = 1.0
@@ -185,7 +185,7 @@ DENSITY_SHAPE = (
     ("map_slope", 0.0, -0.7, 0.7),
     ("map_curvature", 0.0, -0.25, 0.4),
 )
-#: Linear pieces of the map over the recording, and smallest change of slope between them.
+#: Number of linear pieces of the map over the recording, and smallest change of slope between them.
 PIECES = 16
 TINY = 1e-9
 
@@ -246,7 +246,7 @@ class SmoothDensity:
         return self._map(sums, shape) - self._map(0.0, shape)
 
     def _weights(self, shape) -> np.ndarray:
-        """Return the weights of the voltage and of the plays; both parts move by about their share over the range."""
+        """Return the weights of the voltage and of the plays, which make each part move by about its share."""
         density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
         moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
         share = shape["elastic_share"]
@@ -364,7 +364,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
         if density == "exponential":
             return competitors[0]
         competitors.append(FreeWeights(competitors[0].data, play_count, 0).fit(linear, progress))
-    # dead zones with the best linear part without them; if they are accepted, their linear part is searched again
+    # dead zones with the best linear part found without them; if accepted, their linear part is searched again
     part = min(competitors, key=lambda fit: fit.rms).part
     zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(part)
     competitors.append(zones)
@@ -384,7 +384,7 @@ TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
 #: Number of half swings of the decaying loops for the comparison, and of points of each.
 SWINGS, POINTS = 16, 40
-#: The small loop, as a fraction of the range.
+#: Size of the small loop, as a fraction of the range.
 SMALL = 0.1
 EXCITATION = "record loops of decaying amplitude (hysteresis excite --recipe decaying)"
 

@@ -55,7 +55,7 @@ class InverseValidation:
     """Result of :func:`recover_voltage`."""
 
     voltage: np.ndarray  #: shape (N,); Recovered voltage [V].
-    error: np.ndarray  #: shape (N - skip,); Recovered less applied voltage [V].
+    error: np.ndarray  #: shape (N - skip,); Recovered minus applied voltage [V].
     rmse: float  #: [V]
     rmse_displacement: float  #: RMS of the voltage error times the model's nominal gain [m].
     rmse_percent: float  #: RMS of the voltage error in % of the range of the applied voltage.
@@ -134,7 +134,7 @@ def predict(
 
 
 def before_dynamics(chain: PlantModel, voltage, sample_time: float, measured=None) -> np.ndarray:
-    """Return the displacement [m], shape (N,), behind hysteresis and creep: the input of the dynamics.
+    """Return the displacement [m], shape (N,), after hysteresis and creep: the input of the dynamics.
 
     Without ``measured`` [m] it starts at rest at 0 V. Units: ``voltage`` [V], ``sample_time`` [s].
     """
@@ -182,8 +182,9 @@ def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:
         dynamics = chain.dynamics
     else:
         raise IdentificationError(
-            f"the model's dynamics are for {chain.sample_time:g} s and the data has {sample_time:g} s; resample the "
-            "data to the model's sample time, or identify with --linear lag or second_order"
+            f"the model's dynamics are valid for a sample time of {chain.sample_time:g} s, but the data has "
+            f"{sample_time:g} s; resample the data to the model's sample time, or identify with --linear lag or "
+            "second_order"
         )
     return replace(chain, dynamics=dynamics, sample_time=sample_time)
 
@@ -218,7 +219,7 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
 
 
 def _free_response(chain: PlantModel, residual) -> np.ndarray:
-    """Return the free response of the dynamics, fitted by least squares together with an unused constant."""
+    """Return the free response of the dynamics, fitted by least squares with a constant that is then discarded."""
     if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
         return np.zeros_like(residual)
     model = chain.dynamics.state_space
@@ -242,7 +243,7 @@ def judge(
     fitted: int = 0,
     inverse: bool = True,
 ) -> tuple[Validation, InverseValidation | None, dict, list[str]]:
-    """Compare prediction and measurement, and the voltage of the inverse with the applied one; with figures and notes.
+    """Compare prediction and measurement, and inverse and applied voltage; return the figures and notes too.
 
     Units: ``predicted`` [m].
     """

@@ -11,7 +11,7 @@
 
 One large loop does not determine a Preisach density over two variables, so the fit uses the simplest density for such
 loops: a constant reversible slope, and a density that is a free (smooth, non-negative) function of the width of an
-elementary loop and linear in its bias. The Everett map of such a density is that of plays behind the mapped voltage
+elementary loop and linear in its bias. The Everett map of such a density is that of plays driven by the mapped voltage
 ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
 squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's law.
 """
@@ -30,7 +30,7 @@ WIDTHS = 24
 NODES = 33
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
-#: Largest magnitude of κ, the dependence of the density on the bias: g(V) (see the top) is monotone up to 0.5.
+#: Largest magnitude of κ, the dependence of the density on the bias. g(V), see above, is monotone up to 0.5.
 LARGEST_BIAS = 0.4
 
 
@@ -80,7 +80,7 @@ class Density(PlayFit):
         return voltage + bias * (offset**2 / self.half - self.half)
 
     def columns(self, shape) -> np.ndarray:
-        """Regressors, shape (N, 1 + widths): the voltage, and the plays behind g, after saturation at the lower end."""
+        """Return the regressors, shape (N, 1 + widths): voltage, and plays of g(V), saturated at the lower end."""
         voltage, bias = self.data.voltage, shape["bias"]
         g = self.bent(voltage, bias)
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)

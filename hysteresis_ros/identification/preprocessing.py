@@ -9,14 +9,14 @@
 
 """Preprocessing of data for fits, with its stages in order.
 
-1. :func:`prepared`, once for each recording: stamps that jitter around a uniform grid are corrected (:func:`steadied`),
-   gaps bridged or avoided (:func:`uninterrupted`) or the samples interpolated (:func:`resample`), missing samples at
-   the ends omitted, the rest checked. For long data, :func:`reduced` selects the interval that shows most of the loops,
-   and averages neighbouring samples as long as the removed frequencies contain only noise.
+1. :func:`prepared`, once for each recording: stamps that jitter around a uniform grid are corrected (:func:`steadied`).
+   Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated (:func:`resample`). Missing
+   samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
+   shows most of the loops, and averages neighbouring samples as long as the removed frequencies contain only noise.
 2. The past: samples are omitted until the voltage has been near both ends of its range (:func:`wiped_out`), or the
    voltage that left the actuator remanent is searched (:func:`remanent_voltage`).
-3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Laws of branches use
-   :func:`split_branches` instead.
+3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Models with a law for each
+   branch use :func:`split_branches` instead.
 4. :func:`repeated`, around each fit: outliers and drift are found in its residual and removed, and the fit is repeated.
    Fits of plays omit outliers and have a column for the drift; other models need complete branches, so both are
    subtracted from their recording (:func:`cleaned`).
@@ -49,9 +49,10 @@ from hysteresis_ros.units import readable
 def prepared(
     data: IdentificationData, grid: float | str | None = None, all_samples: bool = False, whole: bool = False
 ) -> tuple[IdentificationData, DataReport]:
-    """Return checked data on a uniform grid (of long data only the informative samples), and a report.
+    """Return checked data on a uniform grid, reduced to the informative samples if it is long, and a report.
 
-    ``grid`` is a sample time [s] or ``auto``; by default gaps are bridged or avoided. ``whole`` omits no interval.
+    ``grid`` is a sample time [s] or ``auto``; by default gaps are bridged or avoided. With ``whole``, no interval is
+    omitted.
     """
     data = steadied(data)
     data = uninterrupted(data) if grid is None else resample(data, None if isinstance(grid, str) else grid)
@@ -65,8 +66,8 @@ def prepared(
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 
-#: Ratio of the smoothness of the signals with uniform times to that with their stamps, above which uniform times are
-#: assumed.
+#: Uniform times are assumed if the roughness of the signals with them is below this fraction of the roughness with the
+#: recorded stamps.
 SMOOTHER = 0.7
 #: Intervals longer than this number of medians are gaps.
 GAP_DISTANCE = 1.5
@@ -101,14 +102,14 @@ def steadied(data: IdentificationData) -> IdentificationData:
         return data
     smoother = math.sqrt(roughness[0] / roughness[1]) if roughness[1] else math.inf
     warning = (
-        f"stamps jitter by up to {readable(beside, 's')} around a grid of {readable(grid[1] - grid[0], 's')}, the "
+        f"stamps jitter by up to {readable(beside, 's')} around a grid of {readable(grid[1] - grid[0], 's')}, but the "
         f"signals do not (with equal intervals they are {smoother:.2g} times smoother): assumed to be uniform"
     )
     return replace(data, time=grid, warnings=(*data.warnings, warning))
 
 
 def uninterrupted(data: IdentificationData) -> IdentificationData:
-    """Return data on a uniform grid without gaps: short ones are bridged, otherwise the longest part without one.
+    """Return data on a uniform grid without gaps: with short gaps bridged, or the longest part without a gap.
 
     The input during a longer gap is unknown, and therefore also the memory of a hysteresis after it. Samples without
     input or output are gaps too. If no part is long enough, or the samples jitter, the data is returned unchanged.
@@ -228,9 +229,9 @@ def _decimated(values, factor):
     return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
 
 
-#: Largest number of samples of a recording that is not reduced, and of a reduced one except for sweeps …
+#: Recordings with more samples than this are reduced to at most this number, or a multiple of it for sweeps …
 MOST_SAMPLES = 100_000
-#: … and fewest samples of a reduced one.
+#: … and to at least this number.
 FEWEST_REDUCED = 6000
 #: Numbers of full strokes (both directions count) and of samples of an interval. They are tried in order until an
 #: interval contains as much information as the whole recording: for a simple fit, for many different loops, and for
@@ -244,7 +245,7 @@ TRIED = 20
 LEVELS = 20
 #: Largest lost power above the new band, as a fraction of the signal …
 LOST = 3e-4
-#: … and smallest new rate over the highest kept frequency.
+#: … and smallest ratio of the new rate to the highest kept frequency.
 OVERSAMPLING = 8.0
 #: Numbers of samples for the search of turning points, and of a segment of the spectrum; least and largest number of
 #: segments.
@@ -257,7 +258,7 @@ ABOVE_FLOOR = 3.0
 
 
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
-    """Return an interval of long data with neighbouring samples averaged, and a note; short data unchanged.
+    """Return an interval of long data with neighbouring samples averaged, and a note; return short data unchanged.
 
     Each sample is at the middle of the averaged ones; :attr:`IdentificationData.factor` is their number.
     """
@@ -322,7 +323,7 @@ def _telling_stretch(voltage, averaged: int):
             )
             found.append((_shown(levels[first : last + 1], speeds[first:last]), first, last))
         best = max(found)[0]
-        # the earliest of equally good ones: it is nearest to rest, and shows the beginning of creep
+        # the earliest of equally good intervals, because it is nearest to rest and shows the beginning of creep
         shown, start, end = next(item for item in found if item[0] >= AS_GOOD * best)
         if shown >= AS_GOOD * everything:
             break
@@ -332,7 +333,7 @@ def _telling_stretch(voltage, averaged: int):
 
 
 def _shown(levels, speeds) -> float:
-    """Return the information in turning points at these levels: different loops and speeds, mainly to both ends."""
+    """Return the information in turning points at these levels: different loops and speeds, weighted by the range."""
     loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
     reach = np.ptp(levels) / LEVELS if levels.size else 0.0
     return reach**4 * len(loops)
@@ -687,7 +688,7 @@ def require_both_directions(branches, model: str) -> None:
     """Raise IdentificationError unless there are rising and falling branches, without which there is no loop."""
     rising = sum(branch.rising for branch in branches)
     if rising == 0 or rising == len(branches):
-        found = f"{len(branches)} {'rising' if rising else 'falling'} branch(es) only" if branches else "no branch"
+        found = f"only {len(branches)} {'rising' if rising else 'falling'} branch(es)" if branches else "no branch"
         raise IdentificationError(
             f"the recording has {found}; a {model} needs rising and falling branches: record at least one whole loop"
         )

@@ -80,7 +80,7 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 
 
 def usual(data: IdentificationData, request: Request) -> Identification:
-    """Fit the same, or generalised plays if they predict held-out blocks better."""
+    """Fit plays (and dead zones), or generalised plays if they predict held-out blocks better."""
     return _hammerstein(partial(fit_prandtl_ishlinskii, competitors=competitors), data, request, _numbers_of_plays)
 
 
@@ -207,10 +207,10 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
 
 
 def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
-    """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
+    """Fit dynamics of higher order after the hysteresis; their gain goes to the hysteresis."""
     stage = request.stage
     if stage is None:
-        raise IdentificationError("no linear stage is given: choose one of them")
+        raise IdentificationError("no linear stage is given: choose one with --linear")
     hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
     request.progress(0, stage)
@@ -249,7 +249,7 @@ def static_result(
     return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
 
 
-#: Error that refused parameters get at every sample, in strokes.
+#: Error assigned to refused parameters at every sample, as a multiple of the stroke.
 REFUSED = 10.0
 #: Largest number of evaluations of the model for each free parameter.
 MOST_EVALUATIONS = 200
@@ -292,7 +292,7 @@ class _ParametricSearch:
         self.warnings: tuple[str, ...] = ()
 
     def error(self, parameters: Parameters) -> np.ndarray:
-        """Return the predicted less the measured displacement [m], with its mean."""
+        """Return the predicted minus the measured displacement [m], including its mean."""
         try:
             predicted = self.model.block(parameters, 1.0).simulate(self.voltage)
         except ParameterError:
@@ -363,7 +363,7 @@ def _robust(fit, data: IdentificationData, skip: int) -> Identification:
 
 
 def proportional(data: IdentificationData, request: Request) -> Identification:
-    """Fit a gain, and dynamics behind it."""
+    """Fit a gain, and dynamics after it."""
     return _robust(lambda clean, _: _proportional(clean, request), data, request.skip or 0)
 
 
@@ -384,7 +384,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             constant = float(np.mean((y - stage.gain * part.apply(u, step))[skip:]))
             return identified(data, request, FittedHysteresis(gain(stage.gain), 2), part, False, constant)
     if request.stage:
-        # only an initial value: with dynamics behind it, a line through the samples does not give the gain
+        # only an initial value: with dynamics after it, a line through the samples does not give the gain
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
     slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
     _refuse_gain(slope)

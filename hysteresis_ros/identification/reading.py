@@ -58,11 +58,11 @@ class Columns:
     sample_time : float, optional
         [s], for tables without a time column.
     namespace : str, optional
-        Which axis of a bag.
+        Namespace of the axis in a bag.
     range : (int, int or None), optional
         First sample and the one after the last; all by default.
     resample : float or "auto", optional
-        Sample time [s] of a uniform grid to bring the data to; ``auto``: the median distance of the samples.
+        Sample time [s] of a uniform grid for the data; ``auto``: the median interval between the samples.
     negate : bool
         Invert the sign of the output.
     all_samples : bool
@@ -174,7 +174,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column of that unit, or without a unit, with the clearest name; None if two are equal."""
+    """Return the column of that unit, or without a unit, with the clearest name; None if two are equally clear."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     ranked = sorted(fitting, key=lambda name: _rank(name, names))
     best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]

@@ -70,7 +70,8 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
 
 #: Name that selects the best predicting model.
 AUTO = "auto"
-#: Name of the default choice: a first model, which determines parts, options and inverses, and its competitors.
+#: Name of the default choice; the model that determines its parts, options and inverses; and the procedure that
+#: compares this model with its competitors.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
 #: Names of sets of parts.
 WORDS = {"none": (), "auto": PARTS}
@@ -92,7 +93,7 @@ def linear_words(model: HysteresisModel) -> tuple[str, ...]:
 
 
 def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | None]:
-    """Return the parts that may be fitted with the hysteresis, and the stage behind it or None."""
+    """Return the parts that may be fitted with the hysteresis, and the stage after it or None."""
     entry = find_model(model)
     linear = linear_words(entry)
     words = words or "auto"

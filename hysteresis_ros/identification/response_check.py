@@ -114,7 +114,7 @@ class ResponseCheck:
 
     @property
     def entries(self) -> dict:
-        """Values for the parameter file, for a design."""
+        """Return the values that the parameter file passes on to a design."""
         found = self.uncertainty
         known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
         return {
@@ -228,7 +228,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return the frequencies at which the spectrum of the residual has peaks and that of the input has not."""
+    """Return the frequencies at which the spectrum of the residual has peaks and that of the input has none."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]

@@ -56,7 +56,7 @@ class SimplexRun:
 
     #: shape (iterations + 1, n); Best vertex after each iteration, the start first (figure 10 of paper B).
     trajectory: np.ndarray
-    costs: np.ndarray  #: shape (iterations + 1,); Its cost.
+    costs: np.ndarray  #: shape (iterations + 1,); Cost of this vertex.
     evaluations: int  #: Calls of the cost function.
     converged: bool  #: The simplex became smaller than the tolerance within the budget.
 
@@ -71,14 +71,14 @@ class SimplexSearch:
     """Result of :func:`restarted_nelder_mead`."""
 
     x: np.ndarray  #: shape (n,); Best point of all starts.
-    cost: float  #: Its cost.
+    cost: float  #: Cost at this point.
     runs: tuple[SimplexRun, ...]  #: One for each start, in order.
     best: int  #: Index of the run that found ``x``.
     converged: bool  #: Whether that run converged; if not, ``x`` is still the best point found.
 
     @property
     def agreeing(self) -> int:
-        """Number of starts within 1 % of the lowest cost; 1 of several suggests further local minima."""
+        """Number of starts within 1 % of the lowest cost; one of several suggests that there are other local minima."""
         return sum(run.costs[-1] <= 1.01 * self.cost for run in self.runs)
 
 

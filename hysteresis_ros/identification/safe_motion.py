@@ -14,9 +14,9 @@ largest slew rate in a recording, and the voltage range divided by one period of
 time constant of a model with lags only). If none is known, it is the range divided by :data:`FIRST_SECONDS`.
 
 *Approach to setpoints*: half of the slew rate is reserved for the setpoint, the other half for feedback and hysteresis.
-The approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one period of
-the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint leaves
-little vibration even when the frequency is off by some per cent.
+The approach is a ramp filtered by two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one
+period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
+leaves little vibration even when the frequency is off by some per cent.
 
 *Steps of a waveform* also keep the limits of the approach if the controller inverts the dynamics; otherwise only the
 slew rate limits them.

@@ -107,7 +107,7 @@ def find_start(
     note = (
         f"the first {wiped} samples ({seconds:.3g} s) omitted, until the voltage had been near both ends of its range"
     )
-    return Start("zero", wiped, (), note if wiped else "no samples omitted: it begins at an end of the range")
+    return Start("zero", wiped, (), note if wiped else "no samples omitted: the voltage begins at an end of its range")
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
@@ -139,12 +139,12 @@ class _PastTrials:
         self.data, self.structure = data, structure
 
     def condensed(self, start: Start) -> Condensed:
-        """Return the recording after a past."""
+        """Return the condensed recording with a given past."""
         v, y, skip = start.signals(self.data)
         return condense(v, y, self.data.sample_time, skip, history=start.history, enough=COARSE)
 
     def error(self, start: Start = Start("zero", 0), part=None) -> np.ndarray:
-        """Return the residual [m] of the samples with this past, shape (N,) or a little less."""
+        """Return the residual [m] of the samples with this past, shape (N,) or slightly shorter."""
         condensed = self.condensed(start)
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
@@ -171,7 +171,7 @@ class _PastTrials:
 
 
 def _after(voltage: float, first: float) -> Start:
-    """Return the remanent beginning after a voltage; ``first`` is that of the recording's beginning [V]."""
+    """Return the start of a recording after a voltage [V] left remanence; ``first`` is its first voltage [V]."""
     return Start("estimate", 0, (voltage, first), remanence(voltage))
 
 
@@ -208,11 +208,11 @@ def _refuse_open(data: IdentificationData) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Separated:
-    """A recording without the dynamics behind a hysteresis, and without drift."""
+    """A recording without the dynamics after a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
     output: np.ndarray  #: shape (N,); Output also without lag and creep [m].
-    part: LinearPart  #: The linear part behind the hysteresis.
+    part: LinearPart  #: The linear part after the hysteresis.
     start: Start  #: Assumed beginning of the recording.
     warnings: tuple[str, ...]  #: Warnings about the separation.
     constant: float = 0.0  #: Constant removed from the output before creep was inverted [m].
@@ -291,7 +291,7 @@ def remembered(static: Separated, fit, block):
 
     def after(voltage: float) -> Separated:
         start = replace(static.start, history=(voltage, first))
-        words = "as asked for: " if start.note.startswith("as asked for") else ""
+        words = "as requested: " if start.note.startswith("as requested") else ""
         return replace(static, start=replace(start, note=words + remanence(voltage)))
 
     def error(model, other: Separated) -> float:

@@ -9,8 +9,9 @@
 
 """Recordings of several inputs and outputs: columns, units, and the periods and realisations in them.
 
-A realisation is a span in which all inputs repeat. Its first period only runs in, if there are enough others. One file
-may hold several realisations one after the other, as `hysteresis excite` records them, or each its own.
+A realisation is a span in which all inputs repeat. Its first period is discarded as run-in if there are enough others.
+One file may contain several realisations, one after the other, as `hysteresis excite` records them; or each realisation
+has its own file.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from hysteresis_ros.units import conversion
 
 #: Signals of an axis of a stage that are its input and its output.
 INPUT, OUTPUT = "voltage", "measured"
-#: Sample times of files that differ by more than this part are different.
+#: Sample times of files are different if they differ by more than this fraction.
 SAME_RATE = 1e-6
-#: Most candidates for a period that are tried, and fewest samples of one.
+#: Largest number of candidates for a period, and least number of samples of a period.
 CANDIDATES, SHORTEST = 50, 16
-#: A span whose inputs move less than this part of their largest RMS holds no realisation.
+#: A span in which the inputs move by less than this fraction of their largest RMS contains no realisation.
 STILL = 0.02
 
 
@@ -47,7 +48,7 @@ class StageColumns:
     Parameters
     ----------
     inputs, outputs : tuple of str
-        Columns as ``name`` or ``name:unit``; of the recording of a stage by default the voltages and measurements of
+        Columns as ``name`` or ``name:unit``. For the recording of a stage, by default the voltages and measurements of
         all its axes.
     time : str, optional
         Time column.
@@ -56,7 +57,8 @@ class StageColumns:
     period : float, optional
         Period of the inputs [s]; found by default.
     settle : int, optional
-        Periods of each realisation that only run in; by default one, or none where a realisation has two periods.
+        Number of periods discarded at the beginning of each realisation; by default one, or none if a realisation has
+        only two periods.
     """
 
     inputs: tuple[str, ...] = ()
@@ -72,7 +74,7 @@ class StageColumns:
             object.__setattr__(self, name, given)
             twice = sorted({one for one in given if given.count(one) > 1})
             if twice:
-                allowed = f"'{twice[0]}' is there twice: name each column once"
+                allowed = f"'{twice[0]}' occurs more than once: name each column once"
                 raise IdentificationError(str(Problem(name, given, allowed)))
 
 
@@ -82,7 +84,7 @@ class StageReading:
 
     inputs: tuple[str, ...]  #: Names of the inputs.
     outputs: tuple[str, ...]  #: Names of the outputs.
-    runs: tuple[tuple[np.ndarray, np.ndarray], ...]  #: Of each run u, shape (N, m), and y, shape (N, q).
+    runs: tuple[tuple[np.ndarray, np.ndarray], ...]  #: Input, shape (N, m), and output, shape (N, q), of each run.
     sample_time: float  #: [s]
     source: str  #: Names of the files.
     axes: tuple[str, ...] = ()  #: Names of the axes of a recorded stage.
@@ -90,12 +92,12 @@ class StageReading:
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return inputs and outputs of the only run; DataError if there are several."""
         if len(self.runs) != 1:
-            raise DataError("shape", f"{len(self.runs)} runs, and one is needed here: give one file")
+            raise DataError("shape", f"there are {len(self.runs)} runs, but one is needed here: give one file")
         return self.runs[0]
 
 
 def is_stage(path) -> bool:
-    """Return whether a file holds the recording of a stage, with signals of several axes."""
+    """Return whether a file is the recording of a stage, with signals of several axes."""
     path = pathlib.Path(path)
     if path.suffix.lower() == ".npz" and path.is_file():
         try:
@@ -127,8 +129,8 @@ def read_stage(sources, columns: StageColumns | None = None) -> StageReading:
         if abs(other.sample_time / first.sample_time - 1.0) > SAME_RATE:
             raise DataError(
                 "uniform",
-                f"{other.source}: a sample time of {other.sample_time:.9g} s, and {first.sample_time:.9g} s in "
-                f"{first.source}: all files must be sampled alike",
+                f"{other.source}: has a sample time of {other.sample_time:.9g} s, but it is "
+                f"{first.sample_time:.9g} s in {first.source}: all files must have the same sample time",
             )
     names = ", ".join(dict.fromkeys(one.source for one in found))
     runs = tuple(run for one in found for run in one.runs)
@@ -167,7 +169,7 @@ def _read(source, columns: StageColumns) -> StageReading:
         for one in names:
             if recording.units[one] != unit:
                 wanted = "a voltage" if unit == "V" else "a length"
-                text = f"{role} {one} is in '{recording.units[one]}', it must be {wanted}: give it as {one}:{unit}"
+                text = f"{role} {one} is in '{recording.units[one]}', but must be {wanted}: give it as {one}:{unit}"
                 raise DataError("unit", f"{name}: {text}")
     u, y = (np.column_stack([recording[one] for one in names]) for names in (inputs, outputs))
     sample_time, _, findings = check_uniform(recording.time)
@@ -245,7 +247,7 @@ def _arrays(path: pathlib.Path, columns: StageColumns) -> StageReading:
 
 
 def find_period(u: np.ndarray) -> int | None:
-    """Return the period with which the inputs ``u``, shape (N, m), repeat most [samples]; None: they do not."""
+    """Return the period [samples] that repeats over most of the inputs ``u``, shape (N, m); None without repetition."""
     moved = u - u.mean(axis=0)
     size = 2 * len(u)
     correlation = np.fft.irfft((np.abs(np.fft.rfft(moved, size, axis=0)) ** 2).sum(axis=1))[: len(u) // 2 + 2]
@@ -255,14 +257,14 @@ def find_period(u: np.ndarray) -> int | None:
     best, covered = None, 0.0
     for period in sorted(peaks[np.argsort(-correlation[peaks])][:CANDIDATES]):
         share = float(sum(last - first for first, last in periodic_spans(u, int(period))))
-        # a multiple of the period covers no more
+        # a multiple of the period covers hardly more samples
         if share > 1.02 * covered:
             best, covered = int(period), share
     return best
 
 
 def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
-    """Return the spans, first sample and the one after the last, in which moving inputs repeat for two periods."""
+    """Return the spans (first sample, last sample + 1) in which the inputs move and repeat for at least two periods."""
     size = float(np.sqrt(np.mean(np.var(u, axis=0))))
     apart = np.abs(u[period:] - u[:-period]).max(axis=1) > SAME * max(size, CONSTANT) * 2.0
     edges = np.flatnonzero(np.diff(np.concatenate([[True], apart, [True]]).astype(np.int8)))
@@ -277,7 +279,7 @@ def periodic_spans(u: np.ndarray, period: int) -> list[tuple[int, int]]:
 
 
 def realisations(reading: StageReading, columns: StageColumns | None = None) -> StructureData | None:
-    """Return the realisations of recordings as whole periods; None where the inputs do not repeat.
+    """Return the realisations of recordings as whole periods; None if the inputs do not repeat.
 
     A stated period that the inputs do not have is refused.
     """
@@ -301,14 +303,14 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
     fewest = min(counts)
     settle = (1 if fewest > 2 else 0) if columns.settle is None else columns.settle
     if not 0 <= settle < fewest:
-        raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods, one at least must count")
+        raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods, at least one must remain")
     kept = slice(settle * period, fewest * period)
     u, y = (np.array([span[place][kept] for span in spans]) for place in (0, 1))
     return StructureData(u, _without_drift(y, period), step, period)
 
 
 def _without_drift(y: np.ndarray, period: int) -> np.ndarray:
-    """Return outputs without the drift from period to period, of creep, say; what repeats in each period stays."""
+    """Return outputs without their drift from period to period, for example by creep; the periodic part is kept."""
     R, count, q = y.shape
     if count < 2 * period:
         return y
@@ -320,13 +322,13 @@ def _without_drift(y: np.ndarray, period: int) -> np.ndarray:
 
 
 def _split(u: np.ndarray, period: int) -> list[tuple[int, int]]:
-    """Return spans of whole periods; a run that is two periods or a single one of a stated length counts whole."""
+    """Return spans of whole periods, which end where the inputs stop repeating."""
     found = periodic_spans(u, period)
     return [(last - (last - first) // period * period, last) for first, last in found]
 
 
 def loops_of(reading: StageReading) -> list[tuple[int, int]]:
-    """Return for each input the span in which it moves alone, from a sample to the one after the last.
+    """Return for each input the span in which it moves alone (first sample, last sample + 1).
 
     Raises
     ------
@@ -337,7 +339,7 @@ def loops_of(reading: StageReading) -> list[tuple[int, int]]:
     reach = np.ptp(u, axis=0)
     found = []
     for i, name in enumerate(reading.inputs):
-        # where the others are at what they have before and after their own turn
+        # an input rests at its first value before and after it moves
         moving = np.abs(u - u[0]) > 1e-3 * np.maximum(reach, CONSTANT)
         alone = np.flatnonzero(moving[:, i] & ~np.delete(moving, i, axis=1).any(axis=1))
         others = np.flatnonzero(moving[:, i] & np.delete(moving, i, axis=1).any(axis=1))

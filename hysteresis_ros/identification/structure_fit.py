@@ -43,8 +43,8 @@ LINEAR_GROUPS = ("sigma", "gamma", "B", "C", "D")
 PRECISION = np.float32
 #: Number of parameters whose sensitivities are computed at a time, so that they stay in the cache of a core.
 CHUNK = 192
-#: JᵀJ is computed from every sample, or from every second to fourth if this number of values per parameter remains; the
-#: gradient always uses all samples.
+#: JᵀJ is computed from every sample, or from every second to fourth one if at least this number of values per parameter
+#: remains; the gradient always uses all samples.
 STRIDE, ROWS = 4, 60
 
 
@@ -291,7 +291,7 @@ class ModalStructure:
 
     @property
     def stable(self) -> bool:
-        """Whether the structure is stable for motions against which all radii are small."""
+        """Whether the structure is stable for motions that are much larger than all radii."""
         A = modal_matrix(self.sigma, self.beta, self.gamma) + self.B_w * self.weights.sum(axis=1) @ self.C_z
         return bool(np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
@@ -342,7 +342,7 @@ def refine_in_time(
     deadline: float = np.inf,
     progress=None,
 ) -> tuple[ModalStructure, Minimum]:
-    """Refine groups of parameters; with ``held_out``, return the point that is best on these data, and stop after it.
+    """Refine groups of parameters; with ``held_out``, stop and return the point that is best on these data.
 
     No step begins after ``deadline``, a time of ``time.perf_counter`` [s].
     """

@@ -38,7 +38,7 @@ class Threshold:
 RESIDUAL = "RMS residual of the fitted samples"
 HELD_OUT = "RMS error on held-out parts of the recording"
 
-# Linear part behind the hysteresis
+# Linear part after the hysteresis
 
 LINEAR_PART = Threshold(
     0.01,
@@ -55,7 +55,7 @@ DELAY_OR_LAG = Threshold(
     RESIDUAL,
     "Stages usually have a lag: a delay must be visible, and both together must be better than either alone.",
 )
-LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "An additional lag behind a plain gain also fits noise a little.")
+LAG_OF_A_GAIN = Threshold(0.02, RESIDUAL, "An additional lag after a plain gain also fits noise a little.")
 FAST_DYNAMICS = Threshold(
     0.03, RESIDUAL, "The simplest of several dynamics is kept unless another one is clearly better."
 )

@@ -55,7 +55,7 @@ class Structure:
     poles: int = 2  #: poles, zeros: n ≥ 1 and m ≤ n.
     zeros: int = 0
     intersample: str = "zoh"  #: ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
-    #: ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
+    #: ``zero``, ``rest`` (under the first input), ``periodic`` (the data has only whole periods) or ``estimate``.
     initial: str = "zero"
     offset: bool = False  #: Whether a constant is also fitted.
     delay: float = 0.0  #: Known dead time of the input [s].
@@ -386,7 +386,7 @@ def _warnings(problem: _Problem, best, numerator, denominator):
 
 
 def _check(y, structure: Structure, skip: int) -> None:
-    """Refuse unusable settings, and an output that rests after the skipped samples."""
+    """Refuse unusable settings, and an output that is constant after the skipped samples."""
     structure.check()
     if not 0 <= skip < len(y):
         raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")

@@ -133,7 +133,7 @@ class Conditions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Fast:
-    """A recording of small and fast movements, from rest at 0 V on."""
+    """A recording of small and fast movements that starts from rest at 0 V."""
 
     data: IdentificationData  #: Recording at the sample rate of the axis.
     skip: int  #: Number of first samples that do not count, such as those of the ramp to the operating point.
@@ -186,7 +186,7 @@ class Compared:
         voltage : array_like, shape (N,)
             [V]
         sample_time : float, optional
-            [s]; by default that of the recording the model comes from.
+            [s]; by default that of the recording from which the model was identified.
         intersample : str, optional
             The input between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as it was identified.
         initial : str, optional
@@ -255,7 +255,7 @@ class Identified(Compared):
     identification : Identification
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str
-        The parameter file: a whole axis, as plant, compensator and controller load it.
+        The parameter file: a complete axis, as plant, compensator and controller load it.
     response : ResponseCheck, optional
         Uncertainty of the frequency response; None for a model with dynamics inside its hysteresis.
     """
@@ -290,7 +290,7 @@ class Identified(Compared):
         return parse_configuration(self.text, "the identified model")
 
     def save(self, path) -> None:
-        """Write the parameter file whole or not at all.
+        """Write the parameter file completely or not at all.
 
         Parameters
         ----------

@@ -232,7 +232,7 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
     late[1500:1505] = late[1500]  # held, because the next ones were late
     assert plan_of_recording(late, 1.0 / RATE).samples == (400,)
     assert plan_of_recording(u, 1.0 / RATE, 0.2, "noise").samples == (200, u.size)
-    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "is not periodic")):
+    for asked, said in (((7.0, "multisine"), "must contain at least two"), ((None, "multisine"), "is not periodic")):
         with pytest.raises(IdentificationError, match=said):
             plan_of_recording(noise, 1.0 / RATE, *asked)
     with pytest.raises(IdentificationError, match="made by hysteresis frf"):

@@ -209,7 +209,7 @@ def test_recordings_and_axes_that_have_none_are_refused(tmp_path):
     path = tmp_path / "noise.csv"
     save_run(Recording(time, {"voltage": noise[0], "measured": noise[1]}), path)
     result = hysteresis("frf", path)
-    assert result.exit_code == 2 and "the excitation is too weak: signal-to-noise ratio" in result.output
+    assert result.exit_code == 2 and "the excitation is too weak: the signal-to-noise ratio" in result.output
     result = hysteresis("frf", path, "--amplitude", "1V")
     assert result.exit_code == 2 and "is a recording, whose excitation cannot be changed" in result.output
     assert measured_loop_parts(single_axis(axis_file()))[0].D.shape == (1, 2)
