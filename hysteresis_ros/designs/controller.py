@@ -137,7 +137,7 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     rising = frequencies.shape == relative.shape and frequencies.ndim == 1 and bool(np.all(np.diff(frequencies) > 0.0))
     if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
         raise ConfigurationError(
-            f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must be as many numbers,"
+            f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must have the same length,"
             f" frequencies rising, uncertainties not below 0; identify again, or remove the entries {start}*"
         )
     return ResponseUncertainty(frequencies, relative, known_to)
@@ -154,7 +154,7 @@ def borne(found: Designed, response: ResponseUncertainty, sample_time: float) ->
 def certain_design(
     first: Designed, design: Design, request, response: ResponseUncertainty | None, sample_time: float
 ) -> Designed:
-    """Return a design that is stable for all plants that the identification leaves possible.
+    """Return a design that is stable for all plants that are consistent with the identification.
 
     For this, unspecified parts of the design are made slower: first the observer, then the response to the reference.
 
@@ -198,7 +198,7 @@ def certain_design(
 
 
 def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
-    """Return whether a design leaves room for unknown dynamics; True without a design."""
+    """Return whether a design tolerates unknown dynamics; True without a design."""
     with contextlib.suppress(ParameterError):
         found = borne(design(bandwidth, q), response, sample_time)
         return found.distance >= KEPT or found.frequency <= response.known_to
@@ -206,7 +206,7 @@ def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, 
 
 
 def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:
-    """Return the fastest certain design up to a bandwidth."""
+    """Return the fastest design up to a bandwidth that is stable for all plants consistent with the identification."""
     for _ in range(HALVINGS):
         slow = 0.5 * fast
         best = found_with(slow)
@@ -255,10 +255,10 @@ class DesignRequest:
     #: RMS of the sensor's noise [m], which limits the bandwidth if none is given; by default :data:`ASSUMED_NOISE` of
     #: the stroke.
     noise: float | None = None
-    #: Plants that must meet the requirements; by default the model, and with a damping also plants with resonances off
-    #: by 10 %.
+    #: Plants that must meet the requirements; by default the model and, with damping, also plants whose resonances are
+    #: 10 % lower or higher.
     robust: Uncertainty | None = None
-    #: Kind of damping to design first, or ``none``; by default the configuration's damping stays.
+    #: Kind of damping to design first, or ``none``; by default the damping of the configuration is kept.
     damping: str | None = None
 
 
@@ -373,7 +373,7 @@ def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
     for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
         if request.robust is not None and given is not None:
             raise ConfigurationError(
-                f"--robust and {name} exclude each other, because the plants determine it; give one of them"
+                f"--robust and {name} exclude each other, because --robust also determines it; give one of them"
             )
     if request.preview is not None and not request.feedforward:
         raise ConfigurationError("--preview belongs to --feedforward; give both")

@@ -11,10 +11,10 @@
 
 **Dynamic decoupling of a scan.** R are the references of all axes at a harmonic of the path, and T is the coupled
 closed loop from references to displacements, with unchanged controllers. The corrected references are R + Q (T⁻¹ - I)
-R. With Q = I, the displacements of the model are then R at the samples, on every axis. The whole period is known, so T
-may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness filter of the axis;
-above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with the errors that the
-model does not predict.
+R. With Q = I, the displacements of all axes of the model equal R at the samples. The path of a whole period is known in
+advance, so T may have zeros outside the unit circle, and its inverse needs no truncation. Q is the robustness filter of
+the axis; above its bandwidth nothing is corrected. Learning begins with these corrections, and continues with the
+errors that the model does not predict.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.loop.stage_response import SMALLEST, scanned_paths, stage_loop, stage_plant, stage_response
 from hysteresis_ros.models.linear_algebra import product
 
-#: What is known of the response of each axis, by its name; an axis without an entry has an exact model.
+#: Uncertainty of the response of each axis, by its name; the model of an axis without an entry is taken as exact.
 Uncertainties = Mapping[str, ResponseUncertainty]
 
 #: Frequencies at which coupling is printed, as fractions of the sample rate, and those of the grid of singular values.
@@ -134,7 +134,7 @@ class StageLearning:
 
 
 def shortest_period(path: np.ndarray) -> int:
-    """Return the least number of samples after which a periodic path repeats; the path is one period of it."""
+    """Return the least number of samples after which a path repeats within its own length, which is one period."""
     count = len(path)
     for period in range(2, count):
         if count % period == 0 and np.max(np.abs(path[period:] - path[:-period])) <= 0.5 * SAME:
@@ -181,14 +181,14 @@ def design_stage_learning(parameters: StageParameters, request: LearningRequest,
             continue
         design = design_learning(axis, replace(request, period=period / rate), known.get(name))
         low_pass = design.filters.responses(2.0 * np.pi * np.arange(period // 2 + 1) / period)[0]
-        # effects that another axis causes once in its longer period do not belong to this period
+        # averaged, because effects of another axis with a longer period do not repeat in each period of this axis
         own = corrections[place].reshape(-1, period).mean(axis=0)
         own = np.fft.irfft(np.fft.rfft(own) * low_pass, period)
         largest = float(np.max(np.abs(own)))
         if largest > design.parameters.maximum:
             found.left[name] = (
-                f"its model needs corrections of {1e6 * largest:.4g} µm, allowed are "
-                f"{1e6 * design.parameters.maximum:.4g} µm: give a larger --maximum, or scan more slowly"
+                f"its model needs corrections of {1e6 * largest:.4g} µm, but at most "
+                f"{1e6 * design.parameters.maximum:.4g} µm are allowed: give a larger --maximum, or scan more slowly"
             )
             continue
         setpoint = axis.generator.initial_setpoint

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of a damping from a model: the filter that permits the fastest outer loop, and its performance.
+"""Design of a damping filter for a model: the one that permits the fastest outer loop, and its performance.
 
-For every filter a PID is designed on the damped model: its zeros cancel the slowest poles, as in the design of ``pid``,
-and its largest gain g follows in closed form on a grid of frequencies. With X the loop per unit of g, |1 + g X| ≥ 1/M_s
-at one frequency is a quadratic inequality in g. The result for the worst of several plants counts: the model, and
-plants with lower and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the plant, must
-also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is refined
-around the best one; the result has four digits.
+For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
+of ``pid``, and its largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g,
+|1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The worst result on several plants counts: on the
+model, and on plants with lower and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the
+plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is
+refined around the best one; the result has four digits.
 
 References
 ----------
@@ -54,13 +54,13 @@ from hysteresis_ros.models.sensor import ForceParameters
 SENSITIVITY = 1.9
 #: Default relative uncertainty of the frequencies of resonances.
 RESONANCE = 0.1
-#: Number of points of the grid in each direction, by the number of directions; number of refinements.
+#: Number of points of the grid in each dimension, by the number of dimensions; number of refinements.
 POINTS = {1: 41, 2: 13, 3: 8}
 REFINED = 3
 #: Number of frequencies of the grid on a linear and on a logarithmic scale, and around each resonance.
 GRID, AROUND = 120, 41
-#: Smallest damping ratio of any mode of the inner loop; a mode may have less if its ratio to the plant's is at least
-#: the second number.
+#: Smallest damping ratio of any mode of the inner loop. Less is allowed if the ratio is at least the second number
+#: times that of the plant's mode.
 WELL, MUCH = 0.02, 5.0
 #: Damping ratio above which a mode needs no damping filter.
 DAMPED = 0.7
@@ -178,7 +178,7 @@ class _Search:
         return gain * min(1.0, (SENSITIVITY / whole) ** 2)
 
     def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
-        """Return whether inner, outer and whole loop meet the requirements of every design, on all plants."""
+        """Return whether inner loop, outer loop and the loop cut at the plant meet the requirements on all plants."""
         whole = loop.behind(outer)
         for one in self.plants:
             around = loop.around(one.plant)
@@ -261,7 +261,7 @@ def _around(box, point):
     return tuple(found)
 
 
-#: Factor on the bandwidth below which a damping counts as of little use.
+#: A damping counts as of little use if it raises the bandwidth by less than this factor.
 LITTLE = 1.2
 #: A law that passes the reference on, so that the loop is the inner loop alone.
 _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
@@ -299,7 +299,7 @@ class DampedDesign:
     undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None if there is no such design.
 
     def misses(self) -> tuple[str, ...]:
-        """Return the unmet requirements of the law's loop or of both loops, on the model or with resonances off."""
+        """Return the unmet requirements of the law's loop or of both loops, on the model or with other resonances."""
         for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
             for number, margins in enumerate(found):
                 said = margins.misses()
@@ -318,9 +318,9 @@ class DampedDesign:
         if self.times >= LITTLE:
             return ()
         return (
-            f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without "
+            f"{self.damping.type} is of little use here: the bandwidth is {self.times:.3g} times the bandwidth without "
             "damping; choose another kind or none, or state the delay (model.dynamics.delay) if it is "
-            "missing, because the sign of the gain depends on it",
+            "missing, because the sign of the gain depends on the delay",
         )
 
     def rows(self) -> list[tuple[str, str]]:

@@ -52,7 +52,7 @@ from hysteresis_ros.units import quantity, readable
 
 #: Default peak of the excitation, as a fraction of the range.
 AMPLITUDE = 0.05
-#: Rest time at the operating point before and after the excitation, in which creep decays [s].
+#: Dwell time at the operating point before and after the excitation, in which creep decays [s].
 WAIT = 1.0
 
 
@@ -354,7 +354,7 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the path of the file, beside a recording, that contains the plan of its excitation."""
+    """Return the path of the file, next to a recording, that contains the plan of its excitation."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 

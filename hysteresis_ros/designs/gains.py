@@ -329,7 +329,7 @@ def tune(
         controller_block(with_gains(control, first), sample_time)  # raises an error for invalid gains
         raise ConfigurationError(
             f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
-            f"{required.delay_margin:g} samples; start from lower ones"
+            f"{required.delay_margin:g} samples; start from lower gains"
         )
     result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
     history = _history(result.runs[result.best], initial, tuned)

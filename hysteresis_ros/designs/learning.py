@@ -36,11 +36,13 @@ from hysteresis_ros.models.actuator import PreloadParameters
 #: Default set of possible plants: 5 % uncertainty, 3 % more for all times because of the identification, residual
 #: hysteresis after the inverse, and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and the limited part of the command above which learning pauses, as fractions of the stroke.
+#: Largest correction, and the part of the command cut by saturation above which learning pauses, as fractions of the
+#: stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
-#: Learning gain, number of periods after which it falls as 1/n, and lower limit of it.
+#: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
-#: Number of samples of an impulse response, and the largest fraction of it that may remain at the end.
+#: Least and largest number of samples of an impulse response, and the largest fraction of it that may remain at the
+#: end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
 #: Largest number of frequencies.
 MOST = 2**13
@@ -67,7 +69,8 @@ class LearningRequest:
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
 
-#: Command-line options of a design of the learning besides those of the ranges; further options that require it.
+#: Command-line options that a design of the learning takes, besides those of the ranges; and options that only learning
+#: has.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
@@ -296,7 +299,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
 
 
 def periods_to(rate: float, part_left: float = 0.1) -> int:
-    """Return the number of periods in which an error falls to a tenth, for a factor per period."""
+    """Return the number of periods in which an error falls to ``part_left``, for its factor ``rate`` per period."""
     return math.ceil(math.log(part_left) / math.log(rate))
 
 

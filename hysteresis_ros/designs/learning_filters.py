@@ -41,7 +41,7 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.linear_algebra import rounded
 
-#: Distance of the contraction from one.
+#: Required distance of the contraction from one.
 MARGIN = 0.1
 #: ε: uncertainty of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15

@@ -38,7 +38,7 @@ _HEADER = """\
 
 
 def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncertainty:
-    """Return the uncertainty, according to a measured response, of the model in the controller of an axis."""
+    """Return the uncertainty of the model in the controller of an axis, according to a measured response."""
     plant, model = _beside(axis.motion_controller.model.dynamics, axis, found)
     return plant.uncertainty(model, found.response.sample_time)
 

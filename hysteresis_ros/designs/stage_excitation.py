@@ -10,9 +10,9 @@
 """Excitation of a stage: all axes at once with orthogonal multisines, or one axis after the other, in one run.
 
 The stage runs in open loop, without inverses and without its decoupling, so that each axis drives its own actuator.
-Orthogonal multisines come in groups of as many realisations as there are axes; each realisation has periods to settle
-and periods that count. Other recipes move one axis after the other, while the others rest at 0 V or at the end of their
-range that is nearest to it.
+Orthogonal multisines come in groups of as many realisations as there are axes; each realisation has periods to settle,
+and periods that are evaluated. Other recipes move one axis after the other, while the other axes stay at 0 V, or at the
+end of their range that is nearest to 0 V.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hysteresis_ros.references.recipes import (
 )
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
-#: Samples of a period of the multisine by default.
+#: Default number of samples of a period of the multisine.
 PERIOD = 2000
 MULTISINE = "multisine"
 
@@ -50,10 +50,10 @@ class StageExcitation:
     amplitude: float = 1.0  #: Factor on the amplitude of the recipe.
     frequency: float | None = None  #: Line spacing of the multisine, frequency of the cycles of other recipes [Hz].
     realisations: int | None = None  #: Realisations of the multisine; by default three for each axis.
-    periods: int = 2  #: Periods of each realisation that count.
-    settle: int = 1  #: Periods before them.
-    one_by_one: bool = False  #: Multisines of one axis after the other.
-    duration: float | None = None  #: Of the recipe of each axis [s].
+    periods: int = 2  #: Number of evaluated periods of each realisation.
+    settle: int = 1  #: Number of periods to settle before them.
+    one_by_one: bool = False  #: Whether the multisines excite one axis after the other.
+    duration: float | None = None  #: Duration of the recipe of each axis [s].
     seed: int = 1
 
 
@@ -64,7 +64,7 @@ class ExcitedStage:
     stage: StageParameters
     duration: float  #: [s]
     voltages: np.ndarray  #: shape (N, n) [V]
-    words: str  #: What is played, for people.
+    words: str  #: Description of the excitation.
 
 
 def excited_stage(configuration: Configuration, asked: StageExcitation, path) -> ExcitedStage:
@@ -92,7 +92,7 @@ def excited_stage(configuration: Configuration, asked: StageExcitation, path) ->
 
 
 def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
-    """Return orthogonal multisines about the middle of the ranges, shape (N, n) [V], and what they are in words."""
+    """Return orthogonal multisines about the middle of the ranges, shape (N, n) [V], and their description."""
     names, rate, count = parameters.names, parameters.sample_rate, len(parameters.names)
     realisations = 3 * count if asked.realisations is None else asked.realisations
     for name, value, least in (
@@ -137,12 +137,12 @@ def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np
     how = "one axis after the other" if asked.one_by_one else "orthogonal"
     words = f"multisines, {how}: {realisations} realisations of {asked.settle} + {asked.periods} periods of {N} samples"
     if slowed:
-        words += f"; the slew rate allows of the amplitude: {', '.join(slowed)}"
+        words += f"; the slew rate reduces the amplitude to: {', '.join(slowed)}"
     return np.array(columns).T, words
 
 
 def _in_turn(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
-    """Return a recipe for one axis after the other, shape (N, n) [V], and what it is in words."""
+    """Return a recipe for one axis after the other, shape (N, n) [V], and its description."""
     rate, parts = parameters.sample_rate, []
     rests = []
     for axis in parameters.axes:

@@ -9,12 +9,13 @@
 
 """From recordings of a stage to its parameter file: structure, hysteresis, decoupling, controllers.
 
-1. Response matrix G [m/V] from the realisations that are not held out; where the inputs do not repeat, by the local
-   polynomial method.
-2. ``hammerstein``: a stable state space of G without feedthrough behind whole samples of delay; order and delay by the
-   error on what was held out. Its columns are divided by the static gains from each actuator to its own sensor, which
-   makes the inputs of the structure displacements [m]. The hysteresis of each actuator is identified from loops in
-   which it moves alone. ``internal``: one structure with the hysteresis inside, from all levels.
+1. Response matrix G [m/V] from the realisations that are not held out; by the local polynomial method if the inputs do
+   not repeat.
+2. ``hammerstein``: a stable state space of G without feedthrough, after a delay of whole samples. Order and delay are
+   chosen by the error on the held-out realisations. The columns of its input matrix are divided by the static gains
+   from each actuator to its own sensor, which makes the inputs of the structure displacements [m]. The hysteresis of
+   each actuator is identified from loops in which it moves alone. ``internal``: one structure that contains the
+   hysteresis, fitted to all levels.
 3. Decoupling: the inverse of the static gain. Model of each axis: linear dynamics fitted to its entry of the decoupled
    response, with the measured uncertainty.
 4. Controllers: designed for these models and the measured noise.
@@ -60,34 +61,35 @@ from hysteresis_ros.models.compensator import CompensatorParameters, reachable_c
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.models.structure import Structure, StructureParameters
 
-#: Orders of a structure that are tried, and largest whole delay before it [samples].
+#: Tried orders of a structure, and largest delay before it [samples].
 ORDERS, MOST_DELAY = (2, 4, 6, 8, 12, 16), 3
-#: Orders of the model of an axis, and the error at which a lower one is enough, as a factor on the smallest.
+#: Tried orders of the model of an axis, and factor on the smallest error up to which the error of a lower order
+#: suffices.
 AXIS_ORDERS, AXIS_ENOUGH = (2, 4, 6), 1.2
-#: A structure is refined if its error before that is at most this factor of the smallest.
+#: A structure is refined only if its error before the refinement is at most this factor times the smallest error.
 WORTH = 10.0
-#: A lower order of the structure is enough at this factor on the smallest error: further states only follow the creep
-#: and the hysteresis of the actuators.
+#: A lower order of the structure suffices if its error is at most this factor times the smallest error: further states
+#: only describe the creep and the hysteresis of the actuators.
 STRUCTURE_ENOUGH = 1.1
-#: Lines of a response without periods to which a structure is fitted, about.
+#: Approximate number of lines for the fit of a structure, if the inputs do not repeat.
 MOST_LINES = 500
-#: Steps of the refinement on the response, for each order and for the chosen one.
+#: Number of steps of the refinement on the response, for each order and for the chosen order.
 STEPS, LAST_STEPS = 15, 100
 #: Largest modulus of a pole of a structure.
 RADIUS = 1.0 - 1e-5
-#: Real poles slower than this many times the lowest line count as creep, and not as part of the structure.
+#: Real poles slower than this multiple of the lowest line count as creep, and not as part of the structure.
 CREEPING = 10.0
-#: Part of the range of motion that the references use.
+#: Fraction of the range of motion that the references use.
 USED = 0.95
 _HEADER = """\
 # A stage of coupled axes, identified by `hysteresis identify`; a ROS 2 parameter file. SI units.
-# /identification is not a node: it says where the numbers come from.
+# /identification is not a node: it states where the numbers come from.
 """
 
 
 @dataclass(frozen=True)
 class StageRequest:
-    """What an identification of a stage is asked for.
+    """Request of an identification of a stage.
 
     Parameters
     ----------
@@ -96,21 +98,21 @@ class StageRequest:
     axes : tuple of str
         Names of the axes; by default those of the recording, or the names of the outputs.
     order : int, optional
-        Even order of the structure; by default the lowest one that predicts almost best.
+        Even order of the structure; by default the lowest one whose prediction is almost as good as the best.
     held_out : int
-        Realisations of each level that only judge.
+        Number of realisations of each level that are held out to judge the models.
     model : str
         Model of the hysteresis of the loops.
     plays, hystereses : int
-        Of type ``internal``: plays of each hysteresis, hystereses of each actuator.
+        For type ``internal``: number of plays of each hysteresis, and of hystereses of each actuator.
     steps : int
-        Of type ``internal``: steps of the last search.
+        For type ``internal``: number of steps of the last search.
     controller : str
-        Controller to design, ``none`` for an open loop.
+        Controller to design; ``none`` for an open loop.
     damping : str, optional
         Damping to design; by default integral resonant control, if it helps.
     noise : float, optional
-        RMS noise of the sensors [m] for the design; by default as measured.
+        RMS noise of the sensors [m] for the design; by default the measured noise.
     progress : callable, optional
         Called as ``progress(text)``.
     """
@@ -156,8 +158,8 @@ class _Plant:
     structure: StructureParameters
     delay: int  #: Whole samples of delay of each actuator.
     gain: np.ndarray  #: shape (n, n); Static gain from voltages to outputs, small motions [m/V].
-    hysteresis: tuple[workflow.Identified | None, ...]  #: Of each actuator; None: proportional.
-    small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; of type internal 1.
+    hysteresis: tuple[workflow.Identified | None, ...]  #: Hysteresis of each actuator; None: proportional.
+    small: tuple[float, ...]  #: Gains of the actuators for small motions [m/V]; 1 for type internal.
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,19 +169,19 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     Parameters
     ----------
     text : str
-        The parameter file of the stage, which ``simulate``, ``design`` and ``up`` take.
+        The parameter file of the stage, which ``simulate``, ``design`` and ``up`` accept.
     parameters : StageParameters
-        The same, read; with ``into`` the identified stage, whose plant the text does not have.
+        Parameters in the text. With ``into``, those of the identified stage, because the text keeps another plant.
     responses : tuple of ResponseMatrix
-        Response matrix [m/V] of each level, with noise and distortion apart, the lowest level first.
+        Response matrix [m/V] of each level, with noise and distortion separated, the lowest level first.
     axes : tuple of Analysis
         Response of each axis from its decoupled command to its measurement.
     designs : dict
         Designed controllers by the names of the axes.
     figures : dict
-        By names with units.
+        Figures by names with units.
     warnings : tuple of str
-        What is uncertain.
+        Sentences about what is uncertain.
     """
 
     text: str
@@ -191,7 +193,7 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     warnings: tuple[str, ...]
 
     def save(self, path) -> None:
-        """Write the parameter file whole or not at all.
+        """Write the parameter file completely or not at all.
 
         Parameters
         ----------
@@ -229,13 +231,13 @@ def identify_stage(
     reading : StageReading
         The recordings of the excitation.
     data : StructureData or None
-        Its realisations; None: the inputs do not repeat.
+        Realisations in the recordings; None if the inputs do not repeat.
     request : StageRequest, optional
-        What is asked for.
+        Options of the identification.
     loops : StageReading, optional
         A recording in which each actuator moves alone through its range.
     into : Configuration, optional
-        A stage that keeps its plant and gets everything else.
+        A stage that keeps its plant and receives all other parameters from the identification.
 
     Returns
     -------
@@ -245,7 +247,7 @@ def identify_stage(
     Raises
     ------
     IdentificationError, DataError, ParameterError, ConfigurationError
-        The data or the request cannot be used; the message says what is allowed.
+        The data or the request cannot be used; the message states what is allowed.
     """
     request = (request or StageRequest()).checked()
     names = _names(reading, request, into)
@@ -254,7 +256,7 @@ def identify_stage(
     several = data is not None and len(data.levels) > 1 and loops is None and request.plays > 0
     kind = request.type or (INTERNAL if several else HAMMERSTEIN)
     if kind == INTERNAL and loops is not None:
-        raise IdentificationError(f"type {INTERNAL}: the hysteresis is found from the levels; leave the loops out")
+        raise IdentificationError(f"type {INTERNAL}: the hysteresis is identified from the levels; omit the loops")
     if kind == INTERNAL and data is None:
         raise DataError("shape", f"type {INTERNAL}: the inputs do not repeat; excite with periodic multisines")
     if data is not None:
@@ -274,7 +276,7 @@ def identify_stage(
                 Problem(
                     "static gain [m/V]",
                     [[float(f"{value:.4g}") for value in row] for row in plant.gain],
-                    f"is singular: the direction {lost} moves no sensor; excite more, or place the sensors otherwise",
+                    f"is singular: the direction {lost} moves no sensor; excite more strongly, or move the sensors",
                 )
             ]
         )
@@ -298,10 +300,10 @@ def identify_stage(
 
 
 def _lost(gain: np.ndarray, found: ResponseMatrix, names) -> str:
-    """Return the direction of the actuators in which a gain moves nothing, or no more than its uncertainty."""
+    """Return the direction of the actuators that moves no sensor, or no more than the uncertainty of the gain."""
     left, sizes, right = np.linalg.svd(gain)
     response = found.response
-    # the response at the lowest lines tells the gain
+    # the lowest lines determine the static gain
     unsure = 0.0
     if response.degrees is not None:
         circle = response.radius()[:LOWEST]
@@ -329,13 +331,13 @@ def _names(reading: StageReading, request: StageRequest, into: Configuration | N
         raise IdentificationError(str(Problem("axes", names, f"must be {m} names, one for each input and its output")))
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        allowed = f"'{twice[0]}' is there twice: give each actuator a name of its own"
+        allowed = f"'{twice[0]}' occurs more than once: give each actuator its own name"
         raise IdentificationError(str(Problem("axes", names, allowed)))
     return tuple(names)
 
 
 def _responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
-    """Return the response of each level without what is held out, and the realisations that judge."""
+    """Return the response of each level without the held-out realisations, and these realisations."""
     m, found, judged = data.u.shape[2], [], []
     for chosen in data.levels:
         if len(chosen) < m + held_out:
@@ -351,7 +353,7 @@ def _responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix
 
 
 def _excited(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> np.ndarray:
-    """Return which lines are excited; others have what converters and late samples add."""
+    """Return which lines are excited; other lines contain only the effects of converters and late samples."""
     places = np.rint(found.response.frequency * data.period * data.sample_time).astype(int)
     mean = u.reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
     strength = np.abs(np.fft.rfft(mean, axis=1)).max(axis=(0, 2))[places]
@@ -364,12 +366,12 @@ def _without_periods(reading: StageReading) -> ResponseMatrix:
     shortest = min(len(u) for u, _ in reading.runs)
     u, y = (np.array([run[place][:shortest] for run in reading.runs]) for place in (0, 1))
     found = local_polynomial_response(u, y, reading.sample_time)
-    # neighbours share their windows
+    # neighbouring lines share their windows, so only some of them are kept
     return found.at(np.arange(len(found.condition)) % max(len(found.condition) // MOST_LINES, 1) == 0)
 
 
 def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: StageRequest):
-    """Return the plant with the hysteresis in front, and the held-out errors of its linear part."""
+    """Return the plant with the hysteresis before the structure, and the held-out errors of its linear part."""
     orders = ORDERS if request.order is None else (request.order,)
     model, delay = _linear(found.response, judged, orders, STRUCTURE_ENOUGH, request.progress)
     held = None if judged is None else _held_errors(model, delay, judged[0])
@@ -379,13 +381,13 @@ def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: 
     for i, name in enumerate(names):
         if abs(own[i]) < small:
             raise IdentificationError(
-                f"static gain of actuator {reading.inputs[i]} at sensor {reading.outputs[i]} = {own[i]:.3g} m/V, "
+                f"static gain of actuator {reading.inputs[i]} at sensor {reading.outputs[i]} = {own[i]:.3g} m/V, but "
                 f"the largest gain is {np.abs(gain).max():.3g} m/V: name inputs and outputs in the order of the axes"
             )
         if own[i] < 0.0:
             raise IdentificationError(
-                f"axis {name}: {reading.outputs[i]} falls when {reading.inputs[i]} rises: negate that column, a "
-                "hysteresis in front needs a positive gain"
+                f"axis {name}: {reading.outputs[i]} falls when {reading.inputs[i]} rises, but a hysteresis before the "
+                "structure needs a positive gain: negate that column"
             )
     flat = {
         "A": _block_values(model),
@@ -413,7 +415,7 @@ def _block_values(model: LinearModel) -> tuple[float, ...]:
 def _linear(
     response: FrequencyResponse, judged, orders: Sequence[int], enough: float, progress=None
 ) -> tuple[LinearModel, int]:
-    """Return the state space of a response in modes and the delay before it [samples]."""
+    """Return the state space of a response in modal form, and the delay before it [samples]."""
     z = np.exp(2j * np.pi * response.frequency * response.sample_time)
     size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=(1, 2)))
     weights = np.sqrt(size.mean() / size)
@@ -439,10 +441,10 @@ def _linear(
         tried.append((_judge(model, delay, response, judged), order, delay, model))
         if progress is not None:
             progress(f"order {order}, delay {delay}: error {tried[-1][0]:.4g}")
-    # such a pole fits creep, which is in the actuators, and changes the gain at rest
+    # a slow real pole would describe creep, which belongs to the actuators, and would change the static gain
     tried = [one for one in tried if not _slow(one[3], response)] or tried
     least = min(one[0] for one in tried)
-    # the lowest order that is almost as good as the best, and of it the best delay
+    # the lowest order that is almost as good as the best, and the best delay for this order
     order = min(one[1] for one in tried if one[0] <= enough * least)
     _, _, delay, model = min((one for one in tried if one[1] == order), key=lambda one: one[0])
     last, _ = refine_on_response(model, early(delay), entries, steps=LAST_STEPS, radius=RADIUS, feedthrough=False)
@@ -458,7 +460,7 @@ def _slow(model: LinearModel, response: FrequencyResponse) -> bool:
 
 
 def _judge(model: LinearModel, delay: int, response: FrequencyResponse, judged) -> float:
-    """Return the error of a model on what was held out, or on the response itself [RMS, relative]."""
+    """Return the RMS error of a model on the held-out realisations [m], or else on the response itself [m/V]."""
     if judged is not None:
         errors = _held_errors(model, delay, judged[0])
         return float(np.sqrt(np.mean(errors**2)))
@@ -522,9 +524,7 @@ def _loops(loops: StageReading, names, request: StageRequest) -> list[workflow.I
         except IdentificationError as error:
             raise type(error)(*_named(error, f"{loops.source}: actuator {name}")) from None
         if not one.plant.invertible:
-            raise IdentificationError(
-                f"model {request.model}: has dynamics inside its hysteresis; choose another model"
-            )
+            raise IdentificationError(f"model {request.model}: its hysteresis contains dynamics; choose another model")
         found.append(one)
     return found
 
@@ -560,12 +560,12 @@ def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | No
         return None
     upper = found.noise[len(found.noise) // 2 :]
     samples = 1 if data is None else data.u.shape[1]
-    # without periods the covariance is that of a sample
+    # without periods the covariance is that of a single sample
     return np.sqrt(samples * np.einsum("fii->i", upper).real / len(upper))
 
 
 def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, dict[str, float]]:
-    """Return the text of the stage in open loop, and how far its models are from the measured responses."""
+    """Return the text of the stage in open loop, and the errors of its models against the measured responses."""
     rate = rate_of(reading.sample_time)
     step = 1.0 / rate
     count = len(names)
@@ -640,7 +640,7 @@ def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, d
 
 
 def _copied(nodes: dict) -> dict:
-    """Return the nodes with arrays of their own: YAML would write a second reference as an alias."""
+    """Return the nodes with copied arrays, because YAML would write a second reference to an array as an alias."""
     return {
         node: {key: tuple(v) if isinstance(v, tuple) else v for key, v in values.items()}
         for node, values in nodes.items()
@@ -652,13 +652,13 @@ def _put_into(into: Configuration, designed: Configuration, found: StageParamete
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
         raise ConfigurationError(
-            f"{into.source}: runs at {given.sample_rate:g} Hz, and the recording at {found.sample_rate:g} Hz; "
+            f"{into.source}: runs at {given.sample_rate:g} Hz, but the recording has {found.sample_rate:g} Hz; "
             "record at the rate of the stage"
         )
     if given.names != found.names:
         raise ConfigurationError(
-            f"{into.source}: has the axes {', '.join(given.names)}, and the recording {', '.join(found.names)}; name "
-            "them alike with --axes"
+            f"{into.source}: has the axes {', '.join(given.names)}, but the recording has {', '.join(found.names)}; "
+            "give the same names with --axes"
         )
     entries: list[tuple[str, dict]] = [
         (f"{given.namespace}/{STAGE}", {"decoupling": found.stage.decoupling, "scan.kind": ""})
@@ -701,14 +701,14 @@ def _means(reading: StageReading) -> tuple[list[float], list[float]]:
 
 
 def _resting_offsets(plant: _Plant, reading: StageReading, centre) -> list[float]:
-    """Return the zeros of the sensors [m] of a structure with hysteresis, from its rest point at the mean voltage."""
+    """Return the zeros of the sensors [m] of a structure with hysteresis, from its steady state at the mean voltage."""
     block = Structure(plant.structure, plant.structure.sample_time)
     block.settle(centre)
     return (np.array(_means(reading)[1]) - block.step(centre)).tolist()
 
 
 def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[float, float]]:
-    """Return the ranges of the degrees of freedom [m] that can be reached together, whatever the others do."""
+    """Return the ranges of the degrees of freedom [m] that can be reached independently of one another."""
     ends = np.array(
         [reachable_commands(CompensatorParameters.from_mapping(one).validated(), step) for one in compensators]
     )
@@ -721,7 +721,7 @@ def _ranges(plant: _Plant, compensators, decoupling, step: float) -> list[tuple[
 
 
 def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
-    """Return how far the model of each axis may be from its response, where this was measured."""
+    """Return the uncertainty of the model of each axis from its measured response, where it has a variance."""
     found = {}
     for name, axis, analysis in zip(parameters.names, parameters.axes, analyses, strict=True):
         response = analysis.response
@@ -733,7 +733,7 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
 
 
 def _designed(text: str, parameters: StageParameters, request: StageRequest, noise, analyses, known: Uncertainties):
-    """Return the text with designed controllers, the designs, and why one is missing."""
+    """Return the text with designed controllers, the designs, and the reason if they are missing."""
     if request.controller == "none":
         return text, {}, []
     level = request.noise or (float(np.max(noise)) if noise is not None else None)
@@ -750,11 +750,11 @@ def _designed(text: str, parameters: StageParameters, request: StageRequest, noi
             said.append(f"{request.controller}, damping {damping or 'none'}: {error}")
     if request.damping is not None or request.noise is not None:
         raise ConfigurationError("; ".join(said))
-    return text, {}, [f"no controller could be designed, the loops are open: {'; '.join(said)}"]
+    return text, {}, [f"no controller could be designed, so the loops are open: {'; '.join(said)}"]
 
 
 def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
-    """Return a warning for each loop whose margins on the measured response are not those that a design needs."""
+    """Return a warning for each loop whose sensitivity on the measured response exceeds the limit of a design."""
     found = []
     for (name, design), analysis in zip(designs.items(), analyses, strict=True):
         response = analysis.response
@@ -765,8 +765,8 @@ def _measured(designs: dict[str, AxisDesign], analyses) -> list[str]:
         loop = loop_of(controller, response.frequency, response.single, circle, response.sample_time, model)
         if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak:
             found.append(
-                f"axis {name}: on the measured response the sensitivity reaches {loop.sensitivity_peak.low:.3g}, at "
-                f"most {REQUIRED.sensitivity_peak:g} is wanted: design again with a lower --bandwidth"
+                f"axis {name}: on the measured response the sensitivity reaches {loop.sensitivity_peak.low:.3g}, but "
+                f"at most {REQUIRED.sensitivity_peak:g} is allowed: design again with a lower --bandwidth"
             )
     return found
 
@@ -805,11 +805,11 @@ def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
 
 
 def _file_errors(parameters: StageParameters, data: StructureData, held_out: int, names) -> dict:
-    """Return the errors of the stage as written on what was held out, without its mean, by output [m]."""
+    """Return the RMS errors of the written stage on the held-out realisations, without their mean, by output [m]."""
     chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
     u = data.u[chosen].mean(axis=0) if len(chosen) == 1 else data.u[chosen[-1]]
     y = data.y[chosen].mean(axis=0) if len(chosen) == 1 else data.y[chosen[-1]]
-    # several repetitions run in
+    # all repetitions but the last are the run-in
     whole = np.concatenate([u] * 4)
     rest = simulated(parameters, whole)[-len(u) :] - y
     rest -= rest.mean(axis=0)
@@ -817,7 +817,7 @@ def _file_errors(parameters: StageParameters, data: StructureData, held_out: int
 
 
 def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:
-    """Return what the sensors of a stage read [m] without noise, under voltages ``u`` from rest, shape (N, n)."""
+    """Return the noise-free sensor readings of a stage [m], shape (N, n), under voltages ``u`` [V] from rest."""
     stage = Stage(parameters)
     drives = np.empty_like(np.asarray(u, dtype=float))
     for i, plant in enumerate(stage.plants):

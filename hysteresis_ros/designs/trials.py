@@ -14,18 +14,20 @@ errors against the undelayed path have the amplitudes E_j = c - T M_j, with the 
 displacements. Neither c nor T is known exactly. Both are estimated at each harmonic from the model and from all runs:
 
 - *The model's uncertainty* gives mean and covariance of T before any run: over plants whose gains, modes and delays
-  differ from the model's, each actuator and each mode by its own amount, and :data:`UNSEEN` for what no model has.
-- *Each run* is a measurement of c - T M_j, whose noise is known from how much the periods of the run differ. A linear
-  minimum-variance estimate takes both together (a Kalman filter without motion).
+  differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` stands for effects that
+  no model describes.
+- *Each run* is a measurement of c - T M_j. Its noise is known from the differences between the periods of the run. A
+  linear minimum-variance estimate combines both (a Kalman filter with a constant state).
 
 The corrections of the next run minimise the expected square of its error,
 
     E |c - T M|² = min  ⇒  M = (E[T* T])⁻¹ E[T* c],
 
-the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest, so that the
-lifted matrices are diagonal in the harmonics. The covariance of T is the weight on the change of the corrections:
-where the model is uncertain, as at a mode whose frequency is not known well, the step is small, and it grows with
-what the runs show. An error that is not above its noise is not learned (factor 1 - σ²/|E|²).
+This is the lifted norm-optimal learning of Amann, Owens & Rogers [1]_ for periods instead of trials from rest, so that
+the lifted matrices are diagonal in the harmonics. The covariance of T acts as a weight on the change of the
+corrections. Where the model is uncertain, for example at a mode whose frequency is not well known, the steps are small,
+and they grow as the runs reduce the uncertainty. An error that does not exceed its noise is not learned (factor
+1 - σ²/|E|²).
 
 References
 ----------
@@ -54,21 +56,22 @@ from hysteresis_ros.loop.stage_response import RESTING, controllers_of, scanned_
 from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Standard deviation of each entry of T that no model has (assumed).
+#: Assumed standard deviation of each entry of T due to effects that no model describes.
 UNSEEN = 0.05
-#: Part of an error that may be of another kind than c - T M: hysteresis is not linear (assumed).
+#: Assumed fraction of an error that does not follow c - T M, because hysteresis is not linear.
 NONLINEAR = 0.1
-#: Square of an error, in variances of its noise, from which on it is learned; below 2 % of noise is above it.
+#: An error is learned from this square on, in variances of its noise; noise alone exceeds it in less than 2 % of the
+#: cases.
 SIGNIFICANT = 4.0
-#: Harmonics on either side over which the noise of the runs is averaged.
+#: Number of harmonics on either side over which the noise of the runs is averaged.
 SMOOTHED = 15
-#: Fewest periods of a run: one to settle, and two that show how much they differ.
+#: Least number of periods of a run: one to settle, and two whose difference shows the noise.
 FEWEST = 3
-#: Highest frequency that is learned, as a part of the sample rate.
+#: Highest frequency that is learned, as a fraction of the sample rate.
 HIGHEST = 0.45
-#: Magnitude of a pole below which it only delays, and distance within which poles are equal.
+#: Magnitude of a pole below which it is a mere delay, and distance within which poles count as equal.
 DELAYING, EQUAL = 0.02, 1e-8
-#: Angles that are computed at once.
+#: Number of angles that are computed at once.
 BLOCK = 4096
 
 
@@ -77,7 +80,7 @@ class Loops:
     """Closed loop T from references to displacements at F harmonics, over all possible stages."""
 
     mean: np.ndarray  #: shape (F, n, n)
-    covariance: np.ndarray  #: shape (F, n, n, n); Of each row.
+    covariance: np.ndarray  #: shape (F, n, n, n); Covariance of each row.
 
     @property
     def square(self) -> np.ndarray:
@@ -132,16 +135,17 @@ def possible_loops(parameters: StageParameters, angles: np.ndarray, possible: Un
 
 
 def _slower(pole: complex, residue: np.ndarray, factor: float, z: np.ndarray) -> np.ndarray:
-    """Return how the response changes when a mode is slower by a factor; the gain at rest stays."""
+    """Return the change of the response when a mode is slower by a factor, at the same static gain."""
     moved = pole ** (1.0 / factor)
     change = (1.0 - moved) / (1.0 - pole) / (z - moved) - 1.0 / (z - pole)
     return change[:, np.newaxis, np.newaxis] * residue
 
 
 def _modes(model: StateSpace) -> list[tuple[complex, np.ndarray]]:
-    """Return pole and residue, shape (q, m), of each mode; of a pair that above the real axis, equal poles together.
+    """Return pole and residue, shape (q, m), of each mode, with equal poles combined.
 
-    Poles that only delay, and those on the negative real axis, are no modes in continuous time.
+    A conjugate pair is represented by its pole above the real axis. Poles that are mere delays, and poles on the
+    negative real axis, are not modes in continuous time.
     """
     import scipy.linalg
 
@@ -168,14 +172,14 @@ def _acting(dynamics, z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known of c and T at F harmonics: mean and covariance of the rows (c_i, T_i1 … T_in), shape (F, n, …)."""
+    """Estimate of c and T at F harmonics: mean and covariance of the rows (c_i, T_i1 … T_in), shape (F, n, …)."""
 
     mean: np.ndarray  #: shape (F, n, 1 + n)
     covariance: np.ndarray  #: shape (F, n, 1 + n, 1 + n)
 
     @classmethod
     def after(cls, loop: Loops, correction, error, variance) -> Belief:
-        """Return what is known after the first run: c = E + T M, with all that is uncertain of E and T."""
+        """Return the estimate after the first run: c = E + T M, with the uncertainty of E and of T."""
         count = correction.shape[1]
         turn = np.broadcast_to(np.eye(1 + count, dtype=complex), (len(correction), 1 + count, 1 + count)).copy()
         turn[:, 0, 1:] = correction
@@ -186,7 +190,7 @@ class Belief:
         return cls(np.einsum("fab,fib->fia", turn, mean), covariance)
 
     def given(self, correction, error, variance) -> Belief:
-        """Return what is known after a run with these amplitudes, (F, n) each, and the variance of the errors."""
+        """Return the estimate after a run with these amplitudes, (F, n) each, and this variance of the errors."""
         inputs = np.concatenate([np.ones((len(correction), 1)), -correction], axis=1)[:, np.newaxis]
         # row by row: e_i = inputs · row_i + noise
         carried = np.einsum("fnij,fnj->fni", self.covariance, inputs.conj())
@@ -197,7 +201,7 @@ class Belief:
         return Belief(self.mean + gain * missing[:, :, np.newaxis], covariance)
 
     def step(self, correction, noise) -> np.ndarray:
-        """Return the change of corrections (F, n) to those of least expected error; errors below the noise stay."""
+        """Return the change of corrections (F, n) of least expected error; errors below the noise are not corrected."""
         mean, whole = self.mean, self.covariance
         square = np.einsum("fia,fib->fab", mean[:, :, 1:].conj(), mean[:, :, 1:])
         square += np.einsum("fiba->fab", whole[:, :, 1:, 1:])
@@ -213,15 +217,15 @@ class Belief:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What a run of a scan with fixed corrections has shown, for all n axes."""
+    """Result of a run of a scan with fixed corrections, for all n axes."""
 
     correction: np.ndarray  #: shape (n, N) [m]
-    error: np.ndarray  #: shape (n, N); Mean over the periods, of the path minus the measurement [m].
-    variance: np.ndarray  #: shape (n, N // 2 + 1); Of the amplitudes of that mean, as ``numpy.fft.rfft`` gives them.
+    error: np.ndarray  #: shape (n, N); Mean error over the periods: path minus measurement [m].
+    variance: np.ndarray  #: shape (n, N // 2 + 1); Variance of ``numpy.fft.rfft`` of this error.
 
 
 def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -> Trial:
-    """Return what a run has shown after its first period."""
+    """Return the result of a run, without its first period."""
     paths = scanned_paths(parameters)
     period = paths.shape[1]
     errors = []
@@ -231,7 +235,7 @@ def trial(parameters: StageParameters, run: Recording, correction: np.ndarray) -
         if whole < FEWEST:
             raise RecordingError(
                 f"the run has {len(measured) / period:.3g} periods of the scan: must be {FEWEST} or more, one to "
-                "settle and others to tell errors from noise; set scan.periods"
+                "settle and others to distinguish errors from noise; set scan.periods"
             )
         wanted = axis.generator.initial_setpoint + paths[place]
         given = np.asarray(run[f"{name}/reference"])[: whole * period].reshape(whole, period)
@@ -258,7 +262,7 @@ class CoupledLearning:
 
     parameters: StageParameters
     request: LearningRequest
-    paths: np.ndarray  #: shape (n, N); What the axes add to their setpoints in a period [m].
+    paths: np.ndarray  #: shape (n, N); Motion that the scan adds to the setpoints of the axes in a period [m].
     places: np.ndarray  #: shape (F,); Harmonics that are learned.
     loops: Loops
 
@@ -270,7 +274,7 @@ class CoupledLearning:
         period = paths.shape[1]
         if period > LONGEST:
             raise ConfigurationError(
-                f"the scan repeats after {period} samples: learning takes up to {LONGEST}; choose a shorter frame"
+                f"the scan repeats after {period} samples, but learning takes up to {LONGEST}; choose a shorter frame"
             )
         highest = HIGHEST * rate if request.bandwidth is None else request.bandwidth
         if not 1.0 <= highest * period / rate < 0.5 * period:
@@ -286,7 +290,7 @@ class CoupledLearning:
         )
 
     def first(self) -> np.ndarray:
-        """Return corrections for the first run, shape (n, N) [m]: those of least expected error over all stages."""
+        """Return corrections for the first run, shape (n, N) [m], with the least expected error over all stages."""
         lines = np.fft.rfft(self.paths, axis=1)
         wanted = lines[:, self.places].T
         mean = np.swapaxes(self.loops.mean, 1, 2).conj()
@@ -312,7 +316,7 @@ class CoupledLearning:
         return np.fft.irfft(lines, self.paths.shape[1], axis=1)
 
     def learned(self, corrections: np.ndarray) -> dict[str, Learned]:
-        """Return corrections as those of the axes, for their files."""
+        """Return the corrections of each axis in the form of its file."""
         step = 1.0 / self.parameters.sample_rate
         return {
             name: Learned(len(own) * step, step, own, axis.generator.initial_setpoint + path)
@@ -322,7 +326,7 @@ class CoupledLearning:
         }
 
     def chosen(self, corrections: np.ndarray, files: dict[str, str]) -> dict[str, LearningParameters]:
-        """Return the parameters of all axes with which they apply corrections from files."""
+        """Return the learning parameters of all axes, which apply the corrections in these files."""
         found = {}
         for name, axis, own in zip(self.parameters.names, self.parameters.axes, corrections, strict=True):
             low, high = reachable_displacements(axis)
@@ -330,8 +334,8 @@ class CoupledLearning:
             largest = float(np.max(np.abs(own)))
             if largest > maximum:
                 raise ConfigurationError(
-                    f"{name}: the scan needs corrections of {1e6 * largest:.4g} µm, allowed are {1e6 * maximum:.4g} "
-                    "µm: give a larger --maximum, or scan more slowly"
+                    f"{name}: the scan needs corrections of {1e6 * largest:.4g} µm, but at most {1e6 * maximum:.4g} "
+                    "µm are allowed: give a larger --maximum, or scan more slowly"
                 )
             found[name] = LearningParameters(
                 type=KIND,
@@ -385,7 +389,7 @@ def coupled_learning_file(
 def learned_from(
     configuration: Configuration, request: LearningRequest, runs: Sequence[Recording]
 ) -> tuple[CoupledLearning, np.ndarray, list[Trial]]:
-    """Return the learning of a stage, its corrections after these runs, in their order, and what each has shown."""
+    """Return the learning of a stage, its corrections after these runs in their order, and the result of each run."""
     parameters = StageParameters.from_configuration(configuration)
     learning = CoupledLearning.of(parameters, request)
     trials = []
@@ -396,15 +400,15 @@ def learned_from(
 
 
 def trial_lines(parameters: StageParameters, trials: Sequence[Trial]) -> list[str]:
-    """Return the printed table: what each run has shown of each axis."""
+    """Return the printed table: the results of each run for each axis."""
     rows = []
     for number, one in enumerate(trials, start=1):
         period = one.error.shape[1]
         for name, error, variance in zip(parameters.names, one.error, one.variance, strict=True):
             rms = float(np.sqrt(np.mean((error - error.mean()) ** 2)))
-            # as rfft has the amplitudes, all but the one at rest count twice
+            # rfft returns half of the spectrum, so all amplitudes except that of the mean count twice
             noise = float(np.sqrt(2.0 * np.sum(variance[1:]))) / period
             rows.append(
-                f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of it noise {1e9 * noise:.3g} nm"
+                f"run {number}, {name}: periodic error {1e9 * rms:.4g} nm RMS, of which {1e9 * noise:.3g} nm is noise"
             )
     return rows

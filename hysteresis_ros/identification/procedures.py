@@ -427,7 +427,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
             note = "the input was periodic before, which fits better than rest at 0 V"
             return replace(_robust(fit, data, skip), start=note)
     notes = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
-    asked = "as asked for: " if request.initial else ""
+    asked = "as requested: " if request.initial else ""
     return replace(result, start=asked + notes[request.initial or "zero"])
 
 

@@ -172,4 +172,4 @@ def test_an_uncertainty_that_is_none_is_refused_by_name(slow):
     text = (folder / "axis.yaml").read_text(encoding="utf-8")
     (folder / "wrong.yaml").write_text(text.replace("uncertainty: [", "uncertainty: [-1.0, "), encoding="utf-8")
     result = design(folder, "wrong.yaml", "--controller", "pid")
-    assert result.exit_code == 2 and "response.uncertainty must be as many numbers" in result.stderr
+    assert result.exit_code == 2 and "response.uncertainty must have the same length" in result.stderr
