@@ -7,8 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Judging a run: figures of merit, charts, reports. Matplotlib and Jinja2 are imported only here, at first use.
+"""Evaluation of a run: figures of merit, charts, reports. Matplotlib and Jinja2 are imported only here, at first use.
 
-Read ``metrics`` (what is computed) and ``parts`` (over which part of a run), then ``run_charts`` and ``report``; all of
-them draw with ``plots`` and ``page``. ``inchworm`` and ``inchworm_report`` do the same for inchworm motors.
+Read ``metrics`` (the figures) and ``parts`` (the parts of a run that they cover), then ``run_charts`` and ``report``,
+which draw with ``plots`` and ``page``. ``inchworm`` and ``inchworm_report`` do the same for inchworm motors.
 """

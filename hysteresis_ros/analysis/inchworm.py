@@ -47,7 +47,7 @@ class Steps:
     commanded: np.ndarray
     achieved: np.ndarray
     slip: np.ndarray  #: shape (S,); Extension minus the movement of the slider in its direction [m].
-    missed: np.ndarray  #: shape (S,); Whether the sequencer counted it as missed.
+    missed: np.ndarray  #: shape (S,); Whether the sequencer counted the step as missed.
 
     @property
     def extension(self) -> np.ndarray:
@@ -255,10 +255,10 @@ def inchworm_figures(recording: Recording) -> dict:
     ``outcome``                    ``arrived``, ``not arrived``, ``walking``, ``stopped``, ``released``, ``holding``, or
                                    ``error:`` and its name
     ``travel_m``                   setpoint - q at the beginning; without a setpoint q at the end - q at the beginning
-    ``time_s``                     until the sequencer reports arrival that lasts until the next move ``steps``,
-    ``missed``          number of steps, whole and partial; missed or repeated grips ``mean_speed_m_s``
-    abs(q at arrival - q at the beginning) / ``time_s`` ``walking_speed_m_s``          abs(q after the last full step -
-    q after the first one) / time between them; full
+    ``time_s``                     until the sequencer reports arrival that lasts until the next move
+    ``steps``, ``missed``          number of steps, whole and partial; missed or repeated grips
+    ``mean_speed_m_s``             abs(q at arrival - q at the beginning) / ``time_s``
+    ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; full
                                    steps are those of at least 95 % of the move's median extension
     ``walking_speed_percent``      the same in % of the gait's: stroke / period
     ``final_error_rms_m``          √(mean (setpoint - q)²) over the second half of the time from arrival to the end
@@ -269,8 +269,8 @@ def inchworm_figures(recording: Recording) -> dict:
     ============================== ===================================================================================
 
     Of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m`` (commanded
-    less achieved length along the step), ``clamp_voltage_v`` (the higher of the two clamp voltages where it is lowest:
-    never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and ``gait_speed_m_s``,
+    minus achieved length along the step), ``clamp_voltage_v`` (minimum of the higher of the two clamp voltages, which
+    is never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and ``gait_speed_m_s``,
     ``stroke_m``, ``period_s`` of the configuration. The other figures are those of
     :func:`hysteresis_ros.analysis.metrics.compute_metrics`; its ``reference`` is the extender's.
     """

@@ -74,8 +74,8 @@ def axis_settings(recording: Recording) -> AxisSettings:
 def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
     """Return the reference that the displacement is compared with, shape (N,) [m].
 
-    With a preview of P samples it is the recorded reference P samples later. Before the recording the reference is
-    assumed to equal its first value. It is NaN when the sample P samples earlier is missing or outside an excerpt.
+    With a preview of P samples it is the recorded reference, delayed by P samples. Before the recording the reference
+    is assumed to equal its first value. It is NaN when the sample P samples earlier is missing or outside an excerpt.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
@@ -181,9 +181,9 @@ def axes_figures(recording: Recording) -> dict[str, dict]:
 def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:
     """Return the figures of merit of a run.
 
-    The error is e = reference - displacement. The displacement is the true one less the preload offset W of the
+    The error is e = reference - displacement. The displacement is the true one minus the preload offset W of the
     controller's model; on hardware it is the measured one, and the recording's notes say so. With
-    ``feedforward.preview`` every figure uses the reference that many samples later. Samples without reference or
+    ``feedforward.preview`` every figure uses the reference delayed by that many samples. Samples without reference or
     displacement do not count. If a scan begins with a jump, errors count from its first reversal
     (:func:`hysteresis_ros.analysis.parts.scan_start`), except in an excerpt, of which all samples count. Errors, steps,
     loops and the residual omit the samples in which the axis is stopped
@@ -194,7 +194,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     ``rms_error_m``                         √(mean e²)
     ``max_error_m``                         max abs(e)
     ``…_percent_of_stroke``                 the same in % of the stroke
-    ``stroke_m``                            largest less smallest reference of the run
+    ``stroke_m``                            largest minus smallest reference of the run
     ``iae_m_s``                             ∫ abs(e) dt, trapezoidal
     ``overshoot_percent``                   farthest displacement beyond the value finally reached, in the direction of
                                             the step, in % of the step; the largest of all steps
@@ -211,18 +211,18 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
                                             (its movement per sample changes by a hundredth of the stroke) do not count
     ``chattering_m_s``                      (Σ abs(u_k - u_(k-1)) - Σ abs(r_k - r_(k-1))) / duration, at least 0: the
                                             variation of the command that the reference does not explain
-    ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (rests do not count) less those
-                                            of the reference, at least 0
+    ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (zeros do not count) minus
+                                            those of the reference, at least 0
     ``voltage_rate_v_s``                    rms of (V_k - V_(k-1)) / sample time
     ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
     ``saturated_percent``                   samples whose command the compensator's range or slew rate limits, in %
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
-                                            sample less that of the first
+                                            sample minus that of the first
     ``missing_samples``                     samples that are not in the bag, or lack a signal
-    ``sample_rate_hz``                      1 / distance of the stamps, missing samples counted
+    ``sample_rate_hz``                      1 / interval between the stamps, missing samples included
     ``rate_hz``                             achieved rate, from the times of reception; the sample rate if the recording
                                             has no such times
-    ``jitter_p99_s``                        99th percentile of abs(distance of two receptions - its median)
+    ``jitter_p99_s``                        99th percentile of abs(interval of two receptions - its median)
     ``lateness_p50_s``, ``…p99_s``,         of a fused run: lateness of the samples, percentiles 50, 99 and 99.9,
     ``…p999_s``, ``…max_s``                 and largest
     ``skipped_samples``                     of a fused run: samples that were skipped because their time had passed
@@ -279,7 +279,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         lost = float(np.sum(np.diff(time)[off[1:]]))
         text = f"errors, steps and loops do not count {lost:.4g} s of shutdown: the axis was stopped"
         if not stop_is_recorded(recording):
-            text += " (not recorded, but its voltage left a settled hold and then stood still)"
+            text += " (not recorded, but its voltage left a settled hold and then stayed constant)"
         notes["recording"] = [*notes["recording"], text]
     command, voltage = _signals(recording, good)
     figures.update(chattering_figures(time, reference, command, voltage, notes))

@@ -85,7 +85,7 @@ def find_holds(reference) -> list[Hold]:
 
 
 def scan_start(reference, displacement) -> int:
-    """Return the sample from which the errors of a scan count: its first reversal after a jump into it, otherwise 0.
+    """Return the sample from which the errors of a scan count: the first reversal after a jump into it, otherwise 0.
 
     A scan may begin away from the position at which the axis rests; the error of this first motion says nothing about
     the tracking of the scan. It counts as a jump when its error is larger than any after the first reversal. In steps
@@ -193,16 +193,16 @@ class Part:
     moves: int = 1
 
     def moved(self, by: int) -> Part:
-        """Return the same part for a run that begins ``count`` samples earlier."""
+        """Return the same part for a run that begins ``by`` samples earlier."""
         return replace(self, start=self.start + by, stop=self.stop + by, ends=tuple(end + by for end in self.ends))
 
 
 def stopped(recording: Recording) -> np.ndarray:
     """Return whether the axis is stopped at each sample, shape (N,).
 
-    The plant, or a node between reference and voltage, reports a stop. A node without input also counts if a stop of
-    the axis follows, or if the run ends in that state. Without these signals the recorded causes of the stop are used,
-    and without those the samples are judged: see :func:`stop_is_recorded`.
+    The plant, or a node between reference and voltage, reports a stop. A node without input also counts as stopped if a
+    stop of the axis follows, or if the run ends in that state. Without these signals, the recorded causes of the stop
+    are used. If these are missing too (:func:`stop_is_recorded`), the stop is detected from the signals.
     """
     said = [recording[name] for name in MODES if recording.has(name)]
     tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
@@ -224,14 +224,14 @@ def stopped(recording: Recording) -> np.ndarray:
 
 
 def stop_is_recorded(recording: Recording) -> bool:
-    """Return whether the recording can say that the axis was stopped, as one of a node does and a table does not."""
+    """Return whether the recording contains information about stops: that of a node does, a table does not."""
     return any(map(recording.has, (*MODES, "tripped"))) or "changes" in recording.metadata
 
 
 def _left_its_hold(recording: Recording) -> np.ndarray:
-    """Return the samples after a settled hold that the axis leaves for a constant voltage, though the reference stays.
+    """Return the samples after a settled hold in which the axis moves to a constant voltage at a constant reference.
 
-    No loop does that, and an open one holds its voltage: at the end of a run it is a shutdown.
+    A closed loop does not do that, and an open loop keeps its voltage; at the end of a run it is therefore a shutdown.
     """
     found = np.zeros(len(recording), dtype=bool)
     if len(recording) < 2 or not all(map(recording.has, ("reference", "voltage", "displacement"))):
@@ -464,10 +464,10 @@ EXCESS, COMPARED = 0.1, 0.1
 def disturbed(skipped, error) -> np.ndarray:
     """Return which samples are disturbed: skipped ones, and those that follow until the effect has decayed.
 
-    Shape (N,), for a flag and an error [m] of each sample; NaN: the error does not count, as that of a sample without
-    measurement. The span after a skipped sample has the same length n in the whole run, the shortest of 1, 2, 4, …
-    samples for which the n samples after the span, averaged over all skipped samples, have at most the mean square
-    error of samples farther away plus :data:`EXCESS`.
+    Both have shape (N,): a flag for each sample, and its error [m], which is NaN if it does not count, for example
+    without a measurement. All spans after skipped samples have the same length n, the shortest of 1, 2, 4, … samples
+    for which the error has decayed: in the n samples after the spans, its mean square is at most that of samples
+    farther away plus :data:`EXCESS`.
     """
     places = np.flatnonzero(skipped)
     number, square, counted = np.arange(len(error)), np.square(error), np.isfinite(error)
@@ -519,7 +519,7 @@ def within(recording: Recording, first: float, last: float) -> Recording:
 
 
 def period_ends(recording: Recording) -> np.ndarray:
-    """Return the times at which whole periods of the reference end, the last first, shape (P + 1,) [s].
+    """Return the times at which whole periods of the reference end, the latest first, shape (P + 1,) [s].
 
     They are those of the longest repeating part of the run, counted from the first sample; empty without one.
     """
@@ -531,7 +531,7 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a repeating reference, up to its last reversal, without the rest that may follow."""
+    """Return the last periods of a repeating reference, up to its last reversal, without the samples after it."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")

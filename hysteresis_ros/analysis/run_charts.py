@@ -274,8 +274,8 @@ _NANO, _TO_MICROMETRES = 1e9, 1e6
 def amplitude_spectrum(time, values, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the amplitude spectral density of a signal by Welch's method (Hann windows that overlap by half).
 
-    The mean of each segment is removed. The density is one-sided: the sum of its squares over all lines times their
-    distance is the variance. Missing samples are interpolated linearly.
+    The mean of each segment is removed. The density is one-sided: the sum of its squares over all lines, times the
+    spacing of the lines, is the variance. Missing samples are interpolated linearly.
 
     Units: ``time`` [s], ``values`` [m], ``sample_time`` [s].
     """
@@ -314,7 +314,7 @@ def spectrum_chart(run: Judged) -> Chart | None:
 
 
 def histogram_chart(run: Judged) -> Chart | None:
-    """Return the chart of the histogram of the error beside a normal distribution [%, nm or µm]."""
+    """Return the chart of the histogram of the error with a normal distribution [%, nm or µm]."""
     if run.error is None or not np.any(run.counted):
         return None
     unit, factor = run.unit

@@ -37,7 +37,7 @@ from hysteresis_ros.units import readable
 BINS, PATH_POINTS = 64, 20_000
 #: Number of passes for which a picture of a scan shows the velocities.
 SHOWN = 6
-#: Least span of both references of a map [m]: below it an axis holds its place.
+#: Least span of both references of a map [m]; an axis with a smaller span holds its position.
 LEAST_MAP = 1e-8
 _MICRO = 1e6
 #: Rows of the table: name, words, unit, factor.
@@ -110,7 +110,7 @@ class PlaneRun(InPlane):
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
     """Return the run of the first two axes of a recording in their plane; None where it has no such plane.
 
-    As the figures of a stage, it begins when the last of both axes begins its scan.
+    It begins when the last of both axes begins its scan, like the figures of a stage.
     """
     if len(axes) < 2:
         return None
@@ -174,7 +174,7 @@ class ScanRun(InPlane):
 
 @dataclass(frozen=True, eq=False)
 class LineErrors:
-    """Errors pass by pass, in the order of time."""
+    """Errors of each pass, in the order of time."""
 
     frame: np.ndarray  #: frame, line, direction: shape (P,)
     line: np.ndarray
@@ -203,7 +203,7 @@ class ErrorMap:
 
 
 def judged_from(scan: Scan, time: np.ndarray) -> float:
-    """Return the time [s] from which a run of a scan counts: after the first of several periods, or after a line."""
+    """Return the time [s] from which a run of a scan is evaluated: after one of several periods, or after a line."""
     lasts = time[-1] - time[0]
     return scan.period if lasts >= 1.9 * scan.period else float(scan.passes.begin[1]) / scan.rate
 
@@ -228,7 +228,7 @@ def line_errors(run: ScanRun) -> LineErrors:
 
 
 def profile(run: ScanRun) -> Profile:
-    """Return the mean error along the lines, traces and retraces apart."""
+    """Return the mean error along the lines, separately for traces and retraces."""
     clock, along, found = run.clock, run.in_plane[0], []
     for direction in (1, -1):
         on = run.counted & (clock.direction == direction)
@@ -406,7 +406,7 @@ def trace_figure(run: ScanRun):
 
 
 def scan_picture(scan: Scan):
-    """Return the figure of a scan by itself: the path of a period, and velocities over a few lines of the middle."""
+    """Return the figure of a scan without a run: the path of a period, and velocities over a few middle lines."""
     figure, (left, right) = new_figure(4.4, 2)
     time = np.linspace(0.0, scan.period, PATH_POINTS)
     x, y = scan.position(time)[:2] * _MICRO
@@ -445,7 +445,7 @@ def format_scan(figures: dict) -> str:
 
 
 def plane_plots(run: InPlane) -> Iterable[tuple[str, object]]:
-    """Yield the captions and figures of a run in its plane; there is a map where both axes move."""
+    """Yield the captions and figures of a run in its plane; there is a map only if both axes move."""
     yield "Path in the plane, coloured by the error", path_figure(run)
     if np.min(np.ptp(run.reference[:2, run.counted], axis=1)) > LEAST_MAP:
         yield "Map of the error in the plane", map_figure(run)

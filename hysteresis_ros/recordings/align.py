@@ -324,7 +324,7 @@ def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
 def setpoints_per_sample(recording: Recording) -> np.ndarray:
     """Return the setpoint applied at each sample from the first on, shape (M,), for replay by the simulation.
 
-    Samples missing in the recording get the setpoint before them, which holds until the next one.
+    Samples missing in the recording get the previous setpoint, which is valid until the next one.
     """
     setpoint = recording["setpoint"]
     if not recording.has("setpoint"):
@@ -510,7 +510,7 @@ def _received(bag: Bag, prefix: str, joints, rows: np.ndarray) -> np.ndarray | N
     if joints is None or rows.size < 3:
         return None
     received = bag.topics[f"{prefix}/joint_states"].received()[rows]
-    # in a simulated run the stamps take its place
+    # in a simulated run, the times of reception equal the stamps
     simulated = np.array_equal(received - received[0], joints.stamps - joints.stamps[0])
     return None if received[-1] <= received[0] or simulated else received
 

@@ -63,7 +63,7 @@ def packed(*records: McapRecord) -> bytes:
 
 
 def records_in(data) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each whole record in bytes."""
+    """Yield opcode, begin and end of the content of each complete record in bytes."""
     cursor, size = 0, len(data)
     while cursor + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, cursor)
@@ -75,7 +75,7 @@ def records_in(data) -> Iterator[tuple[int, int, int]]:
 
 
 def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and length of the content of each whole record from the stream's position on."""
+    """Yield opcode, begin and length of the content of each complete record, from the stream's position on."""
     cursor = stream.tell()
     while cursor + RECORD.size <= size:
         stream.seek(cursor)

@@ -55,7 +55,7 @@ class StreamResult:
     """Result of reading a file."""
 
     complete: bool = False  #: Whether the end of the data section was reached.
-    size: int = 0  #: size, whole: Bytes of the file, and bytes up to the last whole record.
+    size: int = 0  #: size, whole: Bytes of the file, and bytes up to the last complete record.
     whole: int = 0
     salvaged: int = 0  #: Messages from a chunk that was cut off.
     damaged_chunks: int = 0  #: Chunks inside the file that could not be unpacked.
@@ -85,7 +85,7 @@ class _Records:
             self.count += 1
 
     def walk(self, data: bytes) -> None:
-        """Process the records of a chunk, up to the last whole one."""
+        """Process the records of a chunk, up to the last complete one."""
         for opcode, begin, end in records_in(data):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel_id, _, time_ns, _ = MESSAGE.unpack_from(data, begin)
@@ -97,7 +97,7 @@ class _Records:
 
 
 def read_stream(path, sink) -> StreamResult:
-    """Pass every whole message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
+    """Pass every complete message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
 
     Neither index nor footer is needed. A truncated file gives all messages before its end, including those in a chunk
     that was cut off.

@@ -59,7 +59,7 @@ from hysteresis_ros.recordings.bag_format import (
 )
 from hysteresis_ros.recordings.cdr import MessageForm
 
-#: Metadata record of an MCAP file with a copy of metadata.yaml, as by ``ros2 bag``, and its key.
+#: Metadata record of an MCAP file with a copy of metadata.yaml, as written by ``ros2 bag``, and its key.
 ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
@@ -135,7 +135,7 @@ class Frames:
 
 
 class ChunkStorage(McapWriter):
-    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy."""
+    """The MCAP storage of ``rosbags``, with complete chunks and message indices computed by NumPy."""
 
     def __init__(self, path, compression):
         """Create the file."""
@@ -238,7 +238,7 @@ class ChunkStorage(McapWriter):
         return mcap_file(self.path.name, self.index)
 
     def close(self, version: int, metadata: str) -> None:
-        """Write pending messages and the summary; without room for it the file stays readable sequentially."""
+        """Write pending messages and the summary; without space for these, the file stays readable sequentially."""
         with self.bio:
             if self.chunk.msgs:
                 self.close_chunk()
@@ -335,12 +335,12 @@ def offered_qos(durability: str = "volatile", depth: int = 1000) -> tuple[Qos, .
 class BagWriter:
     """Writes one bag folder (``NAME/NAME.mcap`` and ``NAME/metadata.yaml``) that ``ros2 bag`` and MCAP tools open.
 
-    Messages collect in a chunk; a full chunk goes to the file at once, so a SIGKILL loses at most the open one. Call
-    :meth:`flush` regularly (the recorder does, every ``chunk_time``), because a slow axis would take minutes to fill a
-    chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay readable.
+    Messages are collected in a chunk. A full chunk goes to the file at once, so a SIGKILL loses at most the open chunk.
+    Call :meth:`flush` regularly (the recorder does, every ``chunk_time``), because a slow axis would take minutes to
+    fill a chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay readable.
 
-    With ``max_bag_size`` or ``max_bag_duration`` the folder holds ``NAME_0.mcap``, ``NAME_1.mcap`` …, as ``ros2 bag
-    record`` splits: each is a whole file by itself, and the folder is read as one recording.
+    With ``max_bag_size`` or ``max_bag_duration`` the folder contains ``NAME_0.mcap``, ``NAME_1.mcap`` …, split as by
+    ``ros2 bag record``: each file is complete by itself, and the folder is read as one recording.
     """
 
     def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES, max_bag_size: int = 0, max_bag_duration: float = 0.0):
@@ -563,7 +563,7 @@ class GuardedBag:
                 )
 
     def stop(self, reason: str) -> None:
-        """End the recording for a reason; the bag is complete up to here if the disk has space for its end."""
+        """End the recording for a reason; the bag is complete up to here if the disk has space for its index."""
         self.stopped = reason
         try:
             self.finish()
@@ -571,7 +571,7 @@ class GuardedBag:
             self.stopped += f"; its index is missing: hysteresis repair {self.path}"
 
     def finish(self) -> None:
-        """End the recording in order."""
+        """Close the bag."""
         bag, self.bag = self.bag, None
         if bag is not None:
             try:

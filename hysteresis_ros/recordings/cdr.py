@@ -54,7 +54,7 @@ def encode_string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class MessageForm:
-    """A message of fixed size as template for others that differ only in stamp and numbers."""
+    """A message of fixed size as a template for others that differ only in stamp and numbers."""
 
     data: bytes  #: CDR with its four-byte header; stamp and numbers are zero.
     stamp: int  #: Position of the header's stamp (int32 seconds, uint32 nanoseconds); -1 without one.
@@ -93,7 +93,7 @@ class JointStateEncoder:
     """Writes JointState messages of fixed names and varying stamp and positions."""
 
     def __init__(self, names, frame_id: str = ""):
-        """Serialise one message as template for all."""
+        """Serialise one message as a template for all."""
         form = joint_state_form(names, frame_id)
         self._buffer = bytearray(form.data)
         self._stamp = form.stamp

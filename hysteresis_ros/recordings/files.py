@@ -48,7 +48,7 @@ def write_csv(recording: Recording, path) -> None:
 def read_csv(path) -> Recording:
     """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
 
-    SI units and their usual parts (µm, mm, nm, ms, µs, mV) are converted to SI.
+    SI units and their usual submultiples (µm, mm, nm, ms, µs, mV) are converted to SI.
     """
     path = _existing(path)
     try:

@@ -87,7 +87,7 @@ def known_conversion(name: str, unit: str) -> tuple[str, float]:
 #: Largest deviation of times from a uniform grid, as a multiple of their rounding.
 ROUNDED = 1.01
 #: Fraction of samples with the same time as the previous one above which times count as rounded. If all of these also
-#: repeat the values, they count as duplicated rows up to the second fraction.
+#: repeat the values, they count as duplicated rows, up to the fraction :data:`WRITTEN_TWICE`.
 SHARED = 0.05
 #: Decreasing time counts as jitter if no time deviates from a uniform grid by more than this fraction of the duration.
 DISORDERED = 0.005

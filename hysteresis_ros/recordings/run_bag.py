@@ -84,10 +84,10 @@ class AxisTopics:
 class SampleWriter:
     """Writes all samples of an axis into a bag.
 
-    Samples collect until there are enough for a chunk, or the oldest has waited for ``chunk_time``, or the bag is
-    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`, which the owner of the bag
-    calls regularly, so that the last samples before a pause also go to the disk). Other messages go into the same bag
-    one by one, from the same thread.
+    Samples are collected until there are enough for a chunk, or the oldest has waited for ``chunk_time``, or the bag is
+    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`). The owner of the bag
+    flushes it regularly, so that the last samples before a pause also go to the disk. Other messages go into the same
+    bag one by one, from the same thread.
     """
 
     def __init__(

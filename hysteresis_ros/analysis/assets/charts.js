@@ -7,8 +7,8 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-// The charts of a page, drawn from the JSON that it holds (analysis/page.py) with uPlot, in the place of the pictures
-// that stand there without scripts. Those over time share the span of span.js.
+// The charts of a page, drawn with uPlot from the JSON in the page (analysis/page.py). They replace the pictures that
+// the page shows without scripts. Charts over time share the span of span.js.
 "use strict";
 
 // -- charts ------------------------------------------------------------------------------------------------------
@@ -31,7 +31,7 @@ function axes(chart) {
   ];
 }
 
-// Grey stretches below and levels above the lines.
+// Grey ranges are drawn below the lines, and levels above them.
 function marks(chart) {
   return {
     drawAxes: (u) => {
@@ -99,7 +99,7 @@ function lineSeries(chart, line) {
   return series;
 }
 
-// The nearest point that a line has: lines of several runs have instants of their own.
+// The nearest point of a line: in charts of several runs, each line has its own times.
 function nearest(u, series, index) {
   const values = u.data[series];
   if (values[index] !== null && values[index] !== undefined) return index;
@@ -129,7 +129,7 @@ function spread(place, chart) {
 }
 
 function timeChart(chart, place, time) {
-  // the chart's own scale is not set yet when it asks for this
+  // the chart calls this before its own scale is set
   const whenWhole = () => span[0] === whole[0] && span[1] === whole[1];
   const marked = marks(chart);
   const u = new uPlot(
@@ -142,7 +142,7 @@ function timeChart(chart, place, time) {
       cursor: {
         sync: { key: "time", setSeries: false },
         drag: { x: true, y: false },
-        // lines of several runs have instants of their own; a gap of a single run says that it is one
+        // in charts of several runs, each line has its own times; in charts of a single run, the cursor shows its gaps
         dataIdx: (u, series, index) => (series && chart.kind === "overlay" ? nearest(u, series, index) : index),
         bind: { dblclick: () => () => actions.whole() },
       },
@@ -168,7 +168,7 @@ function graphChart(chart, place) {
   const tables = chart.lines.map((line) => [Array.from(numbers(line.x, true)), gaps(numbers(line.y))]);
   const always = (u) => u.data[0].length && u.scales.x.min <= u.data[0][0];
   const marked = marks(chart);
-  // a round beginning gives round labels
+  // a round first value gives round labels
   const ends = (u, low, high) => {
     const decade = 10 ** Math.floor(Math.log10(low));
     return [Math.floor(low / decade) * decade, high];

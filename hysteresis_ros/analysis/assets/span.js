@@ -36,7 +36,7 @@ function digits(value, count) {
   return String(Number(value.toPrecision(count)));
 }
 
-// As analysis/metrics.py shows a figure: small ones in the finer unit.
+// A figure as analysis/tables.py shows it: small values in the finer unit.
 function shown(value, unit, factor) {
   if (value === null || !Number.isFinite(value)) return ["–", unit];
   const part = value * factor;
@@ -52,7 +52,7 @@ const runs = (data.runs || []).map((run) => {
   return { name: run.name, sums };
 });
 
-// First and last whole block of a span; null: the run has nothing there.
+// First and last whole block of a span; null: the run has no samples there.
 function blocksOf(sums, from, to) {
   const last = sums.from.length - 1;
   if (from > sums.to[last] || to < sums.from[0]) return null;
@@ -77,7 +77,7 @@ function extreme(sums, name, i, j, sign) {
   return sign * found;
 }
 
-// Terms between neighbours, without the one that leads into the span.
+// Sum of the terms between neighbouring samples, without the term that leads into the span.
 function between(sums, name, counts, i, j) {
   let first = i;
   while (first < j && !sums[counts][first]) first += 1;
@@ -110,7 +110,7 @@ function figuresOf(sums, i, j) {
   return found;
 }
 
-// The figures in the table and, of the first few, in words; runs that end before the span have none.
+// Shows the figures in the table, and the first few also in words; runs that end before the span have none.
 function showFigures() {
   const rows = [...document.querySelectorAll("tr[data-figure]")];
   const heads = document.querySelectorAll(".span-head");
