@@ -51,7 +51,7 @@ def message(here, alone, skipped, live: bool) -> list[str]:
     if not live:
         return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
     if not any(skipped):
-        return [*said, "This machine skipped no sample of either run: the same in real time, at 3 kHz."]
+        return [*said, "This machine skipped no sample of either run: the results in real time, at 3 kHz, are equal."]
     return [
         *said,
         f"This machine skipped {skipped[0]:.2g} % and {skipped[1]:.2g} % of the samples of the two runs: "

@@ -385,7 +385,7 @@ def _undisturbed_figures(recording: Recording, good, judged, run: _Tracked, note
     span = disturbed(np.nan_to_num(recording["skipped"]) > 0.0, whole)[place]
     share = 100.0 * float(np.mean(span))
     if not np.any(span) or np.all(span):
-        why = "every sample is" if np.any(span) else "no sample was skipped"
+        why = "every sample is" if np.any(span) else "no sample was skipped, so none is"
         notes |= {f"undisturbed_{name}_error_m": f"{why} disturbed" for name in ("rms", "max")}
         return {"disturbed_percent": share}
     left = error_figures(error[~span], 0.0)
@@ -566,7 +566,10 @@ def limited_text(recording: Recording) -> str:
         ranged = ends & still
         reasons += [("the range limits.minimum … limits.maximum", ranged)]
         rest = rest & ~ranged
-    reasons += [("the way to safe_voltage at safe_slew_rate", cut & away), ("safe_slew_rate or limits.slew_rate", rest)]
+    reasons += [
+        ("the ramp to safe_voltage at safe_slew_rate", cut & away),
+        ("safe_slew_rate or limits.slew_rate", rest),
+    ]
     found = sorted(((float(np.mean(which)), name) for name, which in reasons if np.any(which)), reverse=True)
     by = ", ".join(f"{name} ({100.0 * part:.3g} %)" for part, name in found)
     return (

@@ -35,7 +35,7 @@ RUN_ROWS = (
 )
 MODEL_ROWS = (
     ("rmse_m", "RMS error", "m"),
-    ("rmse_percent_of_stroke", "RMS error of the stroke", "%"),
+    ("rmse_percent_of_stroke", "RMS error relative to the stroke", "%"),
     ("maximum_error_m", "largest error", "m"),
     ("fit_percent", "fit", "%"),
     ("inverse_rmse_v", "RMS error of the inverse", "V"),

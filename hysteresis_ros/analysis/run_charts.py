@@ -61,7 +61,7 @@ class Judged:
 
     recording: Recording
     settings: AxisSettings
-    displacement: np.ndarray  #: shape (N,); True, or measured, less the preload offset [m].
+    displacement: np.ndarray  #: shape (N,); True, or measured, minus the preload offset [m].
     #: reference, error: shape (N,); Reference that the displacement is compared with, and reference - displacement [m],
     #: NaN while the axis is stopped; None: the recording has no reference.
     reference: np.ndarray | None

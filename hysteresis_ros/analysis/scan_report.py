@@ -400,7 +400,7 @@ def trace_figure(run: ScanRun):
         ("trace - retrace", found.trace - found.retrace, "estimated"),
     ):
         axis.plot(place, values * factor, color=COLOURS[colour][0], linewidth=1.2, label=label)
-    axis.set(xlabel="place along the line [µm]", ylabel=f"mean error along the line [{unit}]")
+    axis.set(xlabel="position along the line [µm]", ylabel=f"mean error along the line [{unit}]")
     add_legend(axis)
     return figure
 

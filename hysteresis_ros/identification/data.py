@@ -276,8 +276,8 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
     if jitter <= GRID_TOLERANCE * slope or jitter <= 0.51 * _rounding(time):
         if jitter <= 0.01 * slope:
             return slope, jitter, []
-        beside = f"up to {readable(jitter, 's')} off a uniform grid of {readable(slope, 's')}"
-        text = f"samples lie {beside}; assumed to be uniform"
+        beside = f"by up to {readable(jitter, 's')} from a uniform grid of {readable(slope, 's')}"
+        text = f"samples deviate {beside}; assumed to be uniform"
         return slope, jitter, [Finding("jitter", "note", text)]
     median = float(np.median(distances))
     steps = np.rint(distances / median)

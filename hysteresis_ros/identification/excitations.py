@@ -9,9 +9,10 @@
 
 """Excitations of a frequency-response analyser, and their periods in a recording.
 
-A multisine of random phases on odd harmonics, of which one in each group is omitted at random, shows the nonlinear
-response of an axis: even distortion falls on the even lines, odd distortion on the omitted odd ones [1]_. A stepped
-sine shows it as harmonics; with a noise excitation it cannot be separated from noise.
+A multisine of random phases excites odd harmonics, except for one in each group, which is omitted at random. It shows
+the nonlinear response of an axis: even distortion appears on the even lines, odd distortion on the omitted odd lines
+[1]_. A stepped sine shows the distortion as harmonics; with a noise excitation, distortion and noise cannot be
+separated.
 
 References
 ----------

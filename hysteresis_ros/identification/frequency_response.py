@@ -306,8 +306,8 @@ def _refuse_constant(u):
             raise DataError("constant", f"input {i} is constant; a frequency response needs a varying input")
 
 
-#: Condition number of the inputs' spectra at a line above which they count as correlated: noise in the direction that
-#: is excited least is multiplied by it.
+#: The inputs count as correlated if the condition number of their spectra at a line exceeds this value; the condition
+#: number multiplies the noise in the direction that is excited least.
 MOST_CONDITION = 1e3
 
 

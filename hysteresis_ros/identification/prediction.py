@@ -112,8 +112,8 @@ def predict(
     intersample, initial = intersample or chain.intersample, initial or chain.initial
     if intersample not in METHODS or initial not in INITIAL:
         raise IdentificationError(
-            f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
-            f"{', '.join(INITIAL)}"
+            f"intersample = {intersample!r}, initial = {initial!r}: intersample must be one of {', '.join(METHODS)}; "
+            f"initial must be one of {', '.join(INITIAL)}"
         )
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
     if not chain.invertible:

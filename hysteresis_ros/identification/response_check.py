@@ -268,7 +268,7 @@ class MeasuredPlant:
 
 
 def measured_plant(found: Analysis, model) -> MeasuredPlant:
-    """Return the response from the command; one from a voltage is scaled to the model's gain at the lowest lines.
+    """Return the response from the command; that from a voltage is scaled to the model's gain at the lowest lines.
 
     The model's gain is valid for the whole stroke; a hysteresis has another gain for small movements.
     """

@@ -121,7 +121,7 @@ def read_stage(sources, columns: StageColumns | None = None) -> StageReading:
         sources = [sources]
     found = [_read(source, columns) for source in sources]
     if not found:
-        raise DataError("short", "no recording is given; give one file at least")
+        raise DataError("short", "no recording is given; give at least one file")
     first = found[0]
     for other in found:
         if (other.inputs, other.outputs) != (first.inputs, first.outputs):

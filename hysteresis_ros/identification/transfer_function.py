@@ -196,7 +196,7 @@ def fit_transfer_function(
         ranked[-1] = candidates[0]
     begun = time.perf_counter()
     problem.cost(ranked[0])
-    # each evaluation needs one more for each parameter, for the derivatives
+    # each evaluation needs one further evaluation for each parameter, for the derivatives
     seconds = (time.perf_counter() - begun) * EVALUATIONS * (1 + len(ranked[0])) * len(ranked)
     solved = shared([Job(problem.solve, (start, EVALUATIONS)) for start in ranked], seconds)
     results = list(zip(ranked, solved, strict=True))

@@ -229,8 +229,8 @@ def parameter_covariance(
     """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d).
 
     ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns. Residuals
-    are assumed white, or ``correlated``, when they count as fewer samples. Undetermined parameters raise DataError;
-    with ``truncated``, directions with a singular value below this fraction of the largest get no variance instead.
+    are assumed white; ``correlated`` residuals count as fewer samples. Undetermined parameters raise DataError; with
+    ``truncated``, directions with a singular value below this fraction of the largest get no variance instead.
     """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape

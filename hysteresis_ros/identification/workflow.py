@@ -60,7 +60,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
     stays within the range of the fit; a constant is free. Models that cannot be fitted are skipped; a model with more
     freedom must be better by three per cent. If the recording does not determine loops smaller than its own
     (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data is no new information: the
-    model with a stated prior is then chosen, unless the error of another one is less than half.
+    model with a stated prior is then chosen, unless another model has less than half of its error.
     """
     found: dict[str, float] = {}
     separations: tuple[dict, dict] = {}, {}

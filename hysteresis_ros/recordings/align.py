@@ -85,7 +85,7 @@ def read_log(bag: Bag, prefix: str) -> ChangeLog:
     return log
 
 
-#: Times [ns] above this (September 2001) are wall-clock times; smaller ones count from a start.
+#: Times [ns] above this (September 2001) are wall-clock times; smaller ones count from an arbitrary start.
 CLOCK = 10**18
 #: Number of last samples whose messages may not have reached the recorder before its stop.
 TAIL = 100

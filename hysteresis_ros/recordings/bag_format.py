@@ -97,7 +97,7 @@ class McapIndex:
     chunks: list[bytes] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)  #: attachments, metadata: Index records.
     metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)  #: Messages by channel.
+    counts: dict[int, int] = field(default_factory=dict)  #: Number of messages by channel.
     start: int = NEVER  #: start, end: First and last log time [ns].
     end: int = 0
 
@@ -198,7 +198,7 @@ class TopicInformation:
     encoding: str = "cdr"
     digest: str = ""
     qos: Sequence[Qos] = ()  #: QoS that its publishers offer.
-    count: int = 0  #: Messages.
+    count: int = 0  #: Number of messages.
 
 
 @dataclass

@@ -57,7 +57,7 @@ class StreamResult:
     complete: bool = False  #: Whether the end of the data section was reached.
     size: int = 0  #: size, whole: Bytes of the file, and bytes up to the last complete record.
     whole: int = 0
-    salvaged: int = 0  #: Messages from a chunk that was cut off.
+    salvaged: int = 0  #: Number of messages recovered from a chunk that was cut off.
     damaged_chunks: int = 0  #: Chunks inside the file that could not be unpacked.
     words: dict[str, dict[str, str]] = field(default_factory=dict)  #: Content of metadata records, by their names.
 
@@ -441,7 +441,7 @@ def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
 
 
 def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
-    """Return the recordings in a folder that is not itself a bag; none if its files form one (run_0, run_1)."""
+    """Return the recordings in a folder that is not itself a bag; empty if its files form one bag (run_0, run_1)."""
     if (path / "metadata.yaml").exists() or len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
         return []
     bags = [child for child in path.iterdir() if (child / "metadata.yaml").exists() or any(child.glob("*.mcap"))]

@@ -384,7 +384,7 @@ class BagWriter:
         if topic in self._connections:
             known = self._connections[topic][0]
             if known != type_name:
-                raise RecordingError(f"topic {topic} holds {known} and cannot take {type_name}")
+                raise RecordingError(f"topic {topic} has the type {known} and cannot take {type_name}")
             return
         if type_name not in cdr.typestore().types:
             raise RecordingError(

@@ -36,7 +36,7 @@ class Recording:
     signals: dict[str, np.ndarray]  #: shape (N,); Named signals in SI units; NaN where a sample of a signal is missing.
     #: Unit of each signal; optional for signals in :data:`hysteresis_ros.signals.UNITS`.
     units: dict[str, str] = field(default_factory=dict)
-    #: Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
+    #: Any JSON values. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
     #: ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, in fused mode,
     #: ``lateness_…_s``), ``namespace``, ``source``; for a stage ``axes``: the metadata of each axis by its name.
     metadata: dict = field(default_factory=dict)

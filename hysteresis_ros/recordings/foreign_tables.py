@@ -193,7 +193,7 @@ def find_layout(path: pathlib.Path) -> Layout:
     encoding, lines = _head(path)
     kept = [line for line in lines if _cells_of(line)]
     if not kept:
-        raise RecordingError(f"{path}: holds no samples")
+        raise RecordingError(f"{path}: contains no samples")
     delimiter, comma, width = _how_written(path, kept[-TELLING:])
     rows = [_split(line, delimiter) if _cells_of(line) else [] for line in lines]
     first = next(k for k, row in enumerate(rows) if len(row) == width and _is_row(row, comma))
@@ -514,7 +514,7 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
     vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))
     sizes = [values.size for values in vectors.values()]
     if not sizes:
-        raise RecordingError(f"{path}: holds no vectors of numbers")
+        raise RecordingError(f"{path}: contains no vectors of numbers")
     size = max(set(sizes), key=lambda length: (sizes.count(length), length))
     return {name: values for name, values in vectors.items() if values.size == size}
 

@@ -46,7 +46,7 @@ def test_the_range_and_the_way_to_safe_are_named():
     voltage = np.clip(50.0 + 90.0 * np.sin(20.0 * np.arange(N) / 1000.0), 0.0, 100.0)
     ends = (voltage == 0.0) | (voltage == 100.0)
     assert "by the range limits.minimum … limits.maximum" in limited_text(run(ends, voltage))
-    assert "by the way to safe_voltage at safe_slew_rate (50 %)" in limited_text(run(np.arange(N) < 1000, mode=STALE))
+    assert "by the ramp to safe_voltage at safe_slew_rate (50 %)" in limited_text(run(np.arange(N) < 1000, mode=STALE))
 
 
 def test_a_recording_that_does_not_say_what_was_cut_says_nothing():

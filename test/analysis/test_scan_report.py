@@ -151,7 +151,7 @@ def test_the_page_has_every_figure_and_needs_nothing_beside_it(kind, count, tmp_
     assert (
         len(figures) == count
         and {"x [µm]", "line"} <= labels
-        and {"place along the line [µm]"} <= labels | {"place along the line [µm]" if kind == "spiral" else ""}
+        and {"position along the line [µm]"} <= labels | {"position along the line [µm]" if kind == "spiral" else ""}
     )
     write_scan_report(tmp_path / "scan.html", run, "A scan & its errors")
     text = (tmp_path / "scan.html").read_text(encoding="utf-8")

@@ -221,7 +221,7 @@ def test_recordings_that_give_no_stage_are_refused(make, words):
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"axes": ("x", "x")}, "'x' is there twice: give each actuator a name of its own"),
+        ({"axes": ("x", "x")}, "'x' occurs more than once: give each actuator its own name"),
         ({"axes": ("x",)}, "must be 2 names"),
         ({"order": 3}, "order = 3: must be an even number"),
         ({"type": "internal", "plays": 0}, "plays = 0: must be ≥ 1 with type internal"),
@@ -247,9 +247,9 @@ def test_files_of_a_stage_are_refused_by_name(tmp_path):
     for words, said in (
         ((*identify, tmp_path / "slow.npz", *names), "slow.npz: a sample time of 0.0002 s, and 0.0001 s in good.npz"),
         (("identify", tmp_path / "gap.npz", *names), "gap.npz: not uniformly sampled"),
-        ((*identify, "--input", "a_V", "--input", "a_V", *names[4:]), "'a_V' is there twice"),
+        ((*identify, "--input", "a_V", "--input", "a_V", *names[4:]), "'a_V' occurs more than once"),
         ((*identify, *names[:6], "-o", "s.yaml"), "2 inputs and 1 outputs"),
-        ((*identify, *names, "--axes", "x,x"), "'x' is there twice: give each actuator a name of its own"),
+        ((*identify, *names, "--axes", "x,x"), "'x' occurs more than once: give each actuator its own name"),
         (("validate", "kim2009", tmp_path / "good.npz", *names[:4]), "this command takes one column"),
     ):
         assert said in hysteresis(*words, code=2)

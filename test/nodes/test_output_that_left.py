@@ -65,7 +65,7 @@ def test_a_voltage_that_was_held_back_is_recorded_as_what_left(processes, tmp_pa
     assert np.count_nonzero(away) >= 30 and np.max(np.abs(run["asked_voltage"] - left)[away]) > 10.0
     assert np.all(run["saturated"][away] == 1.0)
     said = limited_text(run)
-    assert "the way to safe_voltage at safe_slew_rate" in said
+    assert "the ramp to safe_voltage at safe_slew_rate" in said
     assert f"warning: {said}" in output
     # what the compensator asked for is what its topic says
     topic = decode_float64s(read_bag(tmp_path / "bag").topics["/voltage"].data, "/voltage")

@@ -60,7 +60,7 @@ def test_a_run_of_messages_holds_what_left_and_what_was_asked_and_is_its_own_twi
     still = ~(away | back | late)
     assert np.array_equal(left[still], asked[still]) and np.sum(still) > 250
     said = limited_text(run)
-    assert "the way to safe_voltage at safe_slew_rate" in said and "safe_slew_rate or limits.slew_rate" in said
+    assert "the ramp to safe_voltage at safe_slew_rate" in said and "safe_slew_rate or limits.slew_rate" in said
     if kept == "bag":
         write_recording(run, tmp_path / kept)
     else:
