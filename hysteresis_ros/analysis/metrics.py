@@ -252,7 +252,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     if not recording.has("reference"):
         return _without_reference(recording, recording[actual] - offset, notes)
     if settings.preview:
-        late = f"errors are computed from the reference {settings.preview} samples later (feedforward.preview)"
+        late = f"errors are computed from the reference delayed by {settings.preview} samples (feedforward.preview)"
         notes["recording"] = [*notes["recording"], late]
     tracked = _Tracked(recording.time, judged_reference(recording, settings.preview), recording[actual] - offset)
     good = np.isfinite(tracked.reference) & np.isfinite(tracked.displacement)
@@ -336,7 +336,7 @@ def actual_name(recording: Recording) -> str:
 
 
 def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
-    """Return the figures of a run without a reference, such as an identification."""
+    """Return the figures of a run without a reference, such as a run for an identification."""
     figures: dict = {name: None for name, *_ in FIGURES}
     notes["recording"] = [*notes["recording"], "no reference in the recording: the error is unknown"]
     for name in figures:

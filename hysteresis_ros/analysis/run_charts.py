@@ -133,7 +133,7 @@ def traces_chart(run: Judged) -> Chart:
     signals["displacement"] = run.displacement
     if run.reference is not None:
         signals["reference"] = run.reference
-    labels = {"reference": f"reference, {preview} samples later" if preview else "reference"}
+    labels = {"reference": f"reference, delayed by {preview} samples" if preview else "reference"}
     lines = [
         Line(labels.get(name, name), name, recording.time, signals[name] * _MICRO, **style)
         for name, style in styles.items()

@@ -172,7 +172,8 @@ def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) ->
     warnings += parameters.warnings()
     if not search.converged:
         warnings.append(
-            f"not converged after {search.runs[search.best].iterations} iterations: this is the best point so far"
+            f"the search has not converged after {search.runs[search.best].iterations} iterations: "
+            "this is the best point so far"
         )
     for name, deviation in zip(STATIC_FREE, deviations.tolist(), strict=True):
         value = getattr(parameters, name)
@@ -215,7 +216,7 @@ FOLLOWED = 12
 SHORT_PART = 6000
 #: Output errors are limited to this multiple of the stroke, because a diverging oscillation has no gradient.
 LARGEST_ERROR = 10.0
-#: Number of periods in which a periodic start settles.
+#: Number of periods after which a periodic start has settled.
 SETTLING = 1
 #: Starts agree when the residuals are at most this factor above the best one; the search ends after two that agree.
 AGREEING = 1.01
@@ -230,9 +231,9 @@ class BoucWenMechanicalFit:
 
     parameters: BoucWenMechanicalParameters  #: β as given, γ and δ from the products.
     rmse: float  #: RMS output error [m].
-    #: Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
+    #: Standard deviations, by the names of :data:`OSCILLATOR_FREE` (from the Jacobian and the residual).
     deviations: dict[str, float]
-    covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`FREE`, in their units.
+    covariance: np.ndarray  #: shape (6, 6); Covariance of :data:`OSCILLATOR_FREE`, in their units.
     agreeing: int  #: agreeing, starts: Number of refined starts with the same residual, and of all refined starts.
     starts: int
     intersample: str  #: intersample, initial: Assumed input between samples, and assumed initial state.

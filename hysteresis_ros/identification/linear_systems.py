@@ -509,7 +509,7 @@ class LinearPart:
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
-        """Return lag and delay without the effect of a held input, for which a lag adds T/(1 - e^(-T/τ)), not τ."""
+        """Return lag and delay without the effect of a held input, where a lag delays by T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
         late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
         delay = self.lag + self.delay - late

@@ -75,7 +75,7 @@ class MatrixFractionFit:
     suggested_order: int  #: The lowest order whose misfit is within the tolerance of the best one.
     hankel_values: (
         np.ndarray
-    )  #: shape (n,); Hankel singular values of the full fit, relative to the largest, in falling order.
+    )  #: shape (n,); Hankel singular values of the full fit, relative to the largest, in descending order.
     orders: np.ndarray  #: shape (m,); Tried orders.
     #: shape (m,); Misfit of each order: rms of |Ĝ - G| over the lines, in units of the standard deviation, or relative
     #: to rms |G| when the variance is unknown.
@@ -259,7 +259,7 @@ def _separated(model, radius):
 
 
 def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
-    """Return the balanced realisation of a stable model and its Hankel singular values, falling.
+    """Return the balanced realisation of a stable model and its Hankel singular values, in descending order.
 
     Directions below rounding (1e-14 of the largest) are removed: they are neither controllable nor observable.
     """

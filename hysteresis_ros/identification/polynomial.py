@@ -229,7 +229,7 @@ def _slopes(basis, v_low) -> np.ndarray:
 
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
-    """Return θ of the quadratics of V_max nearest to the parabolas of the loops (K2 as printed)."""
+    """Return θ of the quadratics of V_max nearest to the parabolas of the loops (K2 as in the paper)."""
     if not loops:
         raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
     rows, wanted = [], []

@@ -14,7 +14,7 @@
    samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
    shows most of the loops, and averages neighbouring samples as long as the removed frequencies contain only noise.
 2. The past: samples are omitted until the voltage has been near both ends of its range (:func:`wiped_out`), or the
-   voltage that left the actuator remanent is searched (:func:`remanent_voltage`).
+   voltage that left the actuator remanent is identified (:func:`remanent_voltage`).
 3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Models with a law for each
    branch use :func:`split_branches` instead.
 4. :func:`repeated`, around each fit: outliers and drift are found in its residual and removed, and the fit is repeated.
@@ -69,7 +69,7 @@ def prepared(
 #: Uniform times are assumed if the roughness of the signals with them is below this fraction of the roughness with the
 #: recorded stamps.
 SMOOTHER = 0.7
-#: Intervals longer than this number of medians are gaps.
+#: Intervals longer than this multiple of the median interval are gaps.
 GAP_DISTANCE = 1.5
 #: Gaps up to this many samples are bridged automatically; with longer ones, the longest part without gaps is used if it
 #: contains this fraction of the samples.
@@ -490,7 +490,7 @@ LEAST_SWING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Data in the form for a fit: uniform block averages, as coarse as the loops allow."""
+    """Data prepared for a fit: uniform block averages, as coarse as the loops allow."""
 
     voltage: np.ndarray  #: voltage, displacement: shape (N,) [V], [m].
     displacement: np.ndarray

@@ -211,7 +211,7 @@ class Separated:
     """A recording without the dynamics after a hysteresis, and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
-    output: np.ndarray  #: shape (N,); Output also without lag and creep [m].
+    output: np.ndarray  #: shape (N,); Output of the cleaned recording, also without lag and creep [m].
     part: LinearPart  #: The linear part after the hysteresis.
     start: Start  #: Assumed beginning of the recording.
     warnings: tuple[str, ...]  #: Warnings about the separation.

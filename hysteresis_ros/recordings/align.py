@@ -55,7 +55,7 @@ class ChangeLog:
         """Add an entry."""
         node, action, number = str(entry.get("node")), entry.get("action"), entry.get("number")
         if isinstance(number, int):
-            # a newly configured node begins with 1 again
+            # the entries of a newly configured node start at 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
         self.stopped = action != ENDED or entry.get("stopped") is True

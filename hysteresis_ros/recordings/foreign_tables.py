@@ -372,7 +372,7 @@ def _numbers(lines, layout, wanted, line_number, damaged):
             text, delimiter=layout.delimiter, usecols=wanted, ndmin=2, dtype=np.float64, comments="#", quotechar='"'
         )
     except ValueError:
-        pass  # a cell is empty or text: read cell by cell, which is slower but locates it
+        pass  # a cell is empty or text: read cell by cell, which is slower but locates this cell
     table = np.full((len(lines), len(wanted)), np.nan)
     width, k = len(layout.names), 0
     for number, line in enumerate(lines, line_number + 1):

@@ -51,10 +51,10 @@ def test_a_displacement_that_follows_the_delayed_reference_has_no_error():
     assert np.array_equal(judged_reference(run), late(reference))
     figures = compute_metrics(run)
     assert figures["max_error_m"] == figures["settling_time_s"] == figures["overshoot_percent"] == 0.0
-    assert any(f"{PREVIEW} samples later (feedforward.preview)" in note for note in figures["notes"]["recording"])
+    assert any(f"delayed by {PREVIEW} samples (feedforward.preview)" in note for note in figures["notes"]["recording"])
     assert step_figures(run).settling == 0.0
     assert np.all(judged(run).error == 0.0)
-    assert f"{PREVIEW} samples later (feedforward.preview)" in render_report(run, "preview", figures)
+    assert f"delayed by {PREVIEW} samples (feedforward.preview)" in render_report(run, "preview", figures)
 
 
 def test_without_preview_the_received_reference_counts():
