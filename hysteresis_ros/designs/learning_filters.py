@@ -123,9 +123,9 @@ def design_filters(
     asked = "no bandwidth" if bandwidth is None else f"a bandwidth of {bandwidth * sample_rate:.4g} Hz does not"
     raise ConfigurationError(
         f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all possible "
-        f"plants: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, allowed "
-        f"is {1.0 - MARGIN:g}; ask for a lower --bandwidth, narrow the ranges (--resonance-range, --gain-range), or "
-        "use a controller that damps the resonance"
+        f"plants: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, but at most "
+        f"{1.0 - MARGIN:g} is allowed; request a lower --bandwidth, narrow the ranges (--resonance-range, "
+        "--gain-range), or use a controller that damps the resonance"
     )
 
 

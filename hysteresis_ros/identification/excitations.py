@@ -127,7 +127,7 @@ class Plan:
         values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in found.items()}
         plan = cls(**values)
         if not plan._sound():
-            raise ValueError("the plan of an excitation has impossible numbers")
+            raise ValueError("the plan of an excitation has invalid numbers")
         return plan
 
     def _sound(self) -> bool:
