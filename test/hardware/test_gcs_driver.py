@@ -381,7 +381,7 @@ def test_an_axis_that_a_wrong_line_has_stopped_is_safe_and_names_the_line(stand,
     assert (
         re.search(said, plant.failure)
         and "has its servo switched" not in plant.failure
-        and "puts out" not in plant.failure
+        and "are commanded" not in plant.failure
     )
     assert plant.tripped and axis.open_value == 0.0 == row[at.PLANT_VOLTAGE]
     stand.faults.add("none")
