@@ -18,6 +18,7 @@ end of their range that is nearest to 0 V.
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +28,8 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.excitations import orthogonal_multisines
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.references.recipes import (
-    EXCITED,
     SMALL,
     driven,
     recipe,
@@ -55,6 +56,12 @@ class StageExcitation:
     one_by_one: bool = False  #: Whether the multisines excite one axis after the other.
     duration: float | None = None  #: Duration of the recipe of each axis [s].
     seed: int = 1
+    #: Voltages of the axes before and after it [V]; by default 0 V, or the end of the range that is nearest to it.
+    rests: tuple[float, ...] | None = None
+
+    def rest(self, place: int, limits: LimitsParameters) -> float:
+        """Return the voltage of an axis before and after the excitation [V]."""
+        return min(max(0.0, limits.minimum), limits.maximum) if self.rests is None else self.rests[place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +80,44 @@ def excited_stage(configuration: Configuration, asked: StageExcitation, path) ->
     rate = parameters.sample_rate
     if asked.name != MULTISINE and (asked.one_by_one or asked.realisations is not None):
         raise ConfigurationError(f"--realisations and --one-by-one belong to the recipe {MULTISINE}: leave them out")
-    voltages, words = _multisines(parameters, asked) if asked.name == MULTISINE else _in_turn(parameters, asked)
-    path = pathlib.Path(path)
+    voltages, words = multisines(parameters, asked) if asked.name == MULTISINE else _in_turn(parameters, asked)
+    return ExcitedStage(played_stage(configuration, voltages, path), len(voltages) / rate, voltages, words)
+
+
+def played_stage(
+    configuration: Configuration, voltages: np.ndarray, path, ranges: Sequence[tuple[float, float]] | None = None
+) -> StageParameters:
+    """Return the stage that outputs voltages [V], shape (N, n), whose samples are written beside ``path``.
+
+    Plants and compensators are limited to ``ranges`` [V], by default those of the configuration.
+    """
+    parameters = StageParameters.from_configuration(configuration)
+    rate, path = parameters.sample_rate, pathlib.Path(path)
     given = configuration.override(STAGE, decoupling=(), scan__kind="")
-    for axis, name, volts in zip(parameters.axes, parameters.names, voltages.T, strict=True):
+    for place, (axis, name, volts) in enumerate(zip(parameters.axes, parameters.names, voltages.T, strict=True)):
         compensator = axis.hysteresis_compensator
+        limits = compensator.limits
+        if ranges is not None:
+            limits = replace(limits, minimum=ranges[place][0], maximum=ranges[place][1])
+            narrow = {"limits.minimum": limits.minimum, "limits.maximum": limits.maximum}
+            own = [(f"{axis.namespace}/{node}", narrow) for node in ("plant_simulator", "hysteresis_compensator")]
+            given = replace(given, entries=(*given.entries, *own))
         gain = hysteresis_block(compensator.hysteresis, 1.0 / rate).gain
         file = write_samples(path.with_name(f"{path.name}_{name}_waveform.npz"), volts * gain, rate)
-        waveform = {"type": "file", "cycles": 1, "file.path": file, "file.column": "reference", "offset": 0.0}
-        alone = driven(configuration, compensator.limits, gain, waveform).entries[len(configuration.entries) :]
-        space = f"{parameters.namespace}/{name}"
-        entries = [
-            (space + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in alone
-        ]
-        given = replace(given, entries=(*given.entries, *entries))
-    duration = len(voltages) / rate
-    return ExcitedStage(StageParameters.from_configuration(given).with_duration(duration), duration, voltages, words)
+        rest = gain * min(max(0.0, limits.minimum), limits.maximum)
+        waveform = {"type": "file", "cycles": 1, "file.path": file, "file.column": "reference", "offset": 0.0 - rest}
+        alone = driven(configuration, limits, gain, waveform)
+        given = replace(given, entries=(*given.entries, *scoped(configuration, alone, axis.namespace)))
+    return StageParameters.from_configuration(given).with_duration(len(voltages) / rate)
 
 
-def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
+def scoped(configuration: Configuration, changed: Configuration, namespace: str) -> list[tuple[str, dict]]:
+    """Return what a changed configuration adds, for the nodes of the axis in a namespace; the rest for all axes."""
+    added = changed.entries[len(configuration.entries) :]
+    return [(namespace + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in added]
+
+
+def multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
     """Return orthogonal multisines about the middle of the ranges, shape (N, n) [V], and their description."""
     names, rate, count = parameters.names, parameters.sample_rate, len(parameters.names)
     realisations = 3 * count if asked.realisations is None else asked.realisations
@@ -110,7 +136,8 @@ def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np
         )
     spacing = asked.frequency or rate / PERIOD
     N = round(rate / spacing)
-    lines = np.arange(1, int(EXCITED * N) + 1)
+    # every line: a design has to assume a resonance wherever the response is unknown
+    lines = np.arange(1, (N + 1) // 2)
     if N < 32:
         raise ConfigurationError(f"--frequency {spacing:g} Hz: must be at most {rate / 32:g} Hz, 32 samples a period")
     if asked.one_by_one:
@@ -123,7 +150,7 @@ def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np
         table = orthogonal_multisines(count, N, lines, realisations, asked.seed)
     played = np.repeat(table[:, None], asked.settle + asked.periods, axis=1).reshape(-1, count)
     columns, slowed = [], []
-    for axis, name, samples in zip(parameters.axes, names, played.T, strict=True):
+    for place, (axis, name, samples) in enumerate(zip(parameters.axes, names, played.T, strict=True)):
         limits = axis.hysteresis_compensator.limits
         middle = 0.5 * (limits.minimum + limits.maximum)
         peak = asked.amplitude * SMALL * (limits.maximum - limits.minimum)
@@ -132,8 +159,7 @@ def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np
         allowed = slew / rate / np.max(np.abs(np.diff(samples)))
         if allowed < peak:
             slowed.append(f"{name} {100.0 * allowed / peak:.0f} %")
-        rest = min(max(0.0, limits.minimum), limits.maximum)
-        columns.append(there_and_back(middle + min(peak, allowed) * samples, rest, rate))
+        columns.append(there_and_back(middle + min(peak, allowed) * samples, asked.rest(place, limits), rate))
     how = "one axis after the other" if asked.one_by_one else "orthogonal"
     words = f"multisines, {how}: {realisations} realisations of {asked.settle} + {asked.periods} periods of {N} samples"
     if slowed:
@@ -144,10 +170,7 @@ def _multisines(parameters: StageParameters, asked: StageExcitation) -> tuple[np
 def _in_turn(parameters: StageParameters, asked: StageExcitation) -> tuple[np.ndarray, str]:
     """Return a recipe for one axis after the other, shape (N, n) [V], and its description."""
     rate, parts = parameters.sample_rate, []
-    rests = []
-    for axis in parameters.axes:
-        limits = axis.hysteresis_compensator.limits
-        rests.append(min(max(0.0, limits.minimum), limits.maximum))
+    rests = [asked.rest(place, axis.hysteresis_compensator.limits) for place, axis in enumerate(parameters.axes)]
     for place, axis in enumerate(parameters.axes):
         limits = axis.hysteresis_compensator.limits
         found = recipe(

@@ -261,9 +261,9 @@ class MeasuredPlant:
         """
         relative = (np.abs(self.response - model) + self.radius) / np.maximum(np.abs(model), 1e-12)
         last = float(self.frequency[-1])
-        # the next line would be at or beyond half the sample rate
+        # the next line would be at or beyond half the sample rate; frequencies are rounded
         spacing = float(self.frequency[-1] - self.frequency[-2]) if self.frequency.size > 1 else 0.0
-        known_to = np.inf if (last + spacing) * sample_time >= WHOLE else last
+        known_to = np.inf if (last + 1.001 * spacing) * sample_time >= WHOLE else last
         return ResponseUncertainty(self.frequency, np.minimum(relative, UNKNOWN), known_to)
 
 

@@ -32,6 +32,7 @@ from hysteresis_ros.identification.data import DataError  # noqa: E402
 from hysteresis_ros.identification.excitations import orthogonal_multisines  # noqa: E402
 from hysteresis_ros.identification.linear_systems import LinearModel  # noqa: E402
 from hysteresis_ros.identification.local_polynomial import local_polynomial_response  # noqa: E402
+from hysteresis_ros.identification.response_check import MeasuredPlant  # noqa: E402
 from hysteresis_ros.identification.stage_data import (  # noqa: E402
     StageColumns,
     StageReading,
@@ -321,6 +322,18 @@ def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(tr
     assert error.std() < 1.5e-7
     untouched = replace(parameters, stage=replace(parameters.stage, decoupling=()))
     assert coupling_errors(untouched, 0.45)[0].part > 5.0 * coupled.part
+
+
+def test_the_multisines_of_a_stage_leave_no_frequency_unknown(tmp_path):
+    """A design assumes a resonance where the response is unknown, which costs nearly all of the bandwidth."""
+    found = excited_stage(load_configuration("xy_scanner"), StageExcitation(realisations=2), tmp_path / "multi")
+    begun = found.voltages[10000 : 10000 + 2000]
+    lines = np.abs(np.fft.rfft(begun - begun.mean(axis=0), axis=0))
+    assert np.all(lines[1:1000] > 0.5 * lines[1:1000].max()) and np.all(lines[1000] < 1e-6 * lines.max())
+    frequency = np.arange(1, 1000) / (2000 * STEP)
+    exact = np.ones(999, dtype=complex)
+    assert MeasuredPlant(frequency, exact, np.zeros(999)).uncertainty(exact, STEP).known_to == np.inf
+    assert MeasuredPlant(frequency[:-1], exact[:-1], np.zeros(998)).uncertainty(exact[:-1], STEP).known_to < 5000.0
 
 
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
