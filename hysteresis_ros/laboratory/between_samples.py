@@ -76,7 +76,7 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
 class Modes(NamedTuple):
     """Linear dynamics in modal coordinates, with one pole of each pair."""
 
-    poles: np.ndarray  #: poles, units: shape (M,); Poles, and steady states for an input of one metre.
+    poles: np.ndarray  #: poles, units: shape (M,); Poles, and steady-state values for an input of one metre.
     units: np.ndarray
     #: shape (2 M, INSTANTS); Output [m] between the samples for the real and the imaginary part of each state.
     free: np.ndarray
@@ -85,9 +85,9 @@ class Modes(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def modes_of(parameters: LinearParameters) -> Modes | None:
-    """Return dynamics between their samples; None if there is no continuous equivalent.
+    """Return the modal form of linear dynamics; None if they have no continuous equivalent.
 
-    x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles.
+    x(k + j) = A^j x(k) + (I - A^j) x_rest u, in modal coordinates.
     """
     model = parameters.matrices
     # poles of the real matrix: pairs are exactly conjugate, and real poles are real

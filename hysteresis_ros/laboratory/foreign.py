@@ -9,9 +9,9 @@
 
 """Actuators of other classes than the models, to test identification and design.
 
-voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement, with the lag at one of the two places.
-All of it is integrated with held voltage on a grid that is finer than the samples, which also gives the displacement
-between the samples. With s the voltage as a fraction of its range, the hystereses are
+voltage → delay → (lag) → hysteresis → creep → two modes → (lag) → displacement; the lag is at one of the two places.
+The chain is integrated on a grid finer than the samples, with the voltage held during each sample; the displacement
+between the samples is therefore known, too. With s the voltage as a fraction of its range, the types of hysteresis are
 
 * ``play``: generalised play operators with different curves for rising and falling, whose thresholds widen with the
   speed of the input [1],
@@ -49,25 +49,25 @@ HYSTERESES = ("play", "preisach", "bouc_wen", "duhem")
 PLAYS = 12
 CREEP_TIMES = tuple(elementary.pow(10.0, 0.5 * place) for place in range(-6, 7))
 MODES = 2
-#: Speed of s at which the thresholds have half of their widening [1/s], and the averaging time of the speed [s].
+#: Speed of s at which the thresholds reach half of their widening [1/s], and the averaging time of the speed [s].
 SPEED_KNEE, SPEED_MEMORY = 20.0, 2e-3
 #: The longest delay [steps of the fine grid].
 LONGEST_DELAY = 256
 
 # Layout of p.
 STEPS = 0  # steps of the fine grid per sample
-KIND = 1  # place in HYSTERESES
+KIND = 1  # index in HYSTERESES
 PER_VOLT = 2
 STROKE = 3
-BEFORE, BEHIND = 4, 5  # decay of the lag in a step; 0: no lag at this place
+BEFORE, BEHIND = 4, 5  # decay factor per step of a lag before the hysteresis, and of one after the modes; 0: no lag
 DELAY = 6  # steps
 LINEAR, SQUARE = 7, 8  # d(s) or f(s): LINEAR s + SQUARE s²
 RATE = 9  # widening of the thresholds at high speed
 KNEE = 10  # change of s per step at half of this widening
 MEMORY = 11  # decay of the averaged change from step to step
-TURN = 12  # β, or a
-SWING = 13  # α, or g
-SKEW = 14  # γ
+TURN = 12  # β (Bouc-Wen) or a (Duhem)
+SWING = 13  # α (Bouc-Wen) or g (Duhem)
+SKEW = 14  # γ (Bouc-Wen)
 CURVE = 15  # difference between the rising and the falling curve
 THRESHOLDS = 16  # then weights and curvatures of the play operators
 WEIGHTS = THRESHOLDS + PLAYS
@@ -79,7 +79,7 @@ A_MODE = 7
 PARAMETERS = MODAL + A_MODE * MODES
 
 # Layout of x.
-LAGGED, FOLLOWED, LAST, OPENING = 0, 1, 2, 3  # lag before and behind; s of the last step; h, or y of the Duhem equation
+LAGGED, FOLLOWED, LAST, OPENING = 0, 1, 2, 3  # outputs of the two lags; s of the last step; h (Bouc-Wen) or y (Duhem)
 NEXT = 4  # index of the next voltage in the ring
 SPEED = 5  # averaged change of s per step
 PLAY = 6
@@ -91,7 +91,7 @@ STATES = RING + LONGEST_DELAY
 
 @dataclass(frozen=True)
 class ForeignParameters(Parameters):
-    """An actuator of another class."""
+    """Parameters of an actuator whose class differs from that of every model."""
 
     hysteresis: str = parameter("play", choices=HYSTERESES, description="class of the hysteresis")
     stroke: float = parameter(40e-6, description="approximate stroke over the range of voltage", unit="m", low=1e-12)
@@ -215,7 +215,7 @@ def follow(p, x, voltage, displacement):
 
 
 class Foreign(Block):
-    """An actuator of another class: from a voltage [V] to the displacement [m] at the next sample.
+    """An actuator whose class differs from that of every model: voltage [V] to displacement [m] at the next sample.
 
     Units: ``sample_time`` [s].
     """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs, and studies of more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` … SI units.
+"""Designs, and studies of more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` …, in SI units.
 
 Each function does the same as its command: ``hysteresis design``, ``frf``, ``compare``, ``reproduce``.
 """

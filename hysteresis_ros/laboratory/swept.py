@@ -65,7 +65,7 @@ def sweep(
     path : path-like, optional
         File for the results, ``.parquet`` or ``.npz``; an interrupted sweep continues from it.
     runs : int, optional
-        Total number of runs; not needed with levels only.
+        Total number of runs; not needed if all ranges are levels.
     metrics : sequence of str
         Figures of a report to store; by default ``rms_error_m``, for an inchworm motor ``final_error_rms_m``.
     bounds : sequence of str

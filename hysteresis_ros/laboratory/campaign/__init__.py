@@ -9,5 +9,6 @@
 
 """``hysteresis faults``: fault cases on a separate axis, in a ROS domain that nothing else uses.
 
-``run`` executes the cases by ``actions``; ``rig`` is the axis with its surroundings, ``witness`` observes it.
+``run`` executes the cases with the functions of ``actions``; ``rig`` is the axis with its surroundings, ``witness``
+observes the axis.
 """

@@ -9,8 +9,8 @@
 
 """Run a campaign: ``python -m hysteresis_ros.laboratory.campaign '{"config": "picma_stage", …}'``.
 
-The argument has ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``rate``; ``output`` and
-``json`` (paths, or empty), ``add`` (paths).
+The argument is a JSON object with the keys ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``,
+``rate``, ``output`` and ``json`` (paths, or empty), and ``add`` (paths).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def main() -> int:
 
 
 def _write(request: dict, mishaps: tuple[Mishap, ...], results: Results) -> None:
-    """Write the files that were asked for."""
+    """Write the requested files."""
     if request["json"]:
         results.save(pathlib.Path(request["json"]))
     for path in request["add"]:

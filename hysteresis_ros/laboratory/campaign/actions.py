@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The actions of fault cases, by their names in the catalogue: on processes, machine and measurement, and by users."""
+"""The actions of the fault cases: they disturb processes, the machine or the measurement, or act as users do."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
         time.sleep(SLACK)
         moved = rig.witness.displacement - place
         if abs(moved) > UNASKED * rig.bounds.stroke and not rig.witness.tripped:
-            rig.broken.append(f"after its restart it moves the axis by {1e6 * moved:.2g} µm without a setpoint")
+            rig.broken.append(f"the restarted node moves the axis by {1e6 * moved:.2g} µm without a setpoint")
 
 
 def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -96,7 +96,7 @@ def _again(rig: Rig, victims) -> None:
         rig.group.start(victim)
     seen = rig.witness.until(lambda: len(rig.witness.rows) > rows, START)
     if not seen or not rig.runs(None if AXIS in victims else victims):
-        rig.broken.append(f"not active {START:g} s after its restart")
+        rig.broken.append(f"the restarted nodes are not active after {START:g} s")
     rig.notes.append(f"active {time.monotonic() - begun:.1f} s after its restart")
 
 
@@ -106,7 +106,7 @@ BURN = "while True: sum(range(100000))"
 FILLED, AFTERWARDS = 0.75, 3.0
 #: Time in which a small disk becomes full [s].
 FULL = 60.0
-#: Longest end that a cut-off recording may lack [s], and its length before the cut [s].
+#: Longest part that may be missing at the end of an interrupted recording [s], and its length before that [s].
 LOST, RECORDED = 1.5, 2.0
 #: Jumps of the time of day [s], and the time between them [s].
 OFFSETS, APART = (3600, -3600, 0), 1.5
@@ -151,7 +151,7 @@ def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill a recording process, read its recording, and restart it."""
+    """Kill a recording process, read its recording, and restart the process."""
     if rig.way != FUSED:
         rig.group.start(RECORDER)
         rig.witness.until(lambda: rig.witness.is_active(RECORDER), START)
@@ -166,7 +166,7 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
         run.metadata["missing_samples"] if rig.way == FUSED else 0
     )  # on a busy machine messages may be late, and samples missing
     if lost > LOST or missing:
-        rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples in the rest")
+        rig.broken.append(f"the recording lacks its last {lost:.2f} s, and {missing} samples before them")
 
 
 def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -188,14 +188,14 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
     time.sleep(amount + 0.5)
 
 
-#: Time of the axis at which the faults of a fused loop begin, after its start and first move [s].
+#: Time of the axis at which the faults of a fused loop begin [s]; by then it has started and made its first move.
 SCHEDULE = 12.0
-#: Duration of a fault of the measurement, and how long it lasts beyond the time-out [s].
+#: Duration of a measurement fault [s]; if the voltage must become safe, excess of the duration over the time-out [s].
 LASTING, FURTHER = 3.0, 0.5
 
 
 def _lasts(mishap: Mishap, bounds: Bounds) -> float:
-    """Return the duration of a fault [s]; it is long enough for the voltage to become safe, if it must."""
+    """Return the duration of a fault [s]; if the voltage must become safe, the fault exceeds the time-out."""
     return bounds.timeouts[mishap.safe] + FURTHER if mishap.safe else LASTING
 
 
@@ -243,7 +243,7 @@ REFUSED, ONE_MASTER = 2, "one axis has one master"
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints; one setpoint in this number is invalid.
+#: Invalid setpoints, and their interval [setpoints].
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 
@@ -298,7 +298,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
     finally:
         second.close()
     if set(refused) != {REFUSED} or said.count(ONE_MASTER) != len(refused):
-        rig.broken.append(f"a second graph ended with {refused}: {' '.join(said.split())[-200:]}")
+        rig.broken.append(f"a second graph ended with exit codes {refused}: {' '.join(said.split())[-200:]}")
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -343,7 +343,7 @@ def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
 
 
 def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Call transitions and services of nodes in random order; at the end all are active and started."""
+    """Call transitions and services of nodes in random order; finally activate and start all nodes."""
     unanswered = 0
     for _ in range(int(amount)):
         node = str(rig.random.choice(NODE_NAMES[:4]))

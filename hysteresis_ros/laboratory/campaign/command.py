@@ -23,8 +23,8 @@ from hysteresis_ros.cli.options import ConfigurationName
 @click.argument("config", type=ConfigurationName(), default="picma_stage")
 @click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this fault case, or this group; repeatable.")
-@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="Repetitions, at other times.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the times.")
+@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="Rounds, each with other times.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the random times.")
 @click.option(
     "--rate",
     type=click.FloatRange(1.0, 1e5),
@@ -32,7 +32,7 @@ from hysteresis_ros.cli.options import ConfigurationName
     metavar="HZ",
     help="Sample rate instead of that of the file; losses of nodes are also tested at 10, 200 and 3000 Hz.",
 )
-@click.option("--list", "listed", is_flag=True, help="List the fault cases, and run none.")
+@click.option("--list", "listed", is_flag=True, help="List the fault cases without running them.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Markdown page for all results.")
 @click.option("--json", "figures", type=click.Path(path_type=pathlib.Path), help="JSON file for the figures.")
 @click.option(
@@ -42,8 +42,8 @@ def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add)
     """Start the axis of CONFIG with a simulated plant, in a separate ROS domain, and inject faults.
 
     Nodes are killed and suspended, messages lost and forged, cores and disks occupied. Each case checks whether the
-    voltage kept its limits and became safe in time, and whether the axis recovers. Exit code 0: all claims held; 4:
-    some did not; 2: wrong input.
+    voltage stayed within its limits and became safe in time, and whether the axis recovered. Exit code 0: all claims
+    held; 4: some did not; 2: wrong input.
     """
     from hysteresis_ros.laboratory.campaign.mishaps import chosen, chosen_ways
     from hysteresis_ros.laboratory.campaign.results import load_results

@@ -40,7 +40,7 @@ SLACK = 0.5
 class Bounds:
     """Bounds of the figures of an axis; times are those of the wall clock."""
 
-    minimum: float  #: minimum, maximum, safe: Voltages [V]: limits, and the safe one.
+    minimum: float  #: minimum, maximum, safe: Limits of the voltage, and the safe voltage [V].
     maximum: float
     safe: float
     step: float  #: Largest change of the voltage between two samples [V], including one bit of the converter.
@@ -56,7 +56,7 @@ class Bounds:
 
 
 def at_rate(configuration: Configuration, rate: float) -> Configuration:
-    """Return a configuration at another sample rate [Hz], 0: its own, with the same dynamics per sample.
+    """Return a configuration with another sample rate [Hz] (0: unchanged) and the same dynamics per sample.
 
     Time-outs stay the same in seconds, because the campaign tests the reaction of the nodes to time.
     """
@@ -68,12 +68,14 @@ def at_rate(configuration: Configuration, rate: float) -> Configuration:
 
 
 def prepared(configuration: Configuration, way: str, namespace: str) -> AxisParameters:
-    """Return the axis of a configuration for a campaign: simulated, at setpoints, with limited slew rate."""
+    """Return the axis for a campaign: with a simulated plant, setpoints as reference, and a limited slew rate."""
     mode = "fused" if way == FUSED else "realtime"
     simulated = configuration.override("", time_mode=mode, autostart=True, exit_at_end=True, external_plant=False)
     simulated = simulated.override("plant_simulator", driver="", real_time_factor=1.0)
     axis = single_axis(simulated.override("reference_generator", waveform__type="hold"))
-    axis.require_generator(f"{configuration.source}: an inchworm motor; a campaign is for axes of one actuator")
+    axis.require_generator(
+        f"{configuration.source}: describes an inchworm motor; give the configuration of a single actuator"
+    )
     plant = axis.plant_simulator
     span = plant.limits.maximum - plant.limits.minimum
     slew = plant.limits.slew_rate or span / CROSSING
@@ -126,7 +128,7 @@ class Samples:
 
     @classmethod
     def of(cls, rows) -> Samples:
-        """Return the samples from rows of these five numbers."""
+        """Return the samples from rows with the values of these five fields."""
         table = np.array([tuple(row) for row in rows], dtype=np.float64).reshape(-1, 5).T
         return cls(*table)
 
@@ -169,7 +171,7 @@ class Trace:
 #: Largest difference between the safe voltage and the voltage for a safe command, because of the inverse [fraction of
 #: the range].
 COMMANDED = 0.1
-#: Rounding error of compared numbers.
+#: Tolerance of comparisons for rounding errors.
 ROUNDING = 1e-9
 
 

@@ -49,8 +49,8 @@ class Mishap:
     amounts: tuple[float, ...] = (0.0,)  #: Amounts of the action, in its unit; each is executed once.
     ways: tuple[str, ...] = WAYS  #: Entries of :data:`WAYS` to which the case applies.
     elsewhere: str = ""  #: Why the case does not apply to the other ways.
-    #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out and the time of its return; empty: it need
-    #: not be.
+    #: One of :data:`TIMEOUTS`: the voltage must be safe within this time-out plus the time of its return; empty: no
+    #: such requirement.
     safe: str = ""
     #: Whether the displacement must stay between rest and setpoints, within a tolerance.
     bounded: bool = True
@@ -65,7 +65,9 @@ def chosen_ways(text: str) -> list[str]:
     found = [word.strip() for word in text.split(",") if word.strip()]
     for word in found:
         if word not in WAYS:
-            raise ConfigurationError(f"--ways {text}: no way '{word}'{did_you_mean(word, WAYS)}; {', '.join(WAYS)}")
+            raise ConfigurationError(
+                f"--ways {text}: no way '{word}'{did_you_mean(word, WAYS)}; there are {', '.join(WAYS)}"
+            )
     if not found:
         raise ConfigurationError(f"--ways: name at least one of {', '.join(WAYS)}")
     return found

@@ -39,7 +39,7 @@ class Conditions:
 
 
 def conditions() -> Conditions:
-    """Return the present conditions."""
+    """Return the current conditions."""
     words = [
         f"{platform.system()} {platform.release()}",
         f"{os.cpu_count()} cores",
@@ -60,7 +60,7 @@ def conditions() -> Conditions:
 class Results:
     """Results of one or more campaigns."""
 
-    config: str  #: Which axis.
+    config: str  #: Configuration of the axis, with its sample rate if that was changed.
     verdicts: tuple[Verdict, ...]
     before: Conditions  #: before, after: Conditions at the beginning and the end.
     after: Conditions
@@ -102,7 +102,7 @@ def load_results(path: pathlib.Path) -> Results:
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{path}: not a file of hysteresis faults --json: {error}") from None
+        raise ConfigurationError(f"{path}: is not a file of hysteresis faults --json: {error}") from None
 
 
 def _trace(values: dict) -> Trace:

@@ -233,7 +233,7 @@ class Device:
         self._process.stdin.flush()
 
     def close(self) -> None:
-        """End it."""
+        """End the controller's process."""
         self._process.kill()
         self._process.wait()
 
@@ -287,7 +287,7 @@ class Rig:
         """Raise an error for an axis that does not run before any fault."""
         printed = self.group.printed().strip().splitlines()[-3:]
         self.close()
-        raise HysteresisError(f"the axis {what}, {self.way}, before any fault: {' / '.join(printed)}")
+        raise HysteresisError(f"the axis {what} ({self.way}) before any fault: {' / '.join(printed)}")
 
     def _go_on(self) -> None:
         """Restart a tripped axis, as an operator would do after a check."""
@@ -309,7 +309,7 @@ class Rig:
         return float(self.random.uniform(self.bounds.low, self.bounds.high))
 
     def follows(self, seconds: float = RECOVERY) -> bool:
-        """Move the axis to the farther end; return whether it arrives and stays."""
+        """Move the axis to the farther end of its range; return whether it arrives and stays."""
         low, high = self.bounds.low, self.bounds.high
         target = low if self.witness.displacement > 0.5 * (low + high) else high
         since = math.inf

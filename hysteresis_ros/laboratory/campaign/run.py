@@ -37,8 +37,8 @@ class Campaign:
     config: str  #: Path or name of the configuration.
     mishaps: tuple[Mishap, ...]
     ways: tuple[str, ...]
-    rounds: int  #: Repetitions of each case, at other times.
-    seed: int  #: Seed of the times.
+    rounds: int  #: Repetitions of each case, each at other random times.
+    seed: int  #: Seed of the random times.
     folder: pathlib.Path  #: Folder for temporary files.
     rate: float = 0.0  #: Sample rate [Hz] of cases without their own; 0: that of the configuration.
 
@@ -89,7 +89,7 @@ class _Series:
                 for mishap, trace in seen:
                     yield judged(trace.with_samples(samples), mishap, self._bounds)
             if left:
-                raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
+                raise HysteresisError(f"{self._way}, at the end of the axis: {'; '.join(left)}")
 
     def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
         """Return the record of a case whose axis could not be started."""

@@ -33,7 +33,7 @@ from hysteresis_ros.nodes.spin import make_executor
 
 #: Time-out of a service call [s].
 PATIENCE = 10.0
-#: Time before a call that may have been too early is repeated [s].
+#: Time after which a call that may have come too early is repeated [s].
 BRIEF = 0.5
 #: Polling interval [s].
 LOOK = 0.01
@@ -105,13 +105,13 @@ class Witness:
         return True
 
     def sample(self, rate: float) -> float:
-        """Return the present sample number of an axis in real time, from the last one of its plant."""
+        """Return the current sample number of an axis in real time, extrapolated from the last one of its plant."""
         when, count = self._counted
         return count + rate * (time.time() - when) if count else 0.0
 
     @property
     def displacement(self) -> float:
-        """Last observed displacement [m]; NaN before the first."""
+        """Last observed displacement [m]; NaN before the first observation."""
         return self.rows[-1][3] if self.rows else math.nan
 
     def ask(self, setpoint: float) -> None:

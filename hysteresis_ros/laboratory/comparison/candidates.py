@@ -101,7 +101,7 @@ TUNING_PERIODS = 8
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Smallest mismatch that a design assumes.
 LEAST_MISMATCH = 1e-3
-#: Largest M_s of a loop whose gain and times deviate by the mismatch; the same as with an unmodelled sample of delay.
+#: Largest M_s of a loop whose gain and times deviate by the mismatch; same limit as for an unmodelled sample of delay.
 MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
@@ -117,7 +117,7 @@ class Known:
         return single_axis(self.configuration)
 
     def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
-        """Return the axis with a candidate's parameters, with the reference of a task or at rest."""
+        """Return the axis with a candidate's parameters and the reference of a task; without a task, at rest."""
         found = self.configuration.override("motion_controller", **candidate.motion_controller)
         found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
         if task is None:
@@ -148,7 +148,7 @@ class Candidate:
     hysteresis_compensator: dict = field(default_factory=dict)
     refused: str = ""  #: Reason why the candidate cannot be designed; empty if it can.
     margins: Margins | None = None  #: Margins of its loop with its own model.
-    #: Unmet requirements of its loop, with its model or with gain and times off by the mismatch; empty if all are met.
+    #: Unmet requirements of its loop, with its own model or with a mismatch of gain and times; empty if all are met.
     marked: str = ""
     learning: str = ""  #: Kind of learning from period to period; empty: no learning.
 
@@ -227,13 +227,13 @@ class Given:
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
-        """Return by how much the mismatch changes the disturbance of the command per sample [model units]."""
+        """Return the change of the command's disturbance per sample that the mismatch causes [model units]."""
         moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
         moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
         return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
 
     def kalman(self, disturbance: str = "none") -> dict:
-        """Return a filter for the noise, and for disturbances as fast as the mismatch makes them."""
+        """Return a Kalman filter for the noise and for the disturbances that the mismatch causes."""
         stroke = max(task.high - task.low for task in self.tasks)
         noise = max(self.conditions.noise, LEAST_NOISE * stroke) / self.dynamics.output_scale
         change = self.change()
@@ -268,10 +268,10 @@ class Given:
 
 
 def controllers(axis: AxisParameters) -> dict:
-    """Return the controllers of the table, name → design: configured, by law, with learning, with damping.
+    """Return the design of each controller of the table, by name: as configured, by law, with learning, with damping.
 
-    A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
-    configuration.
+    A design is a function that takes :class:`Given` and returns the parameters of the motion controller that differ
+    from the configuration.
     """
     declared = {name: design for name, (_, design) in ROWS.items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}

@@ -18,7 +18,7 @@ import click
 from hysteresis_ros.cli.options import ConfigurationName, write_json
 from hysteresis_ros.cli.progress import Progress
 
-#: Longest silence of a command that takes minutes [s].
+#: Longest time without output of a command that takes minutes [s].
 SILENCE = 10.0
 
 
@@ -27,8 +27,8 @@ SILENCE = 10.0
 @click.option("--mismatch", default=0.05, show_default=True, help="Largest relative error of each model parameter.")
 @click.option("--noise", default=5e-9, show_default=True, help="Sensor noise [m rms].")
 @click.option("--bits", default=16, show_default=True, help="Bits of the converters; 0: unlimited.")
-@click.option("--draws", default=20, show_default=True, help="Plants drawn around the configured one; 0: none.")
-@click.option("--others", default=4, show_default=True, help="Plants of other classes than the model; 0: none.")
+@click.option("--draws", default=20, show_default=True, help="Number of plants around the configured one; 0: none.")
+@click.option("--others", default=4, show_default=True, help="Number of plants of other classes; 0: none.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
 @click.option("--robust", is_flag=True, help="Design sliding modes for the worst of the plants around the model.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
@@ -36,7 +36,7 @@ SILENCE = 10.0
 @click.option("--namespace", help="Axis to use, if the configuration describes several.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
-@click.option("--best", is_flag=True, help="-o F.yaml writes CONFIG with the best combination.")
+@click.option("--best", is_flag=True, help="Let -o F.yaml write CONFIG with the best combination.")
 @click.option(
     "-o",
     "--output",
@@ -68,7 +68,7 @@ def compare(config, namespace, workers, json_path, best, outputs, sine, triangle
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
     # the bar is shown only after a while, because an immediate refusal prints just one line
-    comparing = f"comparing on {conditions.draws} plants around it and {conditions.others} of other classes"
+    comparing = f"comparing on {conditions.draws} plants around CONFIG and {conditions.others} of other classes"
     with progress.during(comparing):
         options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}
         found = run(load_configuration(config), conditions, **options)

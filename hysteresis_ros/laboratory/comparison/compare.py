@@ -133,7 +133,7 @@ def table_around(
         f"weights, times of the dynamics and rate of the creep deviate by up to ±{per_cent:g} %, uniform and "
         "independent",
         f"{_seen(conditions)}, limits {limits.minimum:g} … {limits.maximum:g} V",
-        "every candidate was designed from the models in the configuration, with the size of noise and mismatch",
+        "every candidate was designed from the models in the configuration and the size of noise and mismatch",
     )
     return Table(
         "Plants around the configured one",
@@ -198,14 +198,14 @@ def _seen(conditions: Conditions) -> str:
     return f"sensor noise {conditions.noise * 1e9:g} nm rms, {converters}"
 
 
-#: Rest at each end of the voltage for the measurement of the range of a plant [s].
+#: Dwell at the highest and at the lowest voltage while the range of a plant is measured [s].
 REST = 2.0
 
 
 def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, float]:
     """Return the ends [m] of the range that every plant reaches within its limits, without the preload offset.
 
-    Each plant rests :data:`REST` seconds at its highest, then at its lowest voltage.
+    Each plant dwells for :data:`REST` seconds at its highest, then at its lowest voltage.
     """
     lows, highs = [], []
     for plant in plants:
@@ -223,7 +223,7 @@ def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, floa
 
 
 def drawn_around(configuration: Configuration, conditions: Conditions) -> list[ModelledPlant]:
-    """Return plants around the configured one, with individual noise and with converters."""
+    """Return plants around the configured one, with converters and with a different noise sequence each."""
     found = []
     for seed in range(conditions.seed, conditions.seed + conditions.draws):
         plant = mismatched(configuration, conditions.mismatch, seed).override(
@@ -244,8 +244,8 @@ def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
 def trial_on_other(seed: int, conditions: Conditions) -> Trial:
     """Return the trial on a plant of another class, and on plants to which it may change after its recording.
 
-    Everything except the plants follows from the recording. The references are within the range of the model, reduced
-    by the mismatch.
+    The designs and the references depend on the recording alone. The references are within the range of the model,
+    reduced by the mismatch.
     """
     bench = conditions_bench(conditions)
     plant = drawn(seed, bench)

@@ -9,8 +9,8 @@
 
 """The rows of the comparison for each control law, including those of other packages.
 
-A row is a design: it takes :class:`hysteresis_ros.laboratory.comparison.candidates.Given` and returns the parameters of
-the motion controller that differ from the configuration.
+Each row has a design: a function that takes :class:`hysteresis_ros.laboratory.comparison.candidates.Given` and returns
+the parameters of the motion controller that differ from the configuration.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class ComparedLaw:
 
     name: str  #: ``type`` of the motion controller.
     #: Name in the table → ``design(given)``, which returns the parameters of the motion controller that differ from
-    #: the configuration's, ``type`` among them; given is
+    #: the configuration, including ``type``; ``given`` is a
     #: :class:`hysteresis_ros.laboratory.comparison.candidates.Given`.
     rows: Mapping[str, Callable[[Any], dict]]
 

@@ -182,7 +182,7 @@ CONTROLLER, COMPENSATOR = "PI + static feedforward, tuned on the plant", "none"
 #: Initial crossovers [Hz] and proportional gains of the search, its iterations, and the tolerance of its simplex.
 CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
 ITERATIONS, TOLERANCE = 30, 1e-2
-#: Large changes of the logarithm of Ki, and of Kp, for the simplex.
+#: Initial size of the simplex: in the logarithm of Ki, and in Kp.
 SCALES = (3.0, 1.0)
 #: Requirements on the gains of a controller; here the plant itself decides, so no gains are refused.
 SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
@@ -212,7 +212,7 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
 
 
 def _tuned(trial: Trial) -> PidParameters:
-    """Return the gains with the smallest score on the first plant, among those with a candidate's margins on it.
+    """Return the gains with the smallest score on the first plant that keep the margins required of a candidate there.
 
     The loop must tolerate 6 dB more gain, and one more sample of delay.
     """
@@ -234,7 +234,7 @@ def _tuned(trial: Trial) -> PidParameters:
             if followed(gains(values, GAIN_MARGIN)).unstable or followed(gains(values), late).unstable:
                 return np.inf
             runs = {task: [followed(gains(values), task=task)] for task in trial.tasks}
-        except ParameterError:  # no PI meets this on any plant
+        except ParameterError:  # gains that no plant tolerates
             return np.inf
         results = judged(runs, best_delay(runs, trial.conditions.longest_delay), trial.stroke)
         return float(np.mean([np.log(result.worst) for result in results.values()]))
@@ -306,10 +306,10 @@ def drawn(seed: int, bench: Bench) -> ForeignPlant:
 
 
 def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
-    """Return the plant, then plants that it may have become since its recording: at the corners, and random ones.
+    """Return the plant, and variants of it as after a drift since its recording: at the corners, and at random.
 
-    Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by up to the mismatch;
-    at a corner the first three deviate fully, and the creep deviates like the gain.
+    Gain, width of the hysteresis loop, all times of lag, delay and modes, and the creep deviate by at most the
+    mismatch; at a corner the first three deviate by all of it, and the creep deviates like the gain.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
@@ -353,7 +353,7 @@ def excitation(bench: Bench) -> np.ndarray:
 
 
 def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
-    """Return the recording of a plant under the excitation, by converter and sensor."""
+    """Return the recording of a plant under the excitation, with converter steps and sensor noise."""
     sample_time, node = 1.0 / bench.sample_rate, bench.node(seed)
     voltage = Limits(node.limits, sample_time).simulate(excitation(bench))
     # a measurement responds to earlier voltages only
@@ -364,7 +364,7 @@ def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
 
 
 def identified(recording: Recording, bench: Bench) -> Known:
-    """Return the model of a plant from the default identification of its recording, with further known data."""
+    """Return the data for designs: the model that the default identification finds, and limits and converter bits."""
     found = identify(recording)
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}

@@ -101,8 +101,7 @@ COSTS = (
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
-#: Controllers of the plotted rows, besides the best row: those of both tables, and one of which the best row is
-#: plotted.
+#: Controller whose best row is plotted beside the benchmark and the best row of all.
 SHOWN = "feedforward"
 
 

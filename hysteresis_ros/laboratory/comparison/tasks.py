@@ -103,7 +103,7 @@ class Conditions:
 class Task:
     """A reference that the candidates follow."""
 
-    name: str  #: In words.
+    name: str  #: Description of the reference, which also names its column.
     waveform: str  #: ``sine`` or ``triangle``.
     frequency: float  #: [Hz]
     low: float  #: low, high: Ends [m].
@@ -222,7 +222,7 @@ class ModelledPlant(DrawnPlant):
 class ForeignPlant(DrawnPlant):
     """A plant of another class than any model, with the limits and the sensor of a modelled plant."""
 
-    parameters: PlantNodeParameters  #: Limits, sensor and sample rate; the rest is not used.
+    parameters: PlantNodeParameters  #: Limits, sensor and sample rate; other parameters are not used.
     actuator: ForeignParameters
 
     @property
@@ -344,7 +344,8 @@ def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
     best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)
-    # the mean square of one run is nearly a parabola; the maximum over several runs, and its logarithm, are not
+    # the mean square of one run is nearly a parabola in the delay; the maximum over several runs, and its logarithm,
+    # are not
     around, fine = delays[best - 1 : best + 2], np.linspace(delays[best - 1], delays[best + 1], DELAYS)
     close = {
         task: np.array([_parabola(around, run.mean_squares(task, around), fine) for run in found])
