@@ -23,7 +23,9 @@ from hysteresis_ros.cli.options import ConfigurationName
 @click.argument("config", type=ConfigurationName(), default="picma_stage")
 @click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this fault case, or this group; repeatable.")
-@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="Rounds, each with other times.")
+@click.option(
+    "--rounds", type=click.IntRange(1), default=1, show_default=True, help="Number of rounds, each at other times."
+)
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the random times.")
 @click.option(
     "--rate",

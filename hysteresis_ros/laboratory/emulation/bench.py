@@ -11,7 +11,7 @@
 
 Faults are written like those of an axis, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's own
 clock, from its start or from the instant at which the fault is added. A fault of single lines affects the first lines
-in its time; the value is the number of these lines.
+that are sent during the fault; its value is the number of these lines.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class DeviceFaults:
             self.add(text)
 
     def add(self, text: str) -> None:
-        """Add a fault, with times from now on; ``none`` ends all faults."""
+        """Add a fault whose times count from now; ``none`` ends all faults."""
         if text == "none":
             self._entries = []
             return
@@ -97,7 +97,7 @@ class DeviceFaults:
         return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
 
     def take_line(self) -> str:
-        """Return the fault of the next line, and count the line; empty: none."""
+        """Return the name of the fault for the next line, and count the line; empty without a fault."""
         now = self._clock()
         for entry in self._entries:
             name, begin, end, value = entry
@@ -111,7 +111,7 @@ class DeviceFaults:
 
 
 class Garbler:
-    """The lines of a link with their faults."""
+    """Applies the faults of single lines to the answers of a device."""
 
     def __init__(self, faults: DeviceFaults):
         self._faults, self.closed = faults, False
@@ -142,7 +142,7 @@ class Garbler:
         return b"".join(sent)
 
 
-#: Longest time that a device catches up with [s]; after a suspend of the machine it must not run fast.
+#: Longest delay that a device catches up [s], so that it does not run fast after the machine was suspended.
 LONGEST_CATCH_UP = 5.0
 
 #: Default stage of an emulated device; all values are assumed: 0.8 µm/V, a loop width of about 12 % of the stroke, 1 %
@@ -222,7 +222,7 @@ INTEGRAL_RATE = 60.0
 
 
 class Servo:
-    """A servo: an integrator that moves a plant to a position, or an open-loop voltage.
+    """A servo: moves a plant to a position by an integrator, or outputs a voltage in open loop.
 
     Units: ``voltage`` [V], ``way`` [m].
     """
@@ -231,7 +231,7 @@ class Servo:
         self._plant, self.voltage, self.way = plant, plant.voltage, plant.measured
 
     def begin(self) -> None:
-        """Begin at the position of the plant."""
+        """Begin the next move at the position of the plant."""
         self.way = self._plant.measured
 
     def put_out(self, voltage: float) -> float:
@@ -255,14 +255,14 @@ class Servo:
         return self.put_out(self.voltage + step)
 
 
-#: Sample time of an emulated device [s], longer than that of a real controller, so that Python keeps up while an axis
-#: runs too.
+#: Sample time of an emulated device [s], longer than that of a real controller, so that Python keeps up even while an
+#: axis runs on the same machine.
 CYCLE = 2.0e-4
 
 
 @dataclass(frozen=True)
 class Bench:
-    """The plant behind a device, and its faults."""
+    """The plant of an emulated device, and the faults of the device."""
 
     plant: ActuatorParameters = field(default_factory=lambda: assumed_stage(CYCLE))
     cycle: float = CYCLE  #: Sample time of the plant [s].
@@ -273,7 +273,7 @@ class Bench:
 class Running:
     """A running device."""
 
-    where: str  #: Description with its address.
-    driver: Parameters  #: Parameters to open its driver.
+    where: str  #: Description of the device, with its address.
+    driver: Parameters  #: Parameters with which the driver opens the device.
     faults: DeviceFaults  #: The device's faults; more may be added while it runs.
     device: object = None  #: The device itself, to inspect its true state.

@@ -44,7 +44,8 @@ def _command(declared: HardwareDriver, device: EmulatedDevice) -> click.Command:
         bench = replace(Bench() if plant is None else _bench_of(plant), faults=faults)
         with device.start(given, bench) as running:
             click.echo(
-                f"{declared.name}: {running.where}. A line is a fault (NAME:START:DURATION[:VALUE]); Ctrl-C ends."
+                f"{declared.name}: {running.where}. Each input line adds a fault (NAME:START:DURATION[:VALUE]); "
+                "Ctrl-C ends."
             )
             _take_faults(running)
 

@@ -79,7 +79,7 @@ COMMANDS: dict[str, Command] = {}
 
 
 class Refusal(Exception):
-    """A command is refused; its argument is the code of the error."""
+    """Raised when a command is refused; the argument is the error code."""
 
 
 def command(*names: str) -> Callable[[Command], Command]:
@@ -93,7 +93,7 @@ def command(*names: str) -> Callable[[Command], Command]:
 
 
 def real(text: str) -> float:
-    """Return the number of a word."""
+    """Return a word as a number."""
     try:
         value = float(text)
     except ValueError:
@@ -104,7 +104,7 @@ def real(text: str) -> float:
 
 
 def whole(text: str, low: int, high: int) -> int:
-    """Return the whole number of a word, within a range."""
+    """Return a word as an integer within a range."""
     value = real(text)
     if value != int(value) or not low <= value <= high:
         raise Refusal(OUT_OF_RANGE)
@@ -112,7 +112,7 @@ def whole(text: str, low: int, high: int) -> int:
 
 
 def axis_of(controller: Controller, name: str) -> Axis:
-    """Return the axis of a name."""
+    """Return the axis with a name."""
     if name not in controller.axes:
         raise Refusal(WRONG_AXIS)
     return controller.axes[name]
@@ -135,10 +135,10 @@ def require_free(controller: Controller) -> None:
         raise Refusal(BUSY)
 
 
-#: Points of a table, and number of tables.
+#: Maximum number of points of a wave table, and number of tables.
 LONGEST_WAVE, TABLES = 65536, 8
-#: Parameters of each type: length of the segment, amplitude, offset, length of the curve, start, and parameters of the
-#: shape; for single points: the first point, their number, and the points.
+#: Number of parameters of each wave type: length of the segment, amplitude, offset, length of the curve, start, and
+#: parameters of the shape. A segment of single points (PNT) has the first index, the number of points, and the points.
 SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}
 
 
@@ -197,7 +197,7 @@ WRITABLE = (AXIS_UNIT, TOLERANCE, SETTLING, RECORD_TABLES, 0x06000500)
 
 
 def _of_each(name: str, text: str, value: Callable[[Axis], str]) -> None:
-    """Add a query of the named axes, or of all."""
+    """Add a query about the named axes, or about all axes."""
 
     def ask(controller: Controller, words: list[str]) -> list[str]:
         axes = [axis_of(controller, word) for word in words] or list(controller.axes.values())
@@ -231,10 +231,10 @@ _of_each("WGO?", "get wave generator start mode", lambda axis: str(int(axis.gene
 
 
 def _of_inputs(name: str, text: str, value: Callable[[float], str]) -> None:
-    """Add a query of the named input signals, or of all; an input without an axis measures 0."""
+    """Add a query about the named input signals, or about all of them; an input without an axis measures 0."""
 
     def ask(controller: Controller, words: list[str]) -> list[str]:
-        """Answer it."""
+        """Answer the query."""
         numbers = [whole(word, 1, controller.model.inputs) for word in words] or range(1, controller.model.inputs + 1)
         axes = controller.axes
         measured = [axes[str(n)].plant.measured / axes[str(n)].unit if str(n) in axes else 0.0 for n in numbers]
@@ -495,7 +495,7 @@ def _define_wave(controller, words):
         raise Refusal(SYNTAX)
     points = segment(kind, [real(word) for word in words[3:]])
     before = controller.waves.get(table, []) if append == "&" else []
-    # writewavepoints of PI gives the position of further points; 1 appends them
+    # PI's function writewavepoints passes the position of the added points; position 1 appends them
     start = whole(words[3], 1, LONGEST_WAVE) - 1 if kind == "PNT" else 0
     if start > len(before):
         raise Refusal(OUT_OF_RANGE)
@@ -711,7 +711,7 @@ def _recorded_data(controller, words):
     return recorder.lines(start, count, tables, controller.cycle)
 
 
-#: Longest command.
+#: Length of the longest command [characters].
 LONGEST_COMMAND = 4096
 _SINGLE = re.compile(rb"[\x00-\x09\x0b-\x1f]")
 
@@ -812,7 +812,7 @@ def start(given: EmulatedControllerParameters, bench: Bench) -> Iterator[Running
 
 @contextlib.contextmanager
 def emulator() -> Iterator[Parameters]:
-    """Give the parameters of an emulated controller on a free port."""
+    """Run an emulated controller on a free port, and yield the parameters of its driver."""
     with start(EmulatedControllerParameters(port=0), Bench()) as running:
         yield running.driver
 

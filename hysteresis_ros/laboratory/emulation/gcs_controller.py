@@ -39,7 +39,7 @@ from hysteresis_ros.models.actuator import ActuatorParameters
 
 #: Total number of points of all tables.
 POINTS = 65536
-#: Recordable signals, in the words of the answer.
+#: Recordable signals, with their names in the answer.
 OPTIONS = {
     0: "Nothing",
     TARGET: "Target Position of axis",
@@ -49,12 +49,12 @@ OPTIONS = {
     OPEN_LOOP: "Open-Loop Control of axis",
     VOLTAGE: "Voltage of output chan",
 }
-#: Triggers: the wave generator; any move too; immediately.
+#: Triggers of the recorder: the wave generator; the wave generator or any move; none, it starts immediately.
 BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
 class Recorder:
-    """Tables of signals of an axis, in every sample or in every n-th."""
+    """Tables of recorded signals, with a point in every n-th sample."""
 
     def __init__(self, axes: list[str]):
         self.configuration = [(name, POSITION) for name in axes]
@@ -64,7 +64,7 @@ class Recorder:
 
     @property
     def points(self) -> int:
-        """Points of each table."""
+        """Maximum number of points of each table."""
         return POINTS // len(self.tables)
 
     def resize(self, count: int) -> None:
@@ -74,7 +74,7 @@ class Recorder:
         self.tables, self.running = [[] for _ in range(count)], False
 
     def start(self) -> None:
-        """Begin anew."""
+        """Discard all points, and start a recording."""
         self.tables = [[] for _ in self.configuration]
         self._seen = dict.fromkeys(self._seen, 0)
         self.running = any(option for _, option in self.configuration)

@@ -91,7 +91,7 @@ class Converters:
         return self._put_out * OUTPUT_SCALE * self._given.amplifier
 
     def look(self) -> None:
-        """Read the DAC's file, advance the plant and write the ADC's file; or show a fault."""
+        """Read the DAC's file, advance the plant and write the ADC's file; or imitate a fault."""
         here = self.input.is_dir()
         if "cut" in self._faults:
             shutil.rmtree(self.input, ignore_errors=True)
@@ -142,7 +142,7 @@ def start(given: EmulatedConvertersParameters, bench: Bench) -> Iterator[Running
 
 @contextlib.contextmanager
 def emulator() -> Iterator[Parameters]:
-    """Give the parameters of emulated converters in a temporary folder."""
+    """Run emulated converters in a temporary folder, and yield the parameters of their driver."""
     with tempfile.TemporaryDirectory() as folder:
         given = EmulatedConvertersParameters(directory=str(pathlib.Path(folder) / "iio"))
         with start(given, Bench()) as running:

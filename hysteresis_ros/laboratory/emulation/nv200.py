@@ -35,7 +35,7 @@ XON, XOFF = b"\x11", b"\x13"
 NOT_SPECIFIED, UNKNOWN, MISSING, TOO_MANY, READ_ONLY, LOW, HIGH = 1, 2, 3, 5, 6, 9, 10
 #: Bits of the status register.
 CONNECTED, CAPACITIVE, CLOSED, HARDWARE = 1 << 0, 1 << 2, 1 << 3, 1 << 12
-#: Longest line.
+#: Length of the longest line [characters].
 LONGEST = 1024
 #: Assumed: largest velocity with the loop closed [m/s].
 VELOCITY = 1.0e-3
@@ -64,7 +64,7 @@ SETTINGS = {
 
 
 class _Refusal(Exception):
-    """A command is refused; its argument is the code of the error."""
+    """Raised when a command is refused; the argument is the error code."""
 
 
 class Amplifier:
@@ -224,7 +224,7 @@ def start(given: EmulatedAmplifierParameters, bench: Bench) -> Iterator[Running]
 
 @contextlib.contextmanager
 def emulator() -> Iterator[Parameters]:
-    """Give the parameters of an emulated amplifier at a pseudo terminal."""
+    """Run an emulated amplifier at a pseudo terminal, and yield the parameters of its driver."""
     with start(EmulatedAmplifierParameters(link="serial"), Bench()) as running:
         yield running.driver
 

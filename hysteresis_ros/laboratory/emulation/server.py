@@ -131,7 +131,7 @@ def serving(
 
 @contextlib.contextmanager
 def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFaults) -> Iterator[str]:
-    """Serve an emulated device at a serial port, in a thread, while the context lasts; give the port's path."""
+    """Serve an emulated device at a serial port, in a thread, while the context lasts; yield the port's path."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     leaving, garbler = threading.Event(), Garbler(faults)

@@ -65,7 +65,7 @@ def main() -> int:
 
 
 def _hear(executor, over: threading.Event) -> None:
-    """Process messages until the end; the main function of a thread."""
+    """Process messages until ``over`` is set; the main function of a thread."""
     while not over.is_set():
         executor.spin_once(timeout_sec=LOOK)
 

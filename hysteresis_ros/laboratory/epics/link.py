@@ -91,7 +91,7 @@ class AxisLink:
             return Seen(self._measured, setpoint, alarm)
 
     def move(self, setpoint: float) -> None:
-        """Give a setpoint [m]."""
+        """Publish a setpoint [m]."""
         if self._stopped:
             self._motor["start"].call_async(Trigger.Request())
             self._stopped = False

@@ -31,7 +31,7 @@ DWELL = 0.1
 
 @dataclass(frozen=True)
 class MotorSettings:
-    """A motor record and the axis behind it."""
+    """Settings of a motor record and of its axis."""
 
     name: str  #: Name of the record, with its prefix.
     #: namespace, source, joint: Namespace of the axis, node that takes its setpoints, and moved joint.
@@ -45,7 +45,7 @@ class MotorSettings:
     tolerance: float  #: tolerance, dwell: A move has arrived after the dwell time [s] within this distance [m].
     dwell: float
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
-    unit: str  #: Engineering unit, one of length.
+    unit: str  #: Engineering unit, a unit of length.
     precision: int  #: Decimal places.
 
     @property
@@ -76,7 +76,7 @@ class RecordOptions:
                 raise ConfigurationError(f"--{name} {value:g}: must be a positive number")
 
     def name(self, axis: AxisParameters) -> str:
-        """Return the name of an axis' record: prefix and namespace, ``m1`` for an axis without."""
+        """Return the name of an axis' record: prefix and namespace, or ``m1`` for an axis without namespace."""
         return self.prefix + (axis.namespace.strip("/").replace("/", ":") or "m1")
 
 
@@ -165,7 +165,7 @@ class Axis(Protocol):
         """Return the state of the axis at a time [s]."""
 
     def move(self, setpoint: float) -> None:
-        """Give a setpoint [m]."""
+        """Move the axis to a setpoint [m]."""
 
     def stop(self) -> None:
         """Stop any motion."""
@@ -209,7 +209,7 @@ class MotorRecord:
         return self._sign * (user - self.fields["OFF"])
 
     def _rescale(self) -> None:
-        """Bring all user positions in line with dial positions, direction and offset."""
+        """Recompute all user positions from dial positions, direction and offset."""
         fields = self.fields
         fields["VAL"], fields["RBV"] = self._user(fields["DVAL"]), self._user(fields["DRBV"])
         ends = self._user(fields["DLLM"]), self._user(fields["DHLM"])

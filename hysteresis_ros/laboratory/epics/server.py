@@ -172,13 +172,13 @@ class RefusedWrites(logging.Filter):
         if record.exc_info and str(record.msg).startswith("Invalid write request"):
             user, host, *_ = (*tuple(record.args or ()), "", "")
             error = record.exc_info[1]
-            record.msg, record.args = "write of %s on %s refused: %s: %s", (user, host, type(error).__name__, error)
+            record.msg, record.args = "write by %s on %s refused: %s: %s", (user, host, type(error).__name__, error)
             record.exc_info = record.exc_text = None
         return True
 
 
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
-    """Serve records until the end."""
+    """Serve records until ``over`` returns True."""
     logging.getLogger("caproto").setLevel(logging.ERROR)  # no messages about short overloads
     logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}

@@ -40,7 +40,7 @@ def require_caproto() -> None:
 
 
 def interfaces(given: str | None) -> list[str]:
-    """Return the addresses to listen on: given, else in ``EPICS_CAS_INTF_ADDR_LIST``, else the loopback address."""
+    """Return the addresses to listen on: given, from ``EPICS_CAS_INTF_ADDR_LIST``, or else the loopback address."""
     text = given or os.environ.get("EPICS_CAS_INTF_ADDR_LIST", "")
     return text.replace(",", " ").split() or [LOOPBACK]
 

@@ -9,6 +9,6 @@
 
 """Sweeps: many runs of an axis with varied parameters.
 
-Start with ``plan`` (which runs), ``study`` (a run and its figures) and ``sweep`` (all runs), then ``summary`` and
-``page``.
+Start with ``plan`` (parameters of the runs), ``study`` (a run and its metrics) and ``sweep`` (all runs), then
+``summary`` and ``page``.
 """

@@ -29,7 +29,7 @@ POINTS = 5000
 
 
 class Column(NamedTuple):
-    """A metric."""
+    """Values of a metric, and their display."""
 
     label: str  #: Label with the displayed unit.
     values: np.ndarray  #: shape (runs,); Values in SI.
@@ -37,7 +37,7 @@ class Column(NamedTuple):
 
     @property
     def shown(self) -> np.ndarray:
-        """Values in the displayed unit; NaN without a value."""
+        """Values in the displayed unit; NaN for runs without a value."""
         return np.where(np.isfinite(self.values), self.values, np.nan) * self.factor
 
 
@@ -119,7 +119,9 @@ def influence_figure(found: Mapping[str, tuple[Sequence[str], dict[str, np.ndarr
             axis.barh(place, columns[name] / scale, xerr=error, **style)
         axis.set_yticks(places, labels, fontsize=8)
         axis.set_title(metric, fontsize=10, loc="left")
-        axis.set_xlabel("part of the variance" if variance else "effect, as a fraction of the largest mean", fontsize=9)
+        axis.set_xlabel(
+            "fraction of the variance" if variance else "effect, as a fraction of the largest mean", fontsize=9
+        )
         axis.legend(frameon=False, fontsize=8)
     return figure
 
@@ -158,7 +160,7 @@ def figures(summary: Summary) -> list[tuple[str, object]]:
         ends = () if bound is None else tuple(end for end in (bound.low, bound.high) if np.isfinite(end))
         if not np.any(np.isfinite(values)):
             continue
-        found.append((f"{column.label}: share of the runs below", share_figure(column, ends)))
+        found.append((f"{column.label}: share of the runs below each value", share_figure(column, ends)))
         if chosen:
             found.append((f"{column.label} over the varied parameters", scatter_figure(column, chosen, ends)))
         at_levels = summary.at_levels

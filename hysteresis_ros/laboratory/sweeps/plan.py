@@ -40,11 +40,11 @@ from hysteresis_ros.loop.simulation import LARGEST, deviating
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.units import quantity, quantity_in
 
-#: Effect of a number on the configured value.
+#: How a drawn number changes the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
 #: Maximum number of levels of one parameter.
 MOST_LEVELS = 100_000
-#: Half the distance between drawn numbers; it keeps them off the ends, where a normal distribution is infinite.
+#: Half the distance between drawn numbers; it keeps them away from 0 and 1, where a normal distribution is infinite.
 HALF = 2.0**-54
 
 _SIGN = r"(?:±|\+/?-)"
@@ -60,7 +60,7 @@ class Range(ABC):
 
     @abstractmethod
     def over(self, row: ParameterRow) -> Levels | Spread:
-        """Return the levels or the distribution for a parameter; raise ValueError if they are not possible for it."""
+        """Return the levels or the distribution for a parameter; raise ValueError if it does not allow them."""
 
     @abstractmethod
     def words(self, unit: str = "") -> str:
@@ -166,7 +166,7 @@ class Levels(Range):  # numpydoc ignore=PR02
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Positions to check before any run: all of them."""
+        """Positions to check before any run: all levels."""
         return tuple(range(len(self.values)))
 
     def at(self, place: float):
@@ -182,7 +182,7 @@ class Spread:
     first: float  #: first, second: Ends, or mean and standard deviation.
     second: float
     does: str = VALUE  #: Distribution of values, of factors or of offsets.
-    whole: bool = False  #: Whole numbers, both ends included.
+    whole: bool = False  #: Whether the values are integers; both ends are included.
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -260,7 +260,7 @@ class Normal(Range):
     def __post_init__(self):
         """Refuse a relative deviation with a given mean."""
         if self.relative and self.mean is not None:
-            raise ConfigurationError("normal: relative deviations are around the configured value: mean must be None")
+            raise ConfigurationError("normal: a relative deviation is around the configured value; mean must be None")
 
     @classmethod
     def around(cls, deviation: float, relative: bool = True) -> Normal:
@@ -271,12 +271,12 @@ class Normal(Range):
         deviation : float
             Standard deviation: a fraction of the configured value (0.05 is 5 %), or in SI units.
         relative : bool
-            Whether the deviation is a part of the configured value.
+            Whether the deviation is a fraction of the configured value.
 
         Returns
         -------
         Normal
-            With the mean None.
+            Its ``mean`` is None.
         """
         return cls(None, deviation, relative)
 
@@ -402,7 +402,7 @@ def _percent(part: float) -> str:
 
 
 def parse_words(text: str, row: ParameterRow) -> Range:
-    """Return the range of a text."""
+    """Return the range that a text describes."""
     text = text.strip()
     around, stepped, distributed = (pattern.match(text) for pattern in (_AROUND, _STEPPED, _DISTRIBUTED))
     if row.type in (str, bool):
@@ -422,7 +422,7 @@ def parse_words(text: str, row: ParameterRow) -> Range:
 
 
 def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
-    """Return the range of a text for a parameter."""
+    """Return the levels or the distribution that a text describes for a parameter."""
     return parse_words(text, row).over(row)
 
 
@@ -462,7 +462,7 @@ def _whole(value: float, row: ParameterRow):
 
 
 def refused(text: str, value, remedy: str) -> ParameterError:
-    """Return the error of a variation."""
+    """Return the error for an invalid ``--vary``."""
     return ParameterError([Problem(f"--vary {text}", value, remedy)])
 
 
@@ -502,7 +502,7 @@ class Variation:
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):
-        """Return the new value of the parameter, and its number in the results."""
+        """Return the new value of the parameter, and the number that stands for it in the results."""
         drawn = self.over.at(place)
         if isinstance(present, tuple) and self.place is None:  # the range of a whole array is a factor
             return tuple(drawn * value for value in present), drawn
@@ -523,7 +523,7 @@ def parse_variations(
     """Return the variations of texts ``NODE.PARAMETER=RANGE``, or of a mapping from ``NODE.PARAMETER`` to ranges."""
     given: list[tuple[str, str | Range]] = []
     if isinstance(vary, str):
-        raise refused(vary, "", "give a list of such texts, or a mapping from NODE.PARAMETER to its range")
+        raise refused(vary, "", "must be a list of NODE.PARAMETER=RANGE, or a mapping from NODE.PARAMETER to its range")
     if isinstance(vary, Mapping):
         for target, over in vary.items():
             given.append((target, over if isinstance(over, (str, Range)) else Levels(tuple(over))))
@@ -608,7 +608,9 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
     if row.type == tuple[float, ...]:
         if place is None and over.does != FACTOR:
             count = len(present or ())
-            raise refused(target, words, f"is an array: ±5% of all of it, or one element, {target}[0] … [{count - 1}]")
+            raise refused(
+                target, words, f"is an array: give ±5%, or the values of one element, {target}[0] … [{count - 1}]"
+            )
         if place is not None and place >= len(present):
             raise refused(target, words, f"has {len(present)} elements, [0] … [{len(present) - 1}]")
     elif place is not None:
@@ -621,7 +623,7 @@ def _require_fitting(target: str, words: str | Range, one: Variation, present) -
 
 
 def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tuple[dict[str, dict[str, Any]], list]:
-    """Return the values of a run by nodes and names, and their numbers in the results."""
+    """Return the values of a run by node and name, and the numbers that stand for them in the results."""
     numbers: list = []
     changes: dict[str, dict[str, Any]] = {}
     for one, place in zip(variations, point, strict=True):
@@ -632,7 +634,7 @@ def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tu
 
 
 def varied(axis: AxisParameters, variations: Sequence[Variation], point) -> AxisParameters:
-    """Return an axis with other parameters."""
+    """Return the axis with the parameters of one point."""
     changes, _ = settings(axis, variations, point)
     for one in variations:
         known = changes["" if one.deviates else one.node]
@@ -666,7 +668,7 @@ class Plan:
     """The points of a sweep."""
 
     variations: tuple[Variation, ...]
-    runs: int  #: How many.
+    runs: int  #: Number of runs.
     seed: int = 1  #: Seed of the draws.
     design: str = RANDOM  #: ``random``, or ``sobol`` or ``morris`` for a sensitivity.
 
@@ -733,7 +735,7 @@ def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: 
     levels, spreads = plan.combinations, plan.spreads
     asked = runs if runs is not None else (max(DRAWS, levels) if spreads or design != RANDOM else levels)
     if not 1 <= asked <= MOST_RUNS:
-        raise ConfigurationError(f"--runs {asked}: must be 1 … {MOST_RUNS:.0e}; the levels are {levels} together")
+        raise ConfigurationError(f"--runs {asked}: must be 1 … {MOST_RUNS:.0e}; the levels have {levels} combinations")
     if design == RANDOM:
         if asked < levels:
             raise ConfigurationError(

@@ -76,10 +76,10 @@ MOTOR_METRICS: dict[str, tuple[str, str, float]] = {
 def judged_motor(
     signals: dict[str, np.ndarray], settings: InchwormSequencerParameters, names: Sequence[str]
 ) -> list[float]:
-    """Return metrics of a run of an inchworm motor; NaN for those without meaning.
+    """Return metrics of a run of an inchworm motor; an undefined metric is NaN.
 
-    All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a setpoint the worst
-    one counts, and a run in which a move did not arrive has neither time nor final error.
+    All are defined by :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`, and the worst move to a setpoint
+    counts. If a move did not arrive, the time and the final errors are undefined.
     """
     recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
     found = figures_of(inchworm_run(recording, settings), recording)
@@ -124,7 +124,7 @@ def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) ->
 
 
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
-    """Return metrics of a run; NaN for those without meaning.
+    """Return metrics of a run; an undefined metric is NaN.
 
     Errors are those of the true displacement, also between the samples, minus the preload offset of the controller's
     model, against the reference delayed by its preview. The reference is linear between samples, except at jumps. All
@@ -172,7 +172,7 @@ def _between_samples(
 
 
 def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
-    """Return the change of the reference from each sample to the next; 0 before a jump."""
+    """Return the change of the reference from each sample to the next; 0 where the reference jumps."""
     around = np.concatenate([[0.0], np.abs(step), [0.0]])
     before, size, after = around[:-2], around[1:-1], around[2:]
     return np.where(size - np.maximum(before, after) > JUMP * stroke, 0.0, step)

@@ -51,7 +51,7 @@ class Bound:
     """Bound of a metric."""
 
     metric: str
-    low: float  #: low, high: Ends, included, in the unit of the metric.
+    low: float  #: low, high: Inclusive ends, in the unit of the metric.
     high: float
 
     def met(self, values: np.ndarray) -> np.ndarray:
@@ -110,7 +110,7 @@ def _value(metric: str, text: str) -> float:
         return quantity_in(text, unit)
     value, given = quantity(text)
     if given not in ("", "1"):
-        raise ValueError(f"{text.strip()} is in {given}, {metric} in %")
+        raise ValueError(f"{text.strip()} is in {given}, but {metric} is in %")
     return 100.0 * value if given == "1" else value
 
 
@@ -144,7 +144,7 @@ class Sensitivity:
     """Sensitivity of one metric."""
 
     metric: str
-    labels: tuple[str, ...]  #: What varies.
+    labels: tuple[str, ...]  #: Names of the varied parameters.
     #: shape (variations,); For Sobol ``first`` and ``total``, fractions of the variance; for Morris ``mean`` (of the
     #: absolute effects) and ``deviation``, in SI. ``…_interval`` is half the width of each confidence interval.
     columns: dict[str, np.ndarray]
@@ -317,7 +317,7 @@ def _sensitivity_lines(found: Sensitivity, confidence: float) -> list[str]:
         return [f"{found.metric}: no sensitivity: {found.why}"]
     if "first" in found.columns:
         heading = (
-            f"{found.metric}: part of its variance by each parameter alone, and including interactions (± "
+            f"{found.metric}: fraction of its variance by each parameter alone, and including interactions (± "
             f"{confidence:g} interval)"
         )
         pairs, factor = ("first", "total"), 1.0

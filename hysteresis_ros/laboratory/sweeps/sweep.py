@@ -10,7 +10,7 @@
 """Execution of a sweep: the runs of a plan in parallel, stored as they finish, and resumed after an interruption.
 
 The first line of the journal defines the sweep; each further line contains some runs. Numbers read back as the same
-doubles. A cut-off line is ignored, and its runs are repeated.
+doubles. An incomplete last line is ignored, and its runs are repeated.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Journal:
         self._file.close()
 
     def remove(self) -> None:
-        """Remove the file when the results are written."""
+        """Remove the file once the results are written."""
         self.path.unlink(missing_ok=True)
         self.close()
 
@@ -124,7 +124,7 @@ def require_same(path, found: dict[str, Any], asked: dict[str, Any]) -> None:
 
 
 PARQUET, NPZ = ".parquet", ".npz"
-#: Name of the text in a file that defines its sweep.
+#: Name of the text in a file of results that contains the definition of the sweep.
 ABOUT = "hysteresis_sweep"
 EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 
@@ -135,7 +135,7 @@ class Results:
 
     about: dict[str, Any]  #: Definition of the sweep: configuration, variations, seed, design, metrics, version.
     parameters: dict[str, np.ndarray]  #: shape (runs,); Varied values of each run, by labels.
-    metrics: dict[str, np.ndarray]  #: shape (runs,); Metrics in SI; NaN without meaning.
+    metrics: dict[str, np.ndarray]  #: shape (runs,); Metrics in SI; an undefined metric is NaN.
     tripped: np.ndarray  #: shape (runs,); Whether the axis tripped.
     refused: np.ndarray  #: shape (runs,); Reason why an axis could not be built; empty if it could.
 
@@ -156,7 +156,7 @@ class Results:
 
 
 def require_kind(path) -> None:
-    """Refuse a file that cannot be written, before the runs."""
+    """Refuse, before any run, a file of a format that cannot be written."""
     suffix = pathlib.Path(path).suffix
     if suffix not in (PARQUET, NPZ):
         raise ConfigurationError(f"{path}: results are written as F.parquet or F.npz; choose one of them")
@@ -212,7 +212,7 @@ def _parquet(path) -> tuple[dict[str, np.ndarray], str]:
 
 #: Number of samples of one job, about a third of a second of work, and maximum number of runs per job.
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
-#: Number of workers above which jobs get longer, so that distributing them keeps up.
+#: Number of workers above which jobs get longer, so that the distribution of jobs keeps up with the workers.
 CROWD = 64
 #: Number of samples below which parallel processes are not faster.
 FEW = 3_000_000

@@ -60,10 +60,10 @@ def _host_name(host: str) -> str:
 
 @dataclass(frozen=True)
 class Access:
-    """What a request must contain."""
+    """Conditions that a request must meet."""
 
     address: str  #: Address on which the server listens.
-    token: str  #: Empty: no token is required.
+    token: str  #: Required token; empty if requests need no token.
 
     def refuses_host(self, host: str) -> str:
         """Return why a request's ``Host`` is refused; empty when it is accepted."""
@@ -155,7 +155,7 @@ class Request(NamedTuple):
 
     number: int  #: Number that the answer repeats.
     action: str  #: A key of :data:`ACTIONS`.
-    values: dict[str, Any]  #: Checked.
+    values: dict[str, Any]  #: Checked values of the action.
 
 
 def _number(name: str, given: Any, low: float, high: float, unit: str = "") -> float:

@@ -75,7 +75,7 @@ class PageRecording:
 
     @property
     def path(self) -> pathlib.Path:
-        """The bag."""
+        """Path of the bag."""
         return self._bag.path
 
     @property
@@ -253,7 +253,7 @@ class AxisLink:
     def _look_beside(self, others: dict[str, list[str]]) -> None:
         """Check whether the axis is one of a stage, and which other axis is shown with it in a plane."""
         parent = self.namespace.rpartition("/")[0]
-        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page hears its own axis only
+        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"  # the page may read its own axis only
         is_stage = self._axis is not None and not secured and self.node.count_subscribers(f"{parent}/setpoints")
         whole = {
             space
@@ -300,7 +300,7 @@ class AxisLink:
             self._refused(str(error))
 
     def _introduce(self) -> None:
-        """All nodes are present: read the parameters of the axis, and how it publishes its samples."""
+        """Read the parameters of the axis, and how it publishes its samples, once all nodes are present."""
         try:
             self._axis = axis_of(self.namespace, self.values)
         except HysteresisError as error:
@@ -351,7 +351,7 @@ class AxisLink:
             return
         if not self.memory.add(
             block
-        ):  # the samples do not follow: the axis has restarted, and its parameters may have changed
+        ):  # the samples do not continue the last ones: the axis has restarted, perhaps with other parameters
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
@@ -405,7 +405,7 @@ class AxisLink:
         }
 
     def state(self) -> dict[str, float]:
-        """Return the state of the reference source by the names of its ``~/state``: whether it moves."""
+        """Return the known fields of the reference source's ``~/state`` that show whether it moves, by name."""
         places = {"mode": signals.SOURCE_MODE, "error": signals.ERROR, "phase": signals.PHASE}
         known = {name: self.memory.value(place) for name, place in places.items()}
         return {name: value for name, value in known.items() if not math.isnan(value)}
@@ -448,7 +448,7 @@ class AxisLink:
     def hold(self) -> str:
         """Hold the reference at its present value; return the text of the answer."""
         self.call("stop")
-        return "the reference holds; start resumes it"
+        return "the reference is held; start resumes it"
 
     def call(self, service: str) -> str:
         """Call a service of the reference source; return its message."""

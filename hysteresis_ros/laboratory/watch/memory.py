@@ -98,7 +98,7 @@ class Memory:
         self.restart(rate, preview)
 
     def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
-        """Clear everything: another run begins."""
+        """Clear all samples, because another run begins."""
         with self.lock:
             self.epoch += 1
             self.rate, self.motor = rate, motor
@@ -135,7 +135,8 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        # the controller of a motor measures the slider minus an origin, which is the extender while the motor walks
+        # the controller of a motor takes the slider minus an origin as measurement; while the motor walks, this
+        # difference is the extension of the extender
         origin = table[signals.ORIGIN] if self.motor else 0.0
         own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
         return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])

@@ -9,7 +9,7 @@
 
 """The plane of two axes of a stage: the path and its reference over the last seconds.
 
-All axes of a stage have the same stamps, by which their samples are put together.
+All axes of a stage have the same stamps, so samples are matched by stamp.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Plane:
         return tuple(self._tracks)
 
     def choose(self, axes: dict[str, int]) -> None:
-        """Show the plane of these two axes, by their namespaces, each with its preview in samples; none: no plane."""
+        """Show the plane of two axes, given as namespace → preview [samples]; no plane without axes."""
         with self._lock:
             self._tracks = {namespace: Track(preview) for namespace, preview in axes.items()}
 
@@ -81,7 +81,7 @@ class Plane:
     def told(self) -> dict | None:
         """Return names, reference and path of the plane [m], and the error of each point [m]; None without a plane.
 
-        A point stands for a stretch of samples, and its error is the largest of the stretch.
+        A point represents several consecutive samples, and its error is the largest of them.
         """
         with self._lock:
             names = [namespace.rpartition("/")[2] for namespace in self._tracks]

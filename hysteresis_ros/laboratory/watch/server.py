@@ -125,7 +125,7 @@ class Server:
 
     @contextlib.asynccontextmanager
     async def listening(self, bind: str, port: int, patience: float):
-        """Listen on an address while the context lasts, and give the port.
+        """Listen on an address while the context lasts, and yield the port.
 
         Connections without a request within :data:`FIRST_REQUEST` seconds, and those beyond :data:`CONNECTIONS`, are
         closed, because aiohttp has no time-out for the head of a request.
@@ -247,7 +247,7 @@ class Server:
             await self._everybody(spectrum=self.link.memory.spectrum())
 
     async def _plane(self) -> None:
-        """Send the plane of two axes of a stage; None where the axis has no stage, or is not live."""
+        """Send the plane of two axes of a stage, or None if the axis belongs to no stage or is not live."""
         if self.pages:
             live = self.link.memory.is_live and self.link.plane.axes
             await self._everybody(plane=self.link.plane.told() if live else None)
@@ -321,7 +321,7 @@ class Server:
     async def _on_speed(self, page: Page, speed: float) -> str:
         self._require_motor("has a speed")
         await self._given("speed", speed, "m/s", self.link.walk)
-        return f"walks at {1e6 * speed:g} µm/s" if speed else "holds where it is until the next setpoint"
+        return f"walks at {1e6 * speed:g} µm/s" if speed else "holds its position until the next setpoint"
 
     async def _given(self, name: str, value: float, unit: str, give: Callable[[float], None]) -> None:
         """Send the reference source a value, and wait until a sample shows that it is in use."""

@@ -63,7 +63,7 @@ class Part:
 
 
 class View:
-    """What one page shows, of samples at ``rate`` [Hz]."""
+    """The display of one page, for samples at ``rate`` [Hz]."""
 
     def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
         self.window, self.columns, self.rate, self.epoch = window, columns, rate, epoch

@@ -136,7 +136,7 @@ export class Tuning {
         groups.set(group, [...(groups.get(group) || []), row]);
       }
       for (const [group, rows] of [...groups].sort(([a], [b]) => (b === law) - (a === law))) {
-        const hint = group === "waveform" ? [made("p", { className: "quiet", textContent: "Hold first: a waveform can change only at rest. Start begins it." })] : [];
+        const hint = group === "waveform" ? [made("p", { className: "quiet", textContent: "Press hold first: a waveform can change only while the reference is held. Start begins the waveform." })] : [];
         const inner = made("details", { open: first ? group === law || node === "reference_generator" : open.has(`${node} ${group}`) }, made("summary", { textContent: group || "general" }));
         inner.dataset.name = `${node} ${group}`;
         inner.append(...hint);
