@@ -31,7 +31,7 @@ _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 
 
 def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
-    """Return the figure of the displacements of several runs of one reference [µm, s]: whole run, and a window.
+    """Return the figure of the displacements of several runs of one reference [µm, s], and of a part of them.
 
     Units: ``window`` [s].
     """
@@ -157,10 +157,10 @@ class ClaimsPage:
 
     title: str  #: title, summary: Heading, and the result in one line.
     summary: str
-    headings: Sequence[str]  #: Heads of the columns.
+    headings: Sequence[str]  #: Headings of the columns.
     #: Heading of a group → the cells of its rows, and whether the claim of each row holds.
     groups: dict[str, list[tuple[Sequence[str], bool | None]]]
-    remarks: Sequence[str]  #: remarks, assumptions: Shown below; assumptions are numbered from 1.
+    remarks: Sequence[str]  #: remarks, assumptions: Sentences below the table; assumptions are numbered from 1.
     assumptions: Sequence[str]
     configuration: str = ""  #: Text of the configuration, shown at the end.
 
@@ -199,7 +199,7 @@ class Claim:
     quantity: str  #: Measured quantity, with its conditions.
     measured: float  #: Reproduced value.
     unit: str  #: One of :data:`SHOWN`.
-    #: The paper's value, as text if it gives no number; None if the paper states none.
+    #: The paper's value, as text if it is not a number; None if the paper gives no value.
     paper: float | str | None = None
     low: float | None = None  #: low, high: Inclusive range of the claim; both None: a row for information.
     high: float | None = None

@@ -42,7 +42,7 @@ from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
     help="With --through ros: number of graphs of nodes that run in parallel; default: number of cores.",
 )
 def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str, jobs: int | None) -> None:
-    """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
+    """Repeat the experiments of a paper; print each published value, its reproduction, and whether the claim holds.
 
     Rows that do not hold are part of the result and listed with their reason; they do not change the exit code. -o adds
     a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").

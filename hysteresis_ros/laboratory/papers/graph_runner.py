@@ -30,8 +30,8 @@ from hysteresis_ros.recordings.files import load_run
 class GraphRunner:
     """Runs an axis as composed nodes, with a recorder, in an isolated ROS domain.
 
-    A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis with an earlier run is not run again,
-    because lockstep repeats bit for bit.
+    A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis that was run before is not run again,
+    because a run in lockstep repeats bit for bit.
     """
 
     def __init__(self, on_run: Callable[[int, int, AxisParameters], None] = lambda number, known, axis: None):

@@ -75,12 +75,12 @@ def run(configuration: Configuration, duration: float) -> Recording:
 class StepFigures:
     """Figures of the worst step of a run with steps between 0 and one level."""
 
-    #: 2 % settling time [s], around the value finally reached; the length of the hold if a step does not settle.
+    #: 2 % settling time [s], around the final value; the hold time if a step does not settle.
     settling: float
     peak: float  #: Largest displacement [m].
-    residual: float  #: Largest magnitude finally reached at zero reference after a motion [m].
-    level_error: float  #: Largest magnitude of the error finally left at the upper level [m].
-    late_vibration: float  #: Farthest displacement from the value finally reached, from half the hold on [m].
+    residual: float  #: Largest magnitude of the final displacement at zero reference after a step [m].
+    level_error: float  #: Largest magnitude of the final error at the upper level [m].
+    late_vibration: float  #: Largest deviation from the final value in the second half of the hold time [m].
 
 
 def step_figures(run: Recording) -> StepFigures:
@@ -103,7 +103,7 @@ def step_figures(run: Recording) -> StepFigures:
 
 
 def loop_width(run: Recording) -> float:
-    """Return the largest width of the loop displacement over reference, in % of the stroke of the reference.
+    """Return the largest width of the loop of displacement over reference, in % of the stroke of the reference.
 
     The reference of sample k first acts on the displacement of sample k + 1, and these are compared. With a preview the
     delayed reference is compared with the displacement of the same sample.

@@ -63,7 +63,7 @@ METHODS = {
     "pid": "PID",
     "inverse": "inverse",
     "combined": "inverse with PID and feedforward",
-    "dynamic": "the same, dynamics inverted too",
+    "dynamic": "combination with inverse dynamics",
 }
 
 TRIANGLE = "one triangle 0 → 14.375 µm (125 V/K) → 0 of 46.3 s; the period was fitted to the first IAE"
@@ -116,7 +116,7 @@ def creeping(configuration: Configuration) -> Configuration:
 
 
 def off(configuration: Configuration, name: str, part: float) -> Configuration:
-    """Return the axis with an error of the compensator's parameter ``name`` by the fraction ``part``."""
+    """Return the axis with the relative error ``part`` in the compensator's parameter ``name``."""
     value = configuration.node("hysteresis_compensator")[f"hysteresis.bouc_wen.{name}"]
     return configuration.override("hysteresis_compensator", **{f"hysteresis__bouc_wen__{name}": value * (1.0 + part)})
 
@@ -156,7 +156,7 @@ def iae(recording: Recording) -> float:
 
 
 def error(recording: Recording) -> np.ndarray:
-    """Return reference, delayed by the preview, less true displacement [m], shape (N,)."""
+    """Return the reference, delayed by the preview, minus the true displacement [m], shape (N,)."""
     preview = int(configured(recording.configuration, "motion_controller").get("feedforward.preview", 0))
     return delayed(recording["reference"], preview) - recording["displacement"]
 

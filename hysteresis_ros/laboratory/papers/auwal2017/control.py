@@ -151,7 +151,7 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
         )
     for method, published in auwal.REDUCTION.items():
         band = dict(low=published - 0.1, high=published + 0.1)
-        words = f"{auwal.METHODS[method]}: less IAE than without"
+        words = f"{auwal.METHODS[method]}: reduction of the IAE"
         value = auwal.reduction(found[method], found["none"])
         assumed = (*ASSUMED, *FURTHER.get(method, ()))
         claims.append(
@@ -280,7 +280,7 @@ def mismatch_claims(configuration: Configuration) -> list[Claim]:
             found[method] = {words: auwal.reduction(auwal.iae(run), without) for words, run in runs.items()}
         low, high = auwal.OFF.get((name, size), (None, None))
         expected: dict[str, Any] = dict(paper=f"{low:g} … {high:g}", derived=True, low=low, high=high) if low else {}
-        words = f"{symbols[name]} off by ±{100.0 * size:g} %: less IAE than without"
+        words = f"{symbols[name]} off by ±{100.0 * size:g} %: reduction of the IAE"
         for method, values in found.items():
             least = min(values.values())
             limits = expected if method == "inverse" else dict(low=min(found["inverse"].values()), reason=BETTER)
@@ -326,7 +326,7 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
         for method in ALL:
             runs[method] = auwal.run_triangle(auwal.driven(mistaken, method), period=period, cycles=2)
             errors[method][f"{sign}5 %"] = auwal.mean_error(runs[method])
-    assumed = (*BASE, *noise, *creep, "d_e of the compensator off by ±5 %, the worse shown; two cycles")
+    assumed = (*BASE, *noise, *creep, "d_e of the compensator off by ±5 % (the worse result is shown), two cycles")
     claims += _judged("slow.all", group, "all conditions together, d_e off by 5 %", errors, assumed)
     return claims, runs
 
@@ -342,7 +342,9 @@ def camera_claims(configuration: Configuration) -> list[Claim]:
     runs = {"pid": auwal.driven(axis, "pid"), "inverse": auwal.driven(axis, "inverse"), "combined": feedforward}
     found = {method: {"": auwal.mean_error(auwal.run_triangle(run))} for method, run in runs.items()}
     assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.FILTERED, auwal.CAMERA, auwal.STACK_LIMITS)
-    calmed = "one frame of delay makes the paper's gains unstable; an integral of 1/s replaces them"
+    calmed = (
+        "with one frame of delay the loop with the paper's gains is unstable; integral control with 1/s replaces them"
+    )
     claims = _judged("camera", group, "mean absolute error", found, assumed, f"{calmed}; {BETTER}")
     for frames, high in ((0, None), (1, 1.0)):
         claims.append(
@@ -439,7 +441,7 @@ def _ways(name: str, group: str, words: str, runs: dict[str, Recording], assumed
 
 
 def _judged(name: str, group: str, words: str, errors, assumed, reason: str = "") -> list[Claim]:
-    """Return the rows; improved controllers must be below the better of the paper's two."""
+    """Return the rows; improved controllers must have smaller errors than the better of the paper's two."""
     shown = {method: worst(list(values.values())) for method, values in errors.items()}
     better = min(shown["pid"], shown["inverse"])
     claims = []

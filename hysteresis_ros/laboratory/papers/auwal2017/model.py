@@ -132,7 +132,7 @@ def transfer_function_claims() -> list[Claim]:
         Claim(
             f"model.{name}",
             group,
-            f"{name} of the reduced G4 (µm, V, s): off from table I by",
+            f"{name} of the reduced G4 (µm, V, s): deviation from table I",
             100.0 * abs(parts[name]),
             "%",
             paper=f"{published:g}",
@@ -285,7 +285,7 @@ def _stroke_claims(group: str) -> list[Claim]:
 
 
 def _loop_claims(group: str) -> list[Claim]:
-    """Return the rows of the element over cycles: as printed, its class, and its drift."""
+    """Return the rows of the element over several cycles: as printed, its boundedness, and its drift."""
     cycles = BoucWenHysteresis(PUBLISHED_BOUC_WEN, SAMPLE_TIME).simulate(triangles([auwal.PEAK_VOLTAGE] * 5))
     lower = cycles[::250][::2]
     assumed = (auwal.CORRECTED,)

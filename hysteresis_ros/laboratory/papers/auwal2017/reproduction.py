@@ -7,11 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Auwal et al. 2017 on the axis of ``config/auwal2017.yaml``, whose assumptions that file names.
+"""The experiments of Auwal et al. 2017 on the axis of ``config/auwal2017.yaml``, which states its assumptions.
 
 The transfer function and its validation (section 2), Bouc-Wen's model and its identification (section 3), PID and
-inverse multiplicative compensation (sections 4 and 5). Then the same within the limits of the stack, with a wrong
-model, noise, creep, cycles, frequencies and the paper's camera, compared with better controllers.
+inverse multiplicative compensation (sections 4 and 5). Then the experiments are repeated within the limits of the
+stack, with model errors, noise, creep, several cycles, other frequencies and the paper's camera, and better controllers
+are compared with those of the paper.
 """
 
 from __future__ import annotations
@@ -91,8 +92,8 @@ def figures(found: Reproduction) -> list:
             "PID gains over the iterations of Nelder-Mead, each over its final value",
             trajectory_figure(("K_P", "K_I", "K_D"), tuning.trajectory),
         ),
-        ("The paper's triangle: loops of the three", loops_comparison(loops)),
-        ("The paper's triangle: errors, and once more without the uncompensated one", _errors(paper, small)),
+        ("The paper's triangle: loops of its three controllers", loops_comparison(loops)),
+        ("The paper's triangle: errors with and without the uncompensated run", _errors(paper, small)),
         ("The paper's triangle within 0 … 150 V: errors", _errors(limited, small)),
         (
             "Realistic conditions, all at once, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",

@@ -21,7 +21,7 @@ from hysteresis_ros.recordings.dataset import Recording
 STEP = 1.0  # V before the amplifier
 STEP_TIME = 0.4  # s
 UNCONTROLLED_PEAK = (3.7e-6, 3.8e-6)  # m, section 4.2 and figure 12
-HALF_DIGIT = 0.05e-6  # m, of these two
+HALF_DIGIT = 0.05e-6  # m, half the last digit of these two peaks
 UNCONTROLLED_SETTLING = 0.5  # s
 CONTROLLED_PEAK = 2.25e-6  # m
 CONTROLLED_SETTLING = 0.02  # s
@@ -126,7 +126,10 @@ def open_loop(configuration: Configuration) -> Configuration:
 
 
 def estimating(configuration: Configuration, variance: float = DISTURBANCE_VARIANCE) -> Configuration:
-    """Return the axis whose Kalman filter estimates a disturbance of the command that wanders by ``variance`` [V²]."""
+    """Return the axis whose Kalman filter estimates a disturbance of the command, a random walk.
+
+    Units: ``variance`` [V²], of its change per sample.
+    """
     values = dict(kalman__gain="riccati", kalman__q=NOISE_RATIO, kalman__r=1.0)
     disturbed = dict(kalman__disturbance="constant", kalman__q_disturbance=variance)
     return configuration.override("motion_controller", **values, **disturbed)

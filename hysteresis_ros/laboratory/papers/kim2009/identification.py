@@ -139,7 +139,7 @@ BAND = (135, 1135)  # Hz: 1 kHz around the resonance
 # Assumed here.
 EXCITATION = 0.1e-6  # m, peak of the multisine
 WORKING_POINT = 4.0e-6  # m
-PERIODS, SETTLING = 8, 2  # of 1 s; the second are skipped until the initial vibration has decayed
+PERIODS, SETTLING = 8, 2  # periods of 1 s: of a run, and not evaluated at its beginning, until vibrations have decayed
 
 LOOPS = (
     "truth for K2: Prandtl-Ishlinskii stack of 40 plays, opening 15 % of 12.45 µm; not the polynomial that is fitted; "

@@ -66,7 +66,7 @@ class Move:
     setpoint: float  #: [m].
     error: float  #: RMS of displacement minus setpoint over the last part of the move [m].
     overshoot: float  #: Largest displacement beyond the setpoint in the direction of the move [m].
-    duration: float  #: Time until the sequencer reports arrival, to the next eighth of a second [s].
+    duration: float  #: Time until the sequencer reports arrival, rounded up to an eighth of a second [s].
     steps: int  #: Steps made.
     arrived: bool  #: False without arrival in time, or with an error.
 
@@ -102,7 +102,7 @@ def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0)
 
 
 def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
-    """Move an extender that differs from its models; errors are over 50 ms, from 50 ms after the arrival on.
+    """Move a motor whose extender differs from its models; errors are evaluated from 50 to 100 ms after the arrival.
 
     Units: ``setpoints`` [m].
     """
@@ -155,11 +155,11 @@ def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = 
 class Sequences:
     """Result of random sequences."""
 
-    count: int  #: How many.
+    count: int  #: Number of sequences.
     both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
-    least_force: float  #: Least over all samples of the larger normal force of the two clamps [N].
+    least_force: float  #: Smallest value over all samples of the larger of the two clamps' normal forces [N].
     beyond_limits: int  #: Samples at which a voltage was outside of its limits.
-    #: Largest motion beyond the requests of a sequence: start, targets, and the distance of its walking [m].
+    #: Largest displacement beyond what a sequence requested by its start, setpoints and walking distance [m].
     farthest: float
     unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.
     slowest_stop: float  #: Longest time from a stop to both clamps above the threshold voltage [s].
@@ -250,9 +250,9 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
 def main(arguments=None) -> int:
     """Print the figures; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--moves", type=int, default=10, help="moves of 5 mm, there and back")
-    parser.add_argument("--plants", type=int, default=10, help="extenders that differ from their models")
-    parser.add_argument("--sequences", type=int, default=10000, help="random sequences")
+    parser.add_argument("--moves", type=int, default=10, help="number of moves of 5 mm, back and forth")
+    parser.add_argument("--plants", type=int, default=10, help="number of extenders that differ from their models")
+    parser.add_argument("--sequences", type=int, default=10000, help="number of random sequences")
     chosen = parser.parse_args(arguments)
     for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):
         axis = inchworm(plant=plant)

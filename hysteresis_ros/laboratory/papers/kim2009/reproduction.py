@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Kim, Kim & Park 2009 on the axis of ``config/kim2009.yaml``, whose assumptions that file names.
+"""The experiments of Kim, Kim & Park 2009 on the axis of ``config/kim2009.yaml``, which states its assumptions.
 
-The paper's section 4: an open-loop triangle with inverse hysteresis model (fig. 13), steps under sliding mode control
-without (fig. 15) and with the model (fig. 17); before them identification, the uncontrolled steps (fig. 12) and the
-preload (fig. 10). Then the same with a less accurate compensator, and with an estimated disturbance; finally one
-condition at a time, and other tasks.
+Identification, preload (fig. 10) and uncontrolled steps (fig. 12) come first. The paper's section 4 follows: an
+open-loop triangle with the inverse hysteresis model (fig. 13), and steps under sliding mode control without (fig. 15)
+and with the model (fig. 17). These experiments are repeated with a less accurate compensator and with an estimated
+disturbance, then with one non-ideal condition at a time, and with other tasks.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def figures(found: Reproduction) -> list:
     fitted = fit.model.frequency_response(response.frequency)[:, 0, 0]
     preload = {
         "as measured": {name: _branches(found.runs[name], 0.0) for name in PRELOAD_RUNS},
-        "less the offset at rest": {name: _branches(found.runs[name], 1.0) for name in PRELOAD_RUNS},
+        "minus the offset at rest": {name: _branches(found.runs[name], 1.0) for name in PRELOAD_RUNS},
     }
     return [
         (

@@ -29,7 +29,7 @@ from hysteresis_ros.recordings.dataset import Recording
 REMOVED = dict(paper="removed", high=kim.GOOD_RESIDUAL)
 LEFT: dict[str, Any] = dict(paper=kim.RESIDUAL, low=0.8 * kim.RESIDUAL, high=1.2 * kim.RESIDUAL)
 EXACT = dict(high=kim.GOOD_RESIDUAL)
-#: Held long enough for the uncontrolled vibration to settle [s].
+#: Hold time in which the uncontrolled vibration settles [s].
 LONG = 1.5
 
 
@@ -291,7 +291,7 @@ def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: f
         row("slow", f"exact inverse, {kim.SLOW_FREQUENCY:g} Hz", slow, **CLOSED),
         row("exact", f"exact inverse, {fast}", exact, reason=reason, **CLOSED),
         row("linear", f"no hysteresis, {fast}", linear),
-        row("excess", f"exact inverse less no hysteresis, {fast}", exact - linear, **CLOSED),
+        row("excess", f"exact inverse minus no hysteresis, {fast}", exact - linear, **CLOSED),
     ]
 
 
@@ -340,7 +340,7 @@ STEP_CYCLES = 6
 ALONE = "one condition at a time; all else as in (d): the compensator knows the plant, no noise, ideal converters"
 CREEPING = "creep of the plant 1 % of the step a decade of time (logarithmic law, from 0.1 s on)"
 COARSE = "12-bit converters over −30 … 120 V: 3.8 nm a digit"
-STRUCTURE = "resonance of the plant off by ±1 % or ±5 % (the worse shown), damping ratio and gain kept"
+STRUCTURE = "resonance of the plant off by ±1 % or ±5 % (the worse result is shown), damping ratio and gain kept"
 OPENING = "opening of the compensator's loop off by +5 %, sensor noise 5 nm rms, 16-bit converters"
 
 

@@ -74,7 +74,7 @@ class Deviation:
     #: RMS of path minus slider over whole cycles [m]. The path has the requested speed, and begins each cycle at the
     #: position of the slider.
     off_path: float
-    ripple: float  #: RMS deviation from the mean speed and position of the slider, that is of the periodic part [m].
+    ripple: float  #: RMS of the periodic part: deviation of the slider from its own mean speed and position [m].
     speed_error: float  #: Relative error of the mean speed.
 
 
@@ -157,7 +157,7 @@ class Walker:
 
 
 def compared(seed: int, parts=PARTS, cycles: float = LEARNED, **motor) -> dict[float, tuple[Deviation, Deviation]]:
-    """Return the results of a motor before and after learning for some cycles, at parts of the speed of learning."""
+    """Return the results of a motor before and after learning for some cycles, at multiples of the learning speed."""
     walker = Walker(seed, **motor)
     for _ in range(100):
         walker.sample()
@@ -180,7 +180,7 @@ def main(arguments=None) -> None:
     """Print the figures at each speed, for the motors with the smallest and with the largest improvement."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plants", type=int, default=5, help="number of random motors")
-    parser.add_argument("--case", choices=CASES, help="only this one")
+    parser.add_argument("--case", choices=CASES, help="only this case")
     options = parser.parse_args(arguments)
     for name in [options.case] if options.case else CASES:
         print(name)

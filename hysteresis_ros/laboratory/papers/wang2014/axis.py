@@ -133,7 +133,7 @@ def stronger_plant(configuration: Configuration, mismatch: float) -> Configurati
 
 
 def wider_plant(configuration: Configuration, mismatch: float) -> Configuration:
-    """Return the axis with loops of the plant wider by ``1 + mismatch``, by larger weights of all later plays."""
+    """Return the axis with the plant's loops wider by ``1 + mismatch``: larger weights of all plays after the first."""
     weights = configuration.node("plant_simulator")["hysteresis.prandtl_ishlinskii.weights"]
     wider = [weights[0], *((1.0 + mismatch) * value for value in weights[1:])]
     return configuration.override("plant_simulator", hysteresis__prandtl_ishlinskii__weights=wider)
@@ -151,7 +151,7 @@ def run_sine(configuration: Configuration, frequency: float, amplitude: float, c
 
 
 def delayed_reference(configuration: Configuration, recording: Recording) -> np.ndarray:
-    """Return the reference for the error, shape (N,) [m]: the received one, ``preview`` later.
+    """Return the reference for the error, shape (N,) [m]: the received reference, delayed by ``preview``.
 
     The preview comes from ``configuration``, which is faster than reading its text from every recording.
     """
@@ -160,7 +160,7 @@ def delayed_reference(configuration: Configuration, recording: Recording) -> np.
 
 
 def tracking_error(configuration: Configuration, recording: Recording, start: float) -> np.ndarray:
-    """Return delayed reference less true displacement [m] from ``start`` [s] on."""
+    """Return the delayed reference minus the true displacement [m] from ``start`` [s] on."""
     error = delayed_reference(configuration, recording) - recording["displacement"]
     return error[recording.time >= start - 1e-9]
 

@@ -25,10 +25,10 @@ HONEST = "π"  # rad/s of the rows under realistic conditions, unless they say o
 MISMATCHES = (0.01, 0.05)
 MISMATCHED_CYCLES = 1.5
 MANY_CYCLES = 10
-#: Frequency [Hz] → cycles; up to 0.1 Hz the first quarter of a cycle does not count, above the first cycle.
+#: Frequency [Hz] → cycles; up to 0.1 Hz the first quarter cycle is not evaluated, above 0.1 Hz the first cycle.
 SWEEP = {0.02: 0.75, 0.1: 0.75, 2.0: 4.0, 5.0: 8.0, 10.0: 15.0}
 CREEPING_CYCLES = 4
-#: Feedback beside the feedforward: crossover about 5 Hz, the zero of the PID on the first pole.
+#: Feedback in addition to the feedforward: crossover about 5 Hz, the zero of the PID on the first pole.
 FEEDBACK = {
     "pid": dict(type="pid", pid__Kp=0.5, pid__Ki=30.0),
     "ism": dict(
@@ -54,7 +54,7 @@ class Figures:
     """
 
     def __init__(self, configuration, recording: Recording, frequency, amplitude, start=None):
-        """Evaluate the run; ``harmonics`` is the rms over its last cycle of all but the fundamental."""
+        """Evaluate the run; ``harmonics`` is the rms error of its last cycle without the fundamental."""
         error = wang.tracking_error(configuration, recording, 1.0 / frequency if start is None else start)
         self.rms = 100.0 * wang.rms(error) / amplitude
         self.maximum = 100.0 * float(np.max(np.abs(error))) / amplitude
@@ -116,7 +116,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
             rows.append(
                 Claim(
                     f"{name}.harmonics",
-                    quantity=f"{words}: rms of what no linear inverse removes, % of amplitude",
+                    quantity=f"{words}: rms that no linear inverse removes, % of amplitude",
                     measured=figures.harmonics,
                     reason="everything except the fundamental of the last cycle: the least error of any linear inverse",
                     **common,
@@ -222,7 +222,7 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
 
 
 def sweep_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of frequencies from 0.02 to 10 Hz; at the highest the amplitude is a half."""
+    """Return the rows of frequencies from 0.02 to 10 Hz; from 5 Hz on the amplitude is halved."""
     rows = []
     for frequency, cycles in SWEEP.items():
         part = 1.0 if frequency <= 2.0 else 0.5

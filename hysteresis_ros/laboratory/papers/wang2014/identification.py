@@ -63,11 +63,10 @@ class PaperW:
 
     identified: DuhemIdentification  #: identified, published: With α from a decaying loop, and with the paper's α = 80.
     published: DuhemIdentification
-    inverse: DuhemIdentification  #: W4.
+    inverse: DuhemIdentification  #: Inverse model, from step W4.
     opening: float  #: Loop width.
-    compensated: float  #: Largest error of the truth behind the inverse along the major loop.
-    #: decaying, decaying_published: Rms error on decaying loops that were not used: with the identified α and with the
-    #: paper's.
+    compensated: float  #: Largest error of the inverse followed by the truth, along the major loop.
+    #: decaying, decaying_published: Rms error on held-out decaying loops, with the identified and with the paper's α.
     decaying: float
     decaying_published: float
 
@@ -126,12 +125,12 @@ class Models:
     """Results of the identification."""
 
     published: DuhemHammerstein  #: Steps W1, W2, W3 and W5 with α = 80, from the three sines.
-    inverse: DuhemParameters  #: W4: from the displacement of the hysteresis [m] to the voltage.
+    inverse: DuhemParameters  #: Step W4: from the displacement of the hysteresis [m] to the voltage.
     minor: DuhemParameters  #: α from loops of decreasing amplitude.
-    minor_alpha: float  #: Its α, for a normalised input.
-    minor_dynamics: LinearParameters  #: Its linear part, from a sweep.
+    minor_alpha: float  #: α of ``minor``, for a normalised input.
+    minor_dynamics: LinearParameters  #: Linear part for ``minor``, from a sweep.
     plays: PrandtlIshlinskiiParameters  #: From loops of decreasing amplitude.
-    plays_dynamics: LinearParameters  #: Its linear part, from a sweep.
+    plays_dynamics: LinearParameters  #: Linear part for ``plays``, from a sweep.
 
 
 def record_decreasing(configuration: Configuration):
@@ -205,7 +204,7 @@ def _dynamics(w, y, sample_time) -> tuple[LinearParameters, float]:
 
 
 def identify(configuration: Configuration) -> Models:
-    """Make all recordings and identify everything."""
+    """Make all recordings and identify all models."""
     plant = wang.real(configuration)
     sample_time = 1.0 / plant.node("plant_simulator")["sample_rate"]
     sines, decreasing, sweep = wang.record_sines(plant), record_decreasing(plant), record_sweep(plant)

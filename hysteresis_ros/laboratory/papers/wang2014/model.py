@@ -30,7 +30,7 @@ from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 SAMPLES = 1000  # of a cycle of the truth's element alone, which is rate independent
 DECAY = 4.0  # cycles in which the amplitude of the unseen loops falls to 1/e
 UNSEEN_CYCLES = 10
-REVERSALS = (0.0, 0.3)  # of ±1: down to the first from the upper end, then up to the second
+REVERSALS = (0.0, 0.3)  # of ±1: from the upper end down to the first value, then up to the second
 KNOTS = 20
 
 ELEMENT = "the truth's hysteresis element alone, without noise and linear part"
@@ -122,7 +122,7 @@ def shape_claims(configuration: Configuration) -> list[Claim]:
                     "evaluated"
                     if harmless
                     else "the sign is the worst of the misreadings, with twice the error of the missing ½; the error "
-                    "grows with the loop width, here 11 %, and the range beside it was calculated for another truth"
+                    "grows with the loop width, here 11 %, and the expected range was calculated for another truth"
                     if name == "g_sign"
                     else "",
                 )
@@ -150,7 +150,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
                 low=0.8 * expected,
                 high=1.25 * expected,
                 assumptions=(wang.TRUTH, ELEMENT, UNSEEN),
-                reason="the numbers beside it were calculated for another Prandtl-Ishlinskii truth of the same kind",
+                reason="the expected numbers were calculated for another Prandtl-Ishlinskii truth of the same kind",
             )
         )
         rows.append(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Wang, Alici & Tan 2014 on the axis of ``config/wang2014.yaml``, whose assumptions that file names.
+"""The experiments of Wang, Alici & Tan 2014 on the axis of ``config/wang2014.yaml``, which states its assumptions.
 
 The truth is a modified Prandtl-Ishlinskii element with a second-order linear part, never the Duhem model that the paper
 identifies. Four controllers are compared in every row: the paper's linear inverse, its inverse Duhem model with α = 80,
