@@ -10,9 +10,9 @@
 /* Many axes in C: the tick of loop/tick.py for an axis like kim2009, operation by operation as in the Python sources
  * named at each function, over the memory of loop/axis_array.py.
  *
- * bench_axis_array.py compiles this file and compares it with the compiled loop. What such an axis does not use
- * (faults, creep, damping, shaping, learning, a force sensor, noise, a trajectory) is looked at as in Python, but not
- * written out: such a sample is counted as foreign.
+ * bench_axis_array.py compiles this file and compares it with the compiled loop. Functions that such an axis does not
+ * use (faults, creep, damping, shaping, learning, a force sensor, noise, a trajectory) are checked for as in Python, but
+ * not implemented: a sample that needs one is counted as foreign.
  */
 
 #include "recursions.c"
@@ -26,7 +26,7 @@ enum { R_DISTURBANCE = 9, PLANT_VOLTAGE, SATURATED, SEEN, SOURCE_MODE, CONTROLLE
 enum { TRIPPED = 17, LATE, SKIPPED, ADAPTATION, ADAPTED_GAIN, FORCE, ROW };
 enum { M_RUNNING, M_HOLDING, M_STALE, M_STOPPED, M_TRIPPED, M_FOLLOWING };
 
-/* Places of the arrays of an axis, in the order of its named tuples. */
+/* Indices of the arrays of an axis, in the order of its named tuples. */
 enum { P_LIMITS, P_HYSTERESIS, P_DYNAMICS, P_SENSOR, P_CREEP, P_FORCE };
 enum { PX_LIMITS = 6, PX_HYSTERESIS, PX_DYNAMICS, PX_SENSOR, PX_CREEP, PX_FORCE };
 enum { PW_TRIP = 12, PW_FAULTS, PW_HOLD, PW_FRONT, PW_REAR, PWX_TRIP, PWX_FAULTS, PWX_HOLD, PWX_FRONT, PWX_REAR };
@@ -588,7 +588,7 @@ static inline void actuate(Hysteresis hysteresis, double *m, const int64_t *at, 
 
 /* ---- loop/source.py, loop/tick.py and loop/axis_array.py --------------------------------------------------------- */
 
-/* The models are handed over, as the compiled loop takes them: not known to the compiler. */
+/* The models are arguments, as in the compiled loop, so the compiler does not know them. */
 __attribute__((noipa)) int64_t run_axes(double *memory, const int64_t *at, int64_t stride, int64_t axes, int64_t samples, double *rows,
                  const double *setpoints, Hysteresis plant, Hysteresis model, Inverse inverse, Law law,
                  double (*waveform)(const double *, double *))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Many axes in one call: against single steps from Python, the same loops in C (axis_array.c), one and two threads."""
+"""Many axes in one call, compared with single steps from Python and with C (axis_array.c); one and two threads."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PLACES = np.ctypeslib.ndpointer(dtype=np.int64, flags="C_CONTIGUOUS")
 
 
 def axes(threads: int = 1) -> AxisArray:
-    """Return axes like Kim's, each with another offset of its sensor."""
+    """Return axes like Kim's, each with a different offset of its sensor."""
     configuration = load_configuration(common.CONFIGURATION).override("reference_generator", waveform__type="hold")
     offsets = np.random.default_rng(2).uniform(-1e-7, 1e-7, AXES)
     each = {"plant_simulator.sensor.offset": offsets}
@@ -47,7 +47,7 @@ def axes(threads: int = 1) -> AxisArray:
 
 
 class InC:
-    """The same axes in C, over a memory of their own."""
+    """The same axes in C, with their own memory."""
 
     def __init__(self, folder: pathlib.Path):
         self.array = axes()
@@ -62,7 +62,7 @@ class InC:
         array = self.array
         fixed = array.memory, self._places, array.stride, *setpoints.shape
         if self._run(*fixed, array.rows, setpoints):
-            raise common.BenchmarkError("axis_array.c does not contain what this axis uses")
+            raise common.BenchmarkError("the axis uses functions that axis_array.c does not contain")
 
 
 class Singles:
@@ -70,7 +70,7 @@ class Singles:
 
     def __init__(self, parameters):
         self._axes = [Axis(one) for one in parameters]
-        # a list, because kernels take its numbers faster than those of an array
+        # a list, because kernels read numbers faster from a list than from an array
         self._calls = [(axis.laws, axis.parts, signals.ACTUATOR_ROW * [0.0]) for axis in self._axes]
 
     def step(self, setpoints: np.ndarray) -> None:
@@ -90,7 +90,7 @@ class Singles:
 
 
 def seconds(function) -> float:
-    """Return the time on the clock that ``function()`` takes [s]: threads share the work."""
+    """Return the wall time of ``function()`` [s], because threads share the work."""
     start = time.perf_counter()
     function()
     return time.perf_counter() - start
@@ -99,7 +99,7 @@ def seconds(function) -> float:
 def require_same(ours: np.ndarray, theirs: np.ndarray, which: str) -> None:
     """Refuse results that differ in a bit."""
     if not np.array_equal(ours.view(np.int64), theirs.view(np.int64)):
-        raise common.BenchmarkError(f"the axes of the array and {which} do not have the same bits")
+        raise common.BenchmarkError(f"the results of the array and of {which} differ; they must agree bit for bit")
 
 
 def main() -> int:
@@ -113,24 +113,24 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         array, in_c = axes(), InC(pathlib.Path(folder))
         singles = Singles(array.parameters)
-        # the same samples on all sides first: for the bits, and so that nothing is timed at its first call
+        # first the same samples on all sides, to compare the bits and to exclude first calls from the timing
         for setpoints in (one, np.roll(one, 1), one):
             array.step(setpoints)
             in_c.run(setpoints.reshape(-1, 1))
             singles.step(setpoints)
             require_same(array["voltage"], singles.voltages(), "the single axes")
-        # until everything that a sample touches, the history of 500 samples too, is in memory
+        # until all data of a sample, including the history of 500 samples, are in memory
         for _ in range(WARM):
             array.run(many, signals=())
             in_c.run(many)
         require_same(array.memory, in_c.array.memory, "the loops in C")
         ratio, *times = common.interleaved(partial(singles.step, one), partial(array.step, one), options.repeats)
         detail = f"{1e6 * times[0]:.0f} us one by one, {1e6 * times[1]:.0f} us in one call"
-        results.append(common.Result(f"a sample of {AXES} axes", ratio, "at least", SINGLE, detail))
+        results.append(common.Result(f"one sample of {AXES} axes", ratio, "at least", SINGLE, detail))
         for name, ours, theirs, samples in (
-            ("the same, of C", partial(array.step, one), partial(in_c.run, one.reshape(-1, 1)), 1),
+            ("the same, ratio to C", partial(array.step, one), partial(in_c.run, one.reshape(-1, 1)), 1),
             (
-                f"{SAMPLES} samples in one call, of C",
+                f"{SAMPLES} samples in one call, ratio to C",
                 partial(array.run, many, signals=()),
                 partial(in_c.run, many),
                 SAMPLES,
@@ -138,17 +138,17 @@ def main() -> int:
         ):
             ratio, *times = common.interleaved(ours, theirs, options.repeats)
             per_axis = [1e9 * value / AXES / samples for value in times]
-            detail = "{:.0f} ns a sample of an axis, C {:.0f} ns, same bits".format(*per_axis)
+            detail = "{:.0f} ns per sample and axis, C {:.0f} ns, same bits".format(*per_axis)
             results.append(common.Result(name, ratio, "at most", IN_C, detail))
         both = axes(2)
         for name, run in (
-            ("two threads, a sample", lambda given: partial(given.step, one)),
+            ("two threads, one sample", lambda given: partial(given.step, one)),
             (f"two threads, {SAMPLES} samples", lambda given: partial(given.run, many, signals=())),
         ):
             for _ in range(WARM):
                 run(both)()
             ratio, *times = common.interleaved(run(array), run(both), options.repeats, seconds)
-            detail = f"{1e6 * times[0]:.0f} us by one, {1e6 * times[1]:.0f} us by two"
+            detail = f"{1e6 * times[0]:.0f} us with one thread, {1e6 * times[1]:.0f} us with two"
             results.append(common.Result(name, ratio, "at least", TWO_THREADS, detail))
     return common.report(results, options)
 

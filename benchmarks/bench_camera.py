@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Positions in rendered frames of 640 x 480 of known motion: processor time and error of a frame."""
+"""Positions measured in rendered frames of 640 x 480 with known motion: processor time and error per frame."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
 from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 
 FRAMES = 100
-#: Milliseconds that a frame may take, and pixels that a place may be off by, rms.
+#: Largest processor time of a frame [ms], and largest rms error of the positions [px].
 TIME, ERROR = 10.0, 0.02
 REGION = (60.0, 112.0, 200.0, 256.0)
-#: What the frames show: name, parameters of the scene and of the tracking.
+#: Conditions of the frames: name, parameters of the scene, parameters of the tracking.
 CONDITIONS = (
     ("edge", {}, {}),
     ("edge, no noise, steady light", {"noise": 0.0, "light_drift": 0.0}, {}),
@@ -42,7 +42,7 @@ CONDITIONS = (
 
 
 def measured(scene: Scene, tracking: dict) -> tuple[float, float]:
-    """Return the processor time of a frame [ms] and the error of its place [px rms]."""
+    """Return the processor time of a frame [ms] and the error of the positions [px rms]."""
     given = scene.parameters
     eye = Tracker(CameraParameters.from_mapping({"calibration.scale": given.scale, **tracking}))
     pixels = np.concatenate([[0.0], np.random.default_rng(1).uniform(-50.0, 50.0, FRAMES)])
@@ -61,7 +61,7 @@ def main() -> int:
     results = []
     for name, conditions, tracking in CONDITIONS:
         time, error = measured(Scene(SceneParameters(**conditions)), tracking)
-        results.append(common.Result(f"{name}: ms a frame", time, "at most", TIME))
+        results.append(common.Result(f"{name}: ms per frame", time, "at most", TIME))
         results.append(common.Result(f"{name}: px rms", error, "at most", ERROR))
     return common.report(results, options)
 

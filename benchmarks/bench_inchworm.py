@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A whole 5 mm move of the inchworm offline: seconds of the axis for a second of the processor."""
+"""A 5 mm move of the inchworm offline: simulated seconds per second of processor time."""
 
 from __future__ import annotations
 
@@ -34,10 +34,12 @@ def main() -> int:
     run = simulate(axis)  # compiles
     length = run.time.size * run.sample_time
     seconds = statistics.median(common.cpu_seconds(lambda: simulate(axis)) for _ in range(options.repeats))
-    detail = f"{length:g} s at {1.0 / run.sample_time:g} Hz in {seconds:.3f} s, the description of the run included"
+    detail = f"{length:g} s at {1.0 / run.sample_time:g} Hz in {seconds:.3f} s, including the description of the run"
     moved = run["displacement"][-1] - run["displacement"][0]
     detail += f"; {moved * 1e3:.3f} mm"
-    return common.report([common.Result("5 mm move, real time", length / seconds, "at least", TARGET, detail)], options)
+    return common.report(
+        [common.Result("5 mm move, × real time", length / seconds, "at least", TARGET, detail)], options
+    )
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Compiled kernels against the same recursions in C (recursions.c, gcc -O3)."""
+"""Compiled kernels, compared with the same recursions in C (recursions.c, gcc -O3)."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def run_polynomial(p, x, u, y):
 
 @kernel
 def run_compensation(p, x, scratch, r, voltage):
-    """Fill ``voltage`` for the displacements ``r``, the model following."""
+    """Fill ``voltage`` with the inverse for the displacements ``r``, and advance the model with it."""
     for k in range(r.shape[0]):
-        # a closed form does not use the kernel that it is handed; a number in its place can be cached
+        # the closed form does not use its kernel argument; with a number instead, this function can be cached
         voltage[k] = polynomial_inverse(0.0, scratch, scratch, p, x, r[k])
         polynomial(p, x, voltage[k])
 
@@ -75,15 +75,15 @@ def run_sliding_mode(p, x, r, y, u):
 
 
 def c_library(folder: pathlib.Path, name: str = "recursions.c") -> ctypes.CDLL:
-    """Compile a C file that stands beside this one into ``folder``, and load it."""
+    """Compile a C file of this folder into ``folder``, and load it."""
     gcc = shutil.which("gcc")
     if gcc is None:
         raise common.BenchmarkError(
-            "gcc is not installed, and the compiled kernels are measured against it; install it (apt install gcc)"
+            "gcc is not installed; the compiled kernels are compared with C: install gcc (apt install gcc)"
         )
     source = pathlib.Path(__file__).with_name(name)
     library = (folder / name).with_suffix(".so")
-    # the kernels do not contract a*b + c either, so both sides do the same IEEE operations
+    # the kernels do not contract a*b + c either, so both sides perform the same IEEE operations
     command = [gcc, "-O3", "-ffp-contract=off", "-std=c11", "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -92,20 +92,20 @@ def c_library(folder: pathlib.Path, name: str = "recursions.c") -> ctypes.CDLL:
 
 
 class Case:
-    """One recursion, as compiled kernel and in C, on the same parameters, states and signals.
+    """One recursion, as compiled kernel and in C, with the same parameters, states and signals.
 
     Parameters
     ----------
     name : str
-        For the table.
+        Name in the table.
     block : Block
-        Whose ``p`` and ``x`` are used.
+        Block whose ``p`` and ``x`` are used.
     ours, theirs : function
-        ``run(p, x, *scratch, *signals, output)``, in C with the number of samples behind.
+        ``run(p, x, *scratch, *signals, output)``; the function in C has the number of samples as last argument.
     signals : tuple of arrays, shape (N,)
         Inputs.
     scratch : tuple of arrays
-        What the recursion needs besides.
+        Work arrays of the recursion.
     """
 
     def __init__(self, name, block, ours, theirs, signals, scratch=()):
@@ -120,27 +120,27 @@ class Case:
         self._calls = [(ours, (*inputs, self.outputs[0])), (theirs, (*inputs, self.outputs[1], SAMPLES))]
 
     def run(self, side: int) -> None:
-        """Run one side, 0 the kernel and 1 C, from the state at rest."""
+        """Run the kernel (``side`` 0) or the C code (1) from the state at rest."""
         function, arguments = self._calls[side]
         self._x[:] = self.block.initial_state()
         function(*arguments)
 
     def simulate(self) -> None:
-        """Run the kernel as the argument of a compiled loop, the way it runs in the package."""
+        """Run the kernel as the argument of a compiled loop, as in the package."""
         self.block.reset()
         self.block.simulate(*self.signals)
 
     def difference(self) -> float:
-        """Return the largest difference of the two outputs, as a part of the range of the output."""
+        """Return the largest difference of the two outputs, as a fraction of the range of the output."""
         self.run(0)
         self.run(1)
         difference = float(np.max(np.abs(self.outputs[0] - self.outputs[1])))
-        # NaN and a constant output agree with nothing
+        # an output that is NaN or constant counts as different
         return difference / float(np.ptp(self.outputs[1])) if np.ptp(self.outputs[1]) > 0.0 else np.inf
 
 
 def cases(library) -> list[Case]:
-    """Return the cases, with the signals of a closed loop that moves all over its range."""
+    """Return the cases, with signals of a closed loop over its full range."""
     axis = Axis(axes(load_configuration(common.CONFIGURATION))[0])
     # steps of random height, smoothed: branches, minor loops and the virgin curve all occur
     steps = np.repeat(np.random.default_rng(1).uniform(0.0, 10e-6, SAMPLES // 50), 50)
@@ -153,7 +153,7 @@ def cases(library) -> list[Case]:
     return [
         Case("polynomial hysteresis", actuator.hysteresis, run_polynomial, library.run_polynomial, (voltage,)),
         Case(
-            "its exact inverse, and it",
+            "its exact inverse, and the hysteresis",
             actuator.hysteresis,
             run_compensation,
             library.run_compensation,
@@ -179,7 +179,7 @@ def main() -> int:
                 raise common.BenchmarkError(f"{case.name}: kernel and C differ by {difference:.3g} of full scale")
             ratio, *times = common.interleaved(partial(case.run, 0), partial(case.run, 1), options.repeats)
             ours, theirs = (seconds / SAMPLES * 1e9 for seconds in times)
-            detail = f"{ours:.1f} ns a sample, C {theirs:.1f} ns, {'same bits' if difference == 0.0 else ''}"
+            detail = f"{ours:.1f} ns per sample, C {theirs:.1f} ns, {'same bits' if difference == 0.0 else ''}"
             if "inverse" not in case.name:
                 case.simulate()
                 passed = statistics.median(common.cpu_seconds(case.simulate) for _ in range(options.repeats))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Lockstep loop of the four nodes against a bare relay of the same graph, composed and as four processes."""
+"""Lockstep loop of the four nodes, compared with a relay of the same graph; composed and as four processes."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from hysteresis_ros.loop.reach import axes
 from hysteresis_ros.nodes.domain import entered
 
 TARGET = 0.7
-#: Processes of a graph, and samples of a turn: 30 to 50 ms.
+#: Processes of a graph, and samples per turn (30 to 50 ms).
 GRAPHS = {"composed": (("all",), 200), "four processes": (NODE_NAMES, 80)}
-#: Turns at the beginning that do not count: discovery and first calls are not the loop.
+#: Number of first turns that are not evaluated, because they include discovery and first calls.
 WARM_UP = 3
-#: Seconds that a run may take before something is wrong.
+#: Time-out of a run [s].
 PATIENCE = 240.0
 
 _WORKER = str(pathlib.Path(__file__).with_name("graphs.py"))
-# a namespace of its own: nothing else on this machine takes part
+# a separate namespace, so that other axes on this machine do not interfere
 _NAMESPACE = f"/benchmark_{os.getpid()}"
 
 
@@ -52,9 +52,9 @@ def parameter_file(folder: pathlib.Path, samples: int) -> pathlib.Path:
 
 
 def turns(names, parameters: pathlib.Path, count: int, samples: int) -> list[tuple[float, float]]:
-    """Run both graphs in turns, one process for each of ``names``; returns the seconds of nodes and relay, in pairs."""
+    """Run both graphs in turns, with a process for each name; return the times of nodes and relay [s] per turn."""
     further = [str(parameters), _NAMESPACE, str(count), str(samples)]
-    with entered():  # the nodes must not meet an axis that runs on this machine
+    with entered():  # an isolated domain, so that the nodes do not find other axes of this machine
         return _in_turns([[sys.executable, _WORKER, name, *further] for name in names], names)
 
 
@@ -88,7 +88,7 @@ def main() -> int:
             ratios = sorted(relay / nodes for nodes, relay in pairs)
             ours, bare = (samples / statistics.median(side) for side in zip(*pairs, strict=True))
             quartiles = f"{ratios[len(ratios) // 4]:.2f} ... {ratios[3 * len(ratios) // 4]:.2f}"
-            detail = f"nodes {ours:.0f} Hz, relay {bare:.0f} Hz, half of the ratios in {quartiles}"
+            detail = f"nodes {ours:.0f} Hz, relay {bare:.0f} Hz, half of the ratios are within {quartiles}"
             median = statistics.median(ratios)
             results.append(common.Result(f"lockstep loop, {name}", median, "at least", TARGET, detail))
     return common.report(results, options)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Half an hour at 10 kHz, as CSV and as NPZ: time and memory of ``hysteresis identify``, and what it finds."""
+"""``hysteresis identify`` on half an hour at 10 kHz, as CSV and as NPZ: time, memory, and the identified lag."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_bl
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 
 RATE = 10_000.0
-#: The actuator behind the recording: plays, a lag [s], noise [m].
+#: The recorded actuator: plays, a lag [s], noise [m].
 RADII = tuple(np.linspace(0.0, 1.6, 9).tolist())
 WEIGHTS = (8e-6, *[0.5e-6] * 8)
 LAG = 0.004
 NOISE = 5e-9
-#: Rows that are made and written at a time.
+#: Number of rows that are generated and written at a time.
 BLOCK = 1_000_000
 SECONDS = 60.0
 GIGABYTES = 2.0
-#: Error of the fitted lag, as a part of it.
+#: Relative error of the fitted lag.
 LAG_ERROR = 0.05
 
 
 def record(rows: int) -> dict[str, np.ndarray]:
-    """Return the columns of a recording: a 1 Hz sine whose amplitude swings slowly, hysteresis, lag and noise."""
+    """Return the columns of a recording: a 1 Hz sine with slowly varying amplitude; hysteresis, lag and noise."""
     time_axis = np.arange(rows) / RATE
     amplitude = 1.8 * (0.75 + 0.25 * np.cos(2 * np.pi * time_axis / 60.0))
     voltage = 1.8 - amplitude * np.cos(2 * np.pi * time_axis)
@@ -54,7 +54,7 @@ def record(rows: int) -> dict[str, np.ndarray]:
 
 
 def write_csv(columns: dict[str, np.ndarray], path: pathlib.Path) -> None:
-    """Write the columns as a logger does, with six decimals."""
+    """Write the columns as a data logger does, with six decimals."""
     with path.open("w") as stream:
         stream.write(",".join(columns) + "\n")
         for first in range(0, len(columns["t_s"]), BLOCK):
@@ -63,14 +63,14 @@ def write_csv(columns: dict[str, np.ndarray], path: pathlib.Path) -> None:
 
 
 def identify(path: pathlib.Path) -> tuple[float, float, dict]:
-    """Return seconds, gigabytes and figures of the command on one file."""
+    """Return the time [s], the memory [GB] and the figures of the command for one file."""
     words = [sys.executable, "-m", "hysteresis_ros.cli.entry", "identify", str(path), "--json", "-"]
     began = time.monotonic()
     process = subprocess.Popen([*words, "-o", str(path.with_suffix(".yaml"))], stdout=subprocess.PIPE)
     text = process.stdout.read() if process.stdout else b""
     _, status, usage = os.wait4(process.pid, 0)
     if os.waitstatus_to_exitcode(status) not in (0, 3):
-        raise common.BenchmarkError(f"identify ended with {os.waitstatus_to_exitcode(status)}")
+        raise common.BenchmarkError(f"identify ended with exit code {os.waitstatus_to_exitcode(status)}")
     return time.monotonic() - began, usage.ru_maxrss / 1e6, json.loads(text)
 
 
@@ -93,7 +93,7 @@ def main() -> int:
                 common.Result(f"{suffix}: seconds", seconds, "at most", SECONDS, detail),
                 common.Result(f"{suffix}: gigabytes", gigabytes, "at most", GIGABYTES),
                 common.Result(
-                    f"{suffix}: error of the lag, parts of it",
+                    f"{suffix}: relative error of the lag",
                     abs((figures.get("lag_s") or 0.0) + (figures.get("delay_s") or 0.0) - LAG) / LAG,
                     "at most",
                     LAG_ERROR,

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Memory of the nodes above a bare rclpy node, its growth over a long run, and what a node must not import."""
+"""Memory of the nodes in excess of an empty rclpy node, its growth in a long run, and modules not to import."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from hysteresis_ros.configuration import NODE_NAMES, load_configuration
 from hysteresis_ros.loop.reach import axes
 from hysteresis_ros.models.block import COMPILED
 
-#: Megabytes of a node above a bare one, with compiled kernels and without.
+#: Memory of a node in excess of an empty one [MB], with compiled kernels and without.
 TARGETS = {"compiled": 90.0, "plain": 30.0}
-#: Megabytes that a long run may grow by between its first tenth and its end: one byte a tick over 10⁶ ticks.
+#: Largest growth between the first tenth of a long run and its end [MB]: one byte per tick in 10⁶ ticks.
 GROWTH = 1.0
-#: What a running node has no use for.
+#: Modules that a running node does not need.
 UNWANTED = (
     "scipy.signal",
     "scipy.optimize",
@@ -49,18 +49,18 @@ UNWANTED = (
     "hysteresis_ros.identification",
     "hysteresis_ros.recordings",
 )
-#: Samples after which a node has everything it will ever have: the queues of its topics (1000) are full.
+#: Number of samples after which a node has allocated all its memory: the queues of its topics (1000) are full.
 WARM = 2500
-#: Seconds that something may take before it is wrong.
+#: Time-out of a start and of a measurement [s].
 PATIENCE = 120.0
 
 _WORKER = str(pathlib.Path(__file__).with_name("memory_worker.py"))
-# a namespace of its own: nothing else on this machine takes part
+# a separate namespace, so that other axes on this machine do not interfere
 _NAMESPACE = f"/benchmark_{os.getpid()}"
 
 
 class Worker:
-    """A process that answers how far it is and how much memory it has."""
+    """A process that reports its number of samples and its memory on request."""
 
     def __init__(self, node: str, parameters=None, compiled: bool = True, cache=None):
         ros = ["--ros-args", "--log-level", "warn", "-r", f"__ns:={_NAMESPACE}"]
@@ -85,7 +85,7 @@ class Worker:
         self.process.stdout.close()
 
     def read(self) -> dict:
-        """Return sample, megabytes and modules at this moment."""
+        """Return the current sample number, the memory [MB] and the loaded modules."""
         try:
             self.process.stdin.write("\n")
             self.process.stdin.flush()
@@ -97,7 +97,7 @@ class Worker:
         return json.loads(line)
 
     def read_after(self, sample: int, patience: float = PATIENCE) -> dict:
-        """Return the same once ``sample`` has been reached."""
+        """Return the same data once ``sample`` has been reached."""
         deadline = time.monotonic() + patience
         while True:
             found = self.read()
@@ -117,15 +117,15 @@ def parameter_file(folder: pathlib.Path) -> pathlib.Path:
 
 
 def bare_megabytes() -> float:
-    """Return the memory of a bare node."""
+    """Return the memory of an empty node [MB]."""
     with Worker("bare") as worker:
         worker.read_after(0)
-        time.sleep(1.0)  # its discovery threads are at rest then
+        time.sleep(1.0)  # until its discovery has finished
         return worker.read()["megabytes"]
 
 
 def four_processes(parameters, compiled: bool, cache) -> list[dict]:
-    """Return what four nodes, one process each, have after WARM samples."""
+    """Return the data of four nodes, one process each, after WARM samples."""
     workers = []
     try:
         for name in NODE_NAMES:
@@ -137,10 +137,10 @@ def four_processes(parameters, compiled: bool, cache) -> list[dict]:
 
 
 def growth(parameters, ticks: int) -> tuple[float, list[float]]:
-    """Return by how much the composed process grows between 10 % and 100 % of ``ticks``, and its megabytes [MB].
+    """Return the growth of the composed process between 10 % and 100 % of ``ticks`` [MB], and all readings [MB].
 
-    The growth is that of the median tenth, nine times: what leaks does so in every tenth, while an allocator takes a
-    block of its own now and then. The detail of the table shows both ends.
+    The growth is nine times the median of the nine tenths, because a leak appears in every tenth, whereas an allocator
+    takes a new block only now and then. The table also shows the first and the last reading.
     """
     found = []
     with Worker("all", parameters) as worker:
@@ -152,14 +152,16 @@ def growth(parameters, ticks: int) -> tuple[float, list[float]]:
 
 
 def unwanted(modules) -> list[str]:
-    """Return which of the loaded modules a node has no use for."""
+    """Return the loaded modules that a node does not need."""
     return [name for name in UNWANTED if any(found == name or found.startswith(f"{name}.") for found in modules)]
 
 
 def main() -> int:
     """Run the benchmark; returns the exit code."""
     parser = common.parser(__doc__)
-    parser.add_argument("--ticks", type=int, default=1_000_000, help="length of the long run; 0: none (default 10^6)")
+    parser.add_argument(
+        "--ticks", type=int, default=1_000_000, help="length of the long run; 0: skip it (default 10^6)"
+    )
     options = parser.parse_args()
     results = []
     with tempfile.TemporaryDirectory() as folder:
@@ -171,18 +173,20 @@ def main() -> int:
             first = four_processes(parameters, True, cache) if compiled else None  # compiles, and fills the cache
             found = four_processes(parameters, compiled, cache)
             for index, (name, one) in enumerate(zip(NODE_NAMES, found, strict=True)):
-                detail = f"{one['megabytes']:.0f} MB, bare node {bare:.0f} MB"
+                detail = f"{one['megabytes']:.0f} MB, empty node {bare:.0f} MB"
                 if first:
-                    detail += f"; at the very first start, which compiles, {first[index]['megabytes']:.0f} MB"
+                    detail += f"; at the first start, which compiles the kernels, {first[index]['megabytes']:.0f} MB"
                 above = one["megabytes"] - bare
-                results.append(common.Result(f"MB above bare: {name}, {kind}", above, "at most", TARGETS[kind], detail))
+                results.append(
+                    common.Result(f"MB above empty, {name}, {kind}", above, "at most", TARGETS[kind], detail)
+                )
             loaded = [name for one in found for name in unwanted(one["modules"])]
             detail = ", ".join(sorted(set(loaded)))
-            results.append(common.Result(f"modules without use, {kind}", len(loaded), "at most", 0, detail))
+            results.append(common.Result(f"useless modules, {kind}", len(loaded), "at most", 0, detail))
         if options.ticks:
             grown, megabytes = growth(parameters, options.ticks)
             detail = f"{megabytes[0]:.1f} MB at 10 %, {megabytes[-1]:.1f} MB at the end"
-            results.append(common.Result(f"MB grown in {options.ticks} ticks", grown, "at most", GROWTH, detail))
+            results.append(common.Result(f"growth in {options.ticks} ticks [MB]", grown, "at most", GROWTH, detail))
     return common.report(results, options)
 
 

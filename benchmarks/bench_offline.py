@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Offline closed loop of Kim's axis: compiled against the same blocks uncompiled."""
+"""Offline closed loop of Kim's axis: compiled, compared with the same blocks uncompiled."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from hysteresis_ros.models import block
 TARGET = 30.0
 COMPILED_SAMPLES = 60_000
 PLAIN_SAMPLES = 2_000
-#: Mismatch, noise and limits on: the loop that a study really runs.
+#: The loop as in a study: with mismatch, noise and limits.
 STUDY = {"sensor__noise": 5e-9}
 
 
 class Loop:
-    """The closed loop, driven by steps between random setpoints, and how long it takes."""
+    """The closed loop with steps between random setpoints, and its processor time."""
 
     def __init__(self, samples: int):
         configuration = load_configuration(str(common.CONFIGURATION)).override("plant_simulator", **STUDY)
@@ -54,7 +54,7 @@ class Loop:
 
 
 class PlainLoop:
-    """The same in a process without compilation, which answers each line that it receives with one line of figures."""
+    """The same loop in a process without compilation, which answers each line that it receives with one line."""
 
     def __init__(self):
         command = [sys.executable, __file__, "--answer"]
@@ -86,7 +86,7 @@ class PlainLoop:
 
 
 def answer() -> int:
-    """Be the process without compilation: first the last measurements, then a time for every line."""
+    """Run as the process without compilation: print the last measurements, then a time [s] for every received line."""
     if block.COMPILED:
         raise common.BenchmarkError("the kernels of this process are compiled although NUMBA_DISABLE_JIT is set")
     loop = Loop(PLAIN_SAMPLES)
@@ -109,11 +109,11 @@ def main() -> int:
     with PlainLoop() as plain:
         difference = np.max(np.abs(loop.run()[:PLAIN_SAMPLES] - plain.measured)) / 10e-6
         if difference > 1e-12:
-            raise common.BenchmarkError(f"compiled and uncompiled loop differ by {difference:.3g} of full scale")
+            raise common.BenchmarkError(f"compiled and uncompiled loop differ by {difference:.3g} of the full scale")
         pairs = [(plain.seconds_per_sample(), loop.seconds_per_sample()) for _ in range(options.repeats)]
     ratio = statistics.median(slow / fast for slow, fast in pairs)
     slow, fast = (statistics.median(side) for side in zip(*pairs, strict=True))
-    detail = f"{1e9 * fast:.0f} ns a sample ({1e-6 / fast:.2f} MHz), uncompiled {1e6 * slow:.1f} us"
+    detail = f"{1e9 * fast:.0f} ns per sample ({1e-6 / fast:.2f} MHz), uncompiled {1e6 * slow:.1f} us"
     return common.report([common.Result("offline closed loop", ratio, "at least", TARGET, detail)], options)
 
 

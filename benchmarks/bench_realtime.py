@@ -39,28 +39,28 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 
-#: Axes and stages in real time, and the range [m] in which setpoints are given meanwhile.
+#: Axes and stages in real time, and the range of the setpoints that are sent during the run [m].
 RUN = {
     "kim2009": (0.0, 5e-6),
     "inchworm_travel": (0.0, 2e-4),
     "xy_scanner": (10e-6, 30e-6),
     "steering_mirror": (-2e-7, 2e-7),
 }
-#: Samples per second of the clock [Hz] at which the time of a stage runs.
+#: Sample rates at which the stages run [Hz].
 STAGE_RATES = {"xy_scanner": 5000.0, "steering_mirror": 10000.0}
-#: Rate of a further row [Hz], at which the time to wake up is longer than a period.
+#: Sample rate of an additional row [Hz]; its period is about as long as the wake-up time.
 FASTEST = 50e3
-#: Lateness p50 and p90 [µs]; of the C loop's p99 and missed deadlines; time beyond waiting [µs].
+#: Limits of: lateness p50 and p90 [µs]; p99 and missed deadlines as a ratio to the C loop; computing time [µs].
 EDGE, LATE, RATIO, COST = 1.0, 2.0, 1.0, 2.0
-#: How often samples are taken and a setpoint is given [s].
+#: Interval at which samples are read and a setpoint is sent [s].
 LOOK = 0.1
-#: Exit code of the C loop when it may not have its priority or core.
+#: Exit code of the C loop when its priority or core is not permitted.
 REFUSED = 3
 
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn: lateness of the C loop [ns] and of the fused loop, its part of a core, the load, and wrong samples."""
+    """One turn: lateness of the C loop [ns] and of the fused loop, used fraction of a core, load, and wrong samples."""
 
     yardstick: np.ndarray
     lateness: Lateness
@@ -73,7 +73,7 @@ class Turn:
 def built(folder: pathlib.Path) -> pathlib.Path:
     """Compile the C loop."""
     if not shutil.which("gcc"):
-        raise common.BenchmarkError("gcc is missing: there is nothing to compare with")
+        raise common.BenchmarkError("gcc is missing; the loop is compared with a loop in C: install gcc")
     program = folder / "pace"
     source = pathlib.Path(__file__).with_name("pace.c")
     subprocess.run(["gcc", "-O2", "-Wall", "-o", str(program), str(source)], check=True)
@@ -86,20 +86,20 @@ def yardstick(program, rate: float, samples: int, options) -> np.ndarray:
     done = subprocess.run(command, stdout=subprocess.PIPE)
     if done.returncode == REFUSED:
         asked = f"--priority {options.priority} --cpu {options.cpu}"
-        raise common.BenchmarkError(f"{asked} is not permitted: give --priority 0, or ask for CAP_SYS_NICE")
+        raise common.BenchmarkError(f"{asked} is not permitted: give --priority 0, or run with CAP_SYS_NICE")
     if done.returncode:
         raise common.BenchmarkError(f"the C loop ended with exit code {done.returncode}")
     return np.frombuffer(done.stdout, dtype=np.int64)
 
 
-#: What the readers of all axes took, piece by piece.
+#: Blocks of samples that the reader of each axis received.
 Taken = list[list[Samples]]
 
 
 def fused(axis: Axis | Stage, rate: float, samples: int, low: float, high: float) -> tuple[FusedLoop, Taken, float]:
-    """Run an axis or a stage in real time with setpoints now and then.
+    """Run an axis or a stage in real time, with a setpoint every :data:`LOOK` seconds.
 
-    Return it, what the readers of its axes took, and the part of a core that its thread took.
+    Return the loop, the samples that the readers of its axes received, and the fraction of a core that its thread used.
     """
     loop = FusedLoop(axis, rate / axis.sample_rate, samples, warn=print)
     readers = [loop.reader(place) for place in range(len(axis.axes))]
@@ -124,7 +124,7 @@ def fused(axis: Axis | Stage, rate: float, samples: int, low: float, high: float
 
 
 def different_samples(loop: FusedLoop, taken: Taken, twin: Axis | Stage) -> int:
-    """Return in how many samples the run and its offline twin are not the same bits."""
+    """Return the number of samples in which the run and its repetition offline differ in a bit."""
     names = [signal.name for signal in loop.axis.kind.row]
     made = [
         dict(zip(names, np.concatenate([piece.table for piece in pieces], axis=1), strict=True)) for pieces in taken
@@ -146,7 +146,7 @@ def different_samples(loop: FusedLoop, taken: Taken, twin: Axis | Stage) -> int:
 
 
 def one_turn(program, name: str, given: AxisParameters | StageParameters, rate: float, index: int, options) -> Turn:
-    """Let both run one after the other; which one begins changes from turn to turn."""
+    """Run the C loop and the fused loop one after the other, in alternating order."""
     samples = round(options.seconds * rate)
     first = yardstick(program, rate, samples, options) if index % 2 == 0 else None
     loop, taken, core = fused(at_rest(given), rate, samples, *RUN[name])
@@ -157,7 +157,7 @@ def one_turn(program, name: str, given: AxisParameters | StageParameters, rate: 
 
 
 def parameters_of(name: str, options, rate: float = 0.0) -> AxisParameters | StageParameters:
-    """Return an axis or a stage of the benchmark; at another rate the plant of an axis responds at once."""
+    """Return an axis or a stage of the benchmark; at another sample rate [Hz], without dynamics."""
     realtime = {"realtime.priority": options.priority, "realtime.cpu": options.cpu, "late_limit": -1}
     configuration = load_configuration(name).override("plant_simulator", **realtime)
     if rate:
@@ -184,7 +184,7 @@ def paced(program, name: str, given: AxisParameters | StageParameters, options) 
         c, late = np.quantile(turn.yardstick, [0.5, 0.9, 0.99, 0.999, 1.0]) * 1e-3, turn.lateness
         print(
             f"{title}: p50 {late.p50 * 1e6:.1f}, p90 {late.p90 * 1e6:.1f}, p99 {late.p99 * 1e6:.1f}, p99.9 "
-            f"{late.p999 * 1e6:.1f}, max {late.max * 1e6:.0f} µs, missed {late.missed} of {late.samples}, looks from "
+            f"{late.p999 * 1e6:.1f}, max {late.max * 1e6:.0f} µs, missed {late.missed} of {late.samples}, polls from "
             f"{late.ahead * 1e6:.0f} µs before, {100.0 * turn.core:.0f} % of a core; C {c[0]:.1f}, {c[1]:.1f}, "
             f"{c[2]:.1f}, {c[3]:.1f}, {c[4]:.0f} µs, {missed_of(turn, rate)}; load {turn.load:.1f}"
         )
@@ -201,18 +201,18 @@ def paced(program, name: str, given: AxisParameters | StageParameters, options) 
     return [
         common.Result(f"{title}: p50 lateness [µs]", p50, "at most", EDGE, f"C {c50:.1f}"),
         common.Result(
-            f"{title}: p90 lateness [µs]", p90, "at most", LATE, f"C {c90:.1f}; {core:.0f} % of a core in all"
+            f"{title}: p90 lateness [µs]", p90, "at most", LATE, f"C {c90:.1f}; {core:.0f} % of a core in total"
         ),
-        common.Result(f"{title}: p99 lateness, of C", ratio, "at most", RATIO, text),
-        common.Result(f"{title}: missed + 1, of C", (missed + 1) / (beside + 1), "at most", RATIO, count),
-        common.Result(f"{title}: µs beyond waiting, per axis", cost / axes, "at most", COST),
-        common.Result(f"{title}: samples a reader lost", sum(turn.lost for turn in turns), "at most", 0),
-        common.Result(f"{title}: samples unlike the twin", sum(turn.different for turn in turns), "at most", 0),
+        common.Result(f"{title}: p99 lateness, ratio to C", ratio, "at most", RATIO, text),
+        common.Result(f"{title}: missed + 1, ratio to C", (missed + 1) / (beside + 1), "at most", RATIO, count),
+        common.Result(f"{title}: computing time per axis [µs]", cost / axes, "at most", COST),
+        common.Result(f"{title}: samples lost by the reader", sum(turn.lost for turn in turns), "at most", 0),
+        common.Result(f"{title}: samples unlike offline", sum(turn.different for turn in turns), "at most", 0),
     ]
 
 
 def resident_bytes() -> int:
-    """Return the memory that this process has in RAM [B], exactly: other counts of Linux lag behind by some pages."""
+    """Return the exact resident memory of this process [B]; other counts of Linux lag behind by some pages."""
     for line in pathlib.Path("/proc/self/smaps_rollup").read_text().splitlines():
         if line.startswith("Rss:"):
             return int(line.split()[1]) * 1024
@@ -220,9 +220,9 @@ def resident_bytes() -> int:
 
 
 def growth(ticks: int) -> common.Result:
-    """Return by how many bytes the process grows while a loop makes that many samples without waiting.
+    """Return the growth of the process [B] while a loop runs ``ticks`` samples without waiting.
 
-    As in bench_memory.py it is nine times the median tenth, between a tenth of the ticks and the end.
+    As in bench_memory.py, it is nine times the median growth of the nine tenths after the first.
     """
     loop = FusedLoop(Axis(single_axis(load_configuration("kim2009"))), math.inf, ticks)
     loop.start()
@@ -233,19 +233,19 @@ def growth(ticks: int) -> common.Result:
         found.append(resident_bytes())
     loop.join()
     steps = [later - before for before, later in itertools.pairwise(found)]
-    detail = f"{found[0]} B at a tenth of them, {found[-1]} B at the end; {loop.lateness().cost * 1e6:.2f} µs a tick"
+    detail = f"{found[0]} B after a tenth, {found[-1]} B at the end; {loop.lateness().cost * 1e6:.2f} µs per tick"
     grown = len(steps) * statistics.median(steps)
-    return common.Result(f"bytes grown in {ticks} ticks", grown, "at most", 0, detail)
+    return common.Result(f"growth in {ticks} ticks [B]", grown, "at most", 0, detail)
 
 
 def main() -> int:
     """Run the benchmark; returns the exit code."""
     parser = common.realtime_parser(__doc__, seconds=4.0, turns=3)
-    parser.add_argument("--ticks", type=int, default=10**7, help="ticks without waiting (default 10^7)")
-    parser.add_argument("--only", action="append", choices=tuple(RUN), help="this axis or stage; may be repeated")
+    parser.add_argument("--ticks", type=int, default=10**7, help="number of ticks without waiting (default 10^7)")
+    parser.add_argument("--only", action="append", choices=tuple(RUN), help="only this axis or stage; may be repeated")
     options = parser.parse_args()
     common.require_compiled()
-    runner.CLAIM = f"hysteresis_ros/benchmark/{os.getpid()}"  # loops of other programs do not decide what is measured
+    runner.CLAIM = f"hysteresis_ros/benchmark/{os.getpid()}"  # so that loops of other programs have no influence
     results = [growth(options.ticks)]
     with tempfile.TemporaryDirectory() as folder, common.busy_core():
         program = built(pathlib.Path(folder))

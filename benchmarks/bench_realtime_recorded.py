@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Whole fused axes in real time with recording, in turns with a C loop that sleeps alike; one core is kept busy.
+"""Recorded fused axes in real time, in turns with a C loop that sleeps until each deadline; one core is kept busy.
 
-`hysteresis up FILE --fused --record BAG --verify` runs Kim's axis, the inchworm, and the stage of examples/c_stage, a
-process with a clock of its own, behind its driver in C.
+`hysteresis up FILE --fused --record BAG --verify` runs Kim's axis, the inchworm, and the stage of examples/c_stage,
+a separate process with its own clock that is operated by a driver in C.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ STAGE = """
     limits: {{minimum: 0.0, maximum: 100.0}}
     hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
 """
-#: What the other two do meanwhile: a triangle, and the setpoints of the file again and again.
+#: Reference of Kim's axis: a triangle; the inchworm repeats the setpoints of its file.
 KIM = {"waveform__type": "triangle", "waveform__amplitude": 5e-6, "waveform__frequency": 5.0, "waveform__cycles": 0}
-#: Largest p99 lateness and missed deadlines, of those of C.
+#: Largest p99 lateness and largest number of missed deadlines, as a ratio to the C loop.
 RATIO = 1.5
 #: Longest time for starting, compiling and verifying a run [s].
 PATIENCE = 600.0
@@ -69,7 +69,7 @@ PATIENCE = 600.0
 
 @dataclass(frozen=True)
 class Turn:
-    """Lateness [s] of a run and of the C loop beside it, p99, and samples that were skipped; what was lost."""
+    """Lateness [s] of a run (p99) and of the C loop (each sample), and numbers of skipped and of lost samples."""
 
     samples: int
     p99: float
@@ -82,7 +82,7 @@ class Turn:
 
 @contextlib.contextmanager
 def stage(folder: pathlib.Path) -> Iterator[Configuration]:
-    """Build the example, let the stage run, and yield the axis that drives it."""
+    """Build the example, start the stage, and yield the configuration of its axis."""
     example, headers = ROOT / "examples" / "c_stage", ROOT / "hysteresis_ros" / "hardware"
     command = ["gcc", "-std=c11", "-O2", f"-I{headers}", f"-I{example}"]
     program, library = folder / "stage_device", folder / "libstage.so"
@@ -102,7 +102,7 @@ def stage(folder: pathlib.Path) -> Iterator[Configuration]:
 
 
 def configurations(folder: pathlib.Path, stack: contextlib.ExitStack) -> dict[str, Configuration]:
-    """Return the axes by their names."""
+    """Return the configurations by name."""
     kim = load_configuration("kim2009").override("reference_generator", **KIM)
     return {
         "kim2009": kim,
@@ -112,7 +112,7 @@ def configurations(folder: pathlib.Path, stack: contextlib.ExitStack) -> dict[st
 
 
 def prepared(configuration: Configuration, folder: pathlib.Path, options) -> pathlib.Path:
-    """Write the file of a run."""
+    """Write the parameter file of a run, and return its path."""
     realtime = {"realtime.priority": options.priority, "realtime.cpu": options.cpu, "late_limit": -1}
     axis = single_axis(configuration.override("plant_simulator", **realtime))
     path = folder / "axis.yaml"
@@ -121,7 +121,7 @@ def prepared(configuration: Configuration, folder: pathlib.Path, options) -> pat
 
 
 def run(path: pathlib.Path, bag: pathlib.Path, options) -> bool:
-    """Run an axis, recorded; tell whether its twin is the same and nothing is missing."""
+    """Run and record an axis; return whether its repetition offline is the same and no sample is missing."""
     command = [sys.executable, "-m", "hysteresis_ros.cli.entry", "up", str(path), "--fused", "--record", str(bag)]
     command += ["--duration", repr(options.seconds), "--verify"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=options.seconds + PATIENCE)
@@ -132,7 +132,7 @@ def run(path: pathlib.Path, bag: pathlib.Path, options) -> bool:
 
 
 def one_turn(program, configuration: Configuration, folder: pathlib.Path, index: int, options) -> Turn:
-    """Let both run one after the other; which one begins changes from turn to turn."""
+    """Run the C loop and the axis one after the other, in alternating order."""
     rate = single_axis(configuration).plant_simulator.sample_rate
     samples = round(options.seconds * rate)
     first = bench_realtime.yardstick(program, rate, samples, options) if index % 2 == 0 else None
@@ -150,7 +150,7 @@ def one_turn(program, configuration: Configuration, folder: pathlib.Path, index:
 
 
 def bursts(skipped: np.ndarray) -> int:
-    """Return in how many pieces samples were skipped."""
+    """Return the number of groups of consecutive skipped samples."""
     return int(np.count_nonzero(np.diff(np.concatenate([[0], skipped.astype(int)])) > 0))
 
 
@@ -161,7 +161,7 @@ def judged(program, name: str, configuration: Configuration, folder: pathlib.Pat
     for turn in turns:
         missed = turn.yardstick >= 1.0 / rate
         print(
-            f"{name}: p99 {1e6 * turn.p99:.1f} µs, missed {turn.skipped} in {turn.bursts} pieces of {turn.samples}; "
+            f"{name}: p99 {1e6 * turn.p99:.1f} µs, missed {turn.skipped} in {turn.bursts} groups of {turn.samples}; "
             f"C {1e6 * np.quantile(turn.yardstick, 0.99):.1f} µs, {np.count_nonzero(missed)} in {bursts(missed)}",
             flush=True,
         )
@@ -173,10 +173,10 @@ def judged(program, name: str, configuration: Configuration, folder: pathlib.Pat
     limit = RATIO
     detail = f"{ours}, C {theirs} of {sum(turn.samples for turn in turns)}"
     return [
-        common.Result(f"{title}: p99 lateness, of C", float(ratio), at_most, limit),
-        common.Result(f"{title}: missed + 1, of C", (ours + 1) / (theirs + 1), at_most, limit, detail),
+        common.Result(f"{title}: p99 lateness, ratio to C", float(ratio), at_most, limit),
+        common.Result(f"{title}: missed + 1, ratio to C", (ours + 1) / (theirs + 1), at_most, limit, detail),
         common.Result(f"{title}: samples lost", sum(turn.lost for turn in turns), at_most, 0),
-        common.Result(f"{title}: runs unlike the twin", sum(not turn.verified for turn in turns), at_most, 0),
+        common.Result(f"{title}: runs unlike offline", sum(not turn.verified for turn in turns), at_most, 0),
     ]
 
 

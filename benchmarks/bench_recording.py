@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Recording every sample of an axis in batches, as a fused axis does, and message by message, as the recorder does."""
+"""Recording of all samples of an axis: in batches, as by a fused axis, and message by message, as by the recorder."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
-#: Part of a core that the recording of a running axis may take.
+#: Largest fraction of a core that the recording of a running axis may use.
 SHARE = 0.1
-#: Part of the time that the same takes message by message.
+#: Largest ratio of the time in batches to the time message by message.
 RATIO = 0.2
 
-#: Seconds of the axis from one batch to the next.
+#: Time of the axis from one batch to the next [s].
 BATCH = 0.05
 
-#: Samples that are recorded in batches, and one by one.
+#: Number of samples recorded in batches, and of samples recorded one by one.
 SAMPLES, SINGLE_SAMPLES = 10_000, 1_000
 
 
@@ -50,7 +50,7 @@ class Run:
 
     @classmethod
     def simulated(cls, name: str) -> Run:
-        """Simulate a configuration; the numbers of a motor's joints, which no run has, are zero."""
+        """Simulate a configuration; the values of a motor's joints, which a run does not contain, are zero."""
         parameters = single_axis(load_configuration(name))
         rate = parameters.plant_simulator.sample_rate
         run = simulate(parameters, duration=SAMPLES / rate)
@@ -66,7 +66,7 @@ class Run:
 
 
 def record_in_batches(run: Run, writer: SampleWriter) -> None:
-    """Record all samples."""
+    """Record all samples, a batch at a time."""
     size = round(BATCH * run.axis.sample_rate)
     for begin in range(0, SAMPLES, size):
         part = slice(begin, begin + size)
@@ -87,7 +87,7 @@ def messages_of(path) -> list[tuple[str, str, bytes, int]]:
 
 
 def record_one_by_one(messages, bag: BagWriter) -> None:
-    """Record messages."""
+    """Record messages one by one."""
     for message in messages:
         bag.write(*message)
     bag.flush()
@@ -106,17 +106,17 @@ def measure(name: str, folder: pathlib.Path, repeats: int) -> list[common.Result
         )
     each, single_each = 1e6 * batches / SAMPLES, 1e6 * single / SINGLE_SAMPLES
     topics = len(writer.topics)
-    detail = f"{each:.2f} us a sample of {topics} messages, {writer.sample_bytes} bytes"
+    detail = f"{each:.2f} us per sample of {topics} messages, {writer.sample_bytes} bytes"
     share = each * 1e-6 * run.axis.sample_rate
     rate = f"{run.axis.sample_rate:g} Hz"
     return [
-        common.Result(f"{name}: part of a core at {rate}", share, "at most", SHARE, detail),
+        common.Result(f"{name}: fraction of a core at {rate}", share, "at most", SHARE, detail),
         common.Result(
-            f"{name}: of message by message",
+            f"{name}: ratio to message by message",
             ratio * SINGLE_SAMPLES / SAMPLES,
             "at most",
             RATIO,
-            f"{single_each:.0f} us a sample, {single_each / topics:.1f} us a message",
+            f"{single_each:.0f} us per sample, {single_each / topics:.1f} us per message",
         ),
     ]
 

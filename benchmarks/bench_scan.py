@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Scans of coupled stages that are not what their models say: identified from recordings, designed, run and judged.
+"""Scans of coupled stages that differ from their models: identification from recordings, design, run, evaluation.
 
     python benchmarks/bench_scan.py --plants 0:12
 
 Each plant has two actuators with hysteresis and creep of other classes than the model
-(:mod:`hysteresis_ros.laboratory.foreign`), a structure with modes that were drawn around those of ``xy_scanner``, two
-further modes that no model has, cross-talk, one sample of delay, 5 nm of noise and 16 bits. Each axis is identified
-from one recording of its own, in which the other axis also shows how much it is moved. Controllers, decoupling and
-learning are designed from that alone. Errors are those of the true displacement between the samples, against the path
-itself.
+(:mod:`hysteresis_ros.laboratory.foreign`), a structure with modes drawn around those of ``xy_scanner``, two modes that
+no model contains, cross-talk, one sample of delay, 5 nm of noise and 16-bit converters. Each axis is identified from
+one recording, which also contains the motion of the other axis. Controllers, decoupling and learning are designed from
+these recordings alone. Errors are those of the true displacement, also between the samples, against the undelayed
+path.
 """
 
 from __future__ import annotations
@@ -58,17 +58,18 @@ from hysteresis_ros.recordings.dataset import Recording
 RATE, NAMES = 10e3, ("x", "y")
 T = 1.0 / RATE
 BENCH = Bench(sample_rate=RATE)
-#: Range of the stage, which it reaches from either side, and largest correction [m].
+#: Range that the stage reaches in either direction, and largest correction [m].
 RANGE = 8e-6, 48e-6
 MAXIMUM = 15e-6
-#: Ways of control: feedback alone; with the inverse of the coupled loop; each axis learns during the run; all axes
-#: learn together from run to run.
+#: Ways of control: feedback alone; feedback with the inverse of the coupled loop; learning of each axis during the run;
+#: joint learning of all axes from run to run.
 WAYS = ("feedback", "inverse", "learning", "together")
-#: Runs of a scan from which the axes learn together before the run that counts, each of :data:`FEWEST` periods.
+#: Number of runs of :data:`FEWEST` periods from which the axes learn jointly before the evaluated run.
 RUNS = 4
-#: Scans: kind and values, periods that are run, periods that count, and what is wanted [% of the size] in the plane and
-#: of coupling. 32 µm are 80 % of the range of 40 µm. A PI with 6 dB of gain margin on a mode at 700 Hz of damping 0.01
-#: has the bandwidth 0.01 · 700 Hz = 7 Hz, ten times that is 70 Hz.
+#: Scans: kind and values, numbers of run and of evaluated periods, and targets for the error in the plane and for the
+#: coupling [% of the size]. The size of 32 µm is 80 % of the range of 40 µm. With 6 dB of gain margin and a mode at
+#: 700 Hz with damping 0.01, the bandwidth of a PI is 0.01 · 700 Hz = 7 Hz; the fastest scan has ten times this
+#: frequency.
 SCANS = {
     "raster, 5 Hz": (
         "raster",
@@ -93,7 +94,7 @@ SCANS = {
 
 @dataclass(frozen=True)
 class Plant:
-    """A stage that no model describes."""
+    """A stage whose actuators are of other classes than the models."""
 
     actuators: tuple[ForeignParameters, ...]
     structure: StructureParameters
@@ -111,7 +112,7 @@ class Plant:
 
 
 def drawn(seed: int) -> Plant:
-    """Return a plant; the classes of its hystereses go by the seed."""
+    """Return a plant; the seed also selects the classes of its hystereses."""
     random = np.random.default_rng((seed, 25))
 
     def between(low, high):
@@ -127,7 +128,7 @@ def drawn(seed: int) -> Plant:
             creep=between(0.015, 0.03),
             exponent=between(0.12, 0.25),
             lag=0.0,
-            # what is slower than that is the structure
+            # the actuator is faster than the structure, which contains all slower dynamics
             frequencies=(8e3, 9e3),
             dampings=(1.0, 1.0),
         )
@@ -151,7 +152,7 @@ def drawn(seed: int) -> Plant:
 
 
 def recorded(plant: Plant, place: int, seed: int) -> np.ndarray:
-    """Return voltage [V] and both measurements [m] while one actuator is excited and the other rests, shape (3, N)."""
+    """Return voltage [V] and both measurements [m], shape (3, N); one actuator is excited, the other does not move."""
     node = BENCH.node(seed)
     voltage = Limits(node.limits, T).simulate(excitation(BENCH))
     drives = np.zeros((len(voltage), 2))
@@ -164,14 +165,14 @@ def recorded(plant: Plant, place: int, seed: int) -> np.ndarray:
 
 
 def identified(plant: Plant, seed: int) -> tuple[StageParameters, Uncertainties]:
-    """Return the stage that recordings of the plant give, with its decoupling, and what is known of its responses."""
+    """Return the stage identified from recordings of a plant, with decoupling, and the uncertainty of its responses."""
     configuration, blocks, cross, known = load_configuration("xy_scanner"), [], np.eye(2), {}
     for place, name in enumerate(NAMES):
         voltage, *measured = recorded(plant, place, 100 * seed + place)
         own, other = measured[place], measured[1 - place]
         signals = {"voltage": voltage, "measured": own}
         found = identify(Recording(np.arange(len(own)) * T, signals, {"voltage": "V", "measured": "m"}, {}))
-        # at rest and slowly the structure only adds: what the other sensor sees is a part of what this one sees
+        # for slow motion the cross-talk is static: the other sensor measures a fraction of this axis' displacement
         smooth = [np.convolve(one, np.full(100, 0.01), "valid") for one in (own, other)]
         cross[1 - place, place] = np.polyfit(*smooth, 1)[0]
         written = parse_configuration(found.text, "the identified axis")
@@ -205,14 +206,14 @@ def identified(plant: Plant, seed: int) -> tuple[StageParameters, Uncertainties]
     matrices = {"A": A, "B": B, "C": C, "D": D}
     values = {f"structure.{name}": tuple(map(float, matrix.ravel())) for name, matrix in matrices.items()}
     values["decoupling"] = tuple(map(float, static_decoupling(cross).ravel()))
-    # at 0 V the hysteresis leaves up to 8 µm of the way
+    # at 0 V a displacement of up to 8 µm remains because of the hysteresis
     place = {"minimum": RANGE[0], "maximum": RANGE[1], "initial_setpoint": 0.5 * (RANGE[0] + RANGE[1])}
     configuration = configuration.override("reference_generator", waveform__type="hold", **place)
     return StageParameters.from_configuration(configuration.override("stage", **values)), known
 
 
 def controlled(parameters: StageParameters, known: Uncertainties) -> StageParameters:
-    """Return the stage with controllers designed for its models, as far as these are known."""
+    """Return the stage with controllers designed for its models and their uncertainty."""
     axes = []
     for name, axis in zip(NAMES, parameters.axes, strict=True):
         designed = design_axis(axis, DesignRequest("pid", noise=5e-9, damping="none"), known.get(name)).parameters
@@ -222,7 +223,7 @@ def controlled(parameters: StageParameters, known: Uncertainties) -> StageParame
 
 
 def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> tuple[StageParameters, Uncertainties]:
-    """Return the identified stage with its controllers, from a file of an earlier run if there is one."""
+    """Return the identified stage with its controllers, from the file of an earlier run if it exists."""
     path = folder / f"identified_{seed}.yaml"
     if not path.exists():
         parameters, known = identified(plant, seed)
@@ -235,7 +236,7 @@ def modelled(plant: Plant, seed: int, folder: pathlib.Path) -> tuple[StageParame
 
 
 def with_learning(parameters: StageParameters, learned: dict[str, LearningParameters]) -> StageParameters:
-    """Return the stage whose axes learn, or keep what they begin with."""
+    """Return the stage with the given learning of its axes; inactive learning keeps its initial correction."""
     axes = [
         replace(axis, motion_controller=replace(axis.motion_controller, learning=learned[name]))
         if name in learned
@@ -246,9 +247,9 @@ def with_learning(parameters: StageParameters, learned: dict[str, LearningParame
 
 
 def run_on(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Recording]:
-    """Return the plant as a stage with the controllers of a stage, and the recording of its run."""
+    """Return the stage with a plant instead of its models, and the recording of its run."""
     true = replace(parameters, stage=replace(parameters.stage, structure=plant.structure))
-    # one sample between command and structure, whatever the model of the delay says
+    # one sample of delay between command and structure, independent of the identified delay
     axes = tuple(
         replace(
             axis,
@@ -288,7 +289,7 @@ def judged(plant: Plant, parameters: StageParameters, periods: tuple[int, int]) 
 
 
 def learned_together(plant: Plant, parameters: StageParameters, folder: pathlib.Path) -> StageParameters:
-    """Return the stage with corrections of all axes after :data:`RUNS` runs, from measurements alone."""
+    """Return the stage with the corrections learned jointly in :data:`RUNS` runs, from measurements alone."""
     learning = CoupledLearning.of(parameters, LearningRequest("coupled", maximum=MAXIMUM))
     trials: list[Trial] = []
     now = parameters
@@ -300,7 +301,7 @@ def learned_together(plant: Plant, parameters: StageParameters, folder: pathlib.
         try:
             now = with_learning(parameters, learning.chosen(corrections, files))
         except ConfigurationError as error:
-            print(f"  after {len(trials)} runs: {error}; the corrections before stay", flush=True)
+            print(f"  after {len(trials)} runs: {error}; the previous corrections are kept", flush=True)
             return now
         if len(trials) == RUNS:
             return now
@@ -330,7 +331,7 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
             print(f"  learning up to {reached} Hz", flush=True)
             chosen, left = chosen | {"inverse": frozen, "learning": learned}, found.left
         for way in ways:
-            # without learning the third period is as good as any later one
+            # without learning the third period is the same as any later one
             lasts = periods if way == "learning" else (min(periods[0], 3), 1)
             if way == "together":
                 lasts = (FEWEST, 1)
@@ -347,13 +348,13 @@ def measured(seed: int, folder: pathlib.Path, models: pathlib.Path, ways: tuple[
 
 
 def main() -> int:
-    """Run the scans on all plants, print the worst of them and return the exit code."""
+    """Run the scans on all plants, print the worst results, and return the exit code."""
     parser = common.parser(__doc__.splitlines()[0])
-    parser.add_argument("--plants", default="0:12", help="first and last + 1 of the plants (default 0:12)")
-    parser.add_argument("--ways", default=",".join(WAYS), help="ways of control (default: all)")
-    parser.add_argument("--rows", metavar="F", help="append the figures of each plant to this file, line by line")
-    parser.add_argument("--models", metavar="FOLDER", help="keep the identified stages there, and take them from there")
-    parser.add_argument("--from-rows", metavar="F", help="take the figures from such a file")
+    parser.add_argument("--plants", default="0:12", help="seeds of the plants, FIRST:LAST+1 (default 0:12)")
+    parser.add_argument("--ways", default=",".join(WAYS), help="ways of control, separated by commas (default: all)")
+    parser.add_argument("--rows", metavar="F", help="append the figures of each plant to this file, as lines of JSON")
+    parser.add_argument("--models", metavar="FOLDER", help="folder of identified stages, to reuse and to add to")
+    parser.add_argument("--from-rows", metavar="F", help="evaluate a file of --rows instead of running the scans")
     arguments = parser.parse_args()
     ways = tuple(arguments.ways.split(","))
     if set(ways) - set(WAYS):

@@ -13,8 +13,9 @@
     python benchmarks/bench_structure.py FOLDER
 
 FOLDER holds ``u_100mV_train.npy`` … ``y_300mV_test.npy`` of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
-Orders are chosen and searches end on realisations of the training data; the test data are looked at once, at the end.
-Figures are the mean over outputs, realisations and periods of the RMS error after the first 100 samples [µm].
+Orders and the ends of the searches are chosen on held-out realisations of the training data; the test data are used
+once, at the end. Figures are the mean over outputs, realisations and periods of the RMS error after the first 100
+samples [µm].
 """
 
 from __future__ import annotations
@@ -29,23 +30,24 @@ from hysteresis_ros.identification.coupled import IdentifiedStructure, Structure
 
 LEVELS = (100, 200, 300)  # [mV]
 SAMPLE_TIME, PERIOD = 1.0 / 6400.0, 8192
-#: Samples that do not count, by the rule of the data set.
+#: Number of samples that are not evaluated, by the rule of the data set.
 SKIP = 100
 #: Highest excited frequency [Hz].
 BAND = (0.5, 2999.9)
-#: Orders that are tried for the linear models, and that of the structure: on realisations held out of the training data
-#: they differ by little more than 1 % at 200 mV.
+#: Orders that are tried for the linear models, and order of the structure. The errors of these orders on held-out
+#: realisations of the training data differ by little more than 1 % at 200 mV.
 ORDERS, STRUCTURE_ORDER = (36, 40, 44), 40
-#: What is wanted [µm], of a linear model for each level and of one structure for all levels, and its time [s].
+#: Largest errors of a linear model for each level and of one structure for all levels [µm]; largest time of
+#: the identification of the structure [s].
 WANTED_LINEAR = (0.066, 0.116, 0.165)
 WANTED_STRUCTURE = (0.080, 0.131, 0.169)
 WANTED_SECONDS = 600.0
-#: No step begins after so many seconds; one may take 30 s on a busy machine. And most steps.
+#: Time after which no step begins [s] (a step may take 30 s on a busy machine), and maximum number of steps.
 SEARCH, STEPS = 560.0, 40
 
 
 def recordings(folder: pathlib.Path, split: str, levels=LEVELS) -> StructureData:
-    """Return the realisations of some levels; the arrays have the shape (samples, channels, realisations, periods)."""
+    """Return the realisations of some levels from arrays of shape (samples, channels, realisations, periods)."""
 
     def read(name: str) -> np.ndarray:
         parts = [
@@ -59,7 +61,7 @@ def recordings(folder: pathlib.Path, split: str, levels=LEVELS) -> StructureData
 
 
 def errors(found: IdentifiedStructure, data: StructureData) -> np.ndarray:
-    """Return the error at each level [µm]."""
+    """Return the error of a structure at each level [µm]."""
     return 1e6 * found.score(data, SKIP).mean(axis=1)
 
 
@@ -67,13 +69,13 @@ def main() -> int:
     """Identify, print the figures and return the exit code."""
     parser = common.parser(__doc__.splitlines()[0])
     parser.add_argument("folder", nargs="?", help="folder of the recordings")
-    parser.add_argument("--only", choices=("linear", "structure"), help="one of the two parts")
+    parser.add_argument("--only", choices=("linear", "structure"), help="run only this part")
     parser.add_argument("--save", metavar="F", help="write the structure to this parameter file")
     parser.add_argument("--verbose", action="store_true", help="print each step")
     arguments = parser.parse_args()
     folder = pathlib.Path(arguments.folder or "")
     if arguments.folder is None or not (folder / "u_100mV_train.npy").exists():
-        print("bench_structure: skipped, no recordings of the mirror there; give their folder as the argument")
+        print("bench_structure: skipped, because there are no recordings; give the folder of the mirror's recordings")
         return 0
     progress = (lambda text: print(f"  {text}", flush=True)) if arguments.verbose else None
     results = []

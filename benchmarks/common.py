@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the benchmarks share: ratios from interleaved repeats, the table, the exit code."""
+"""Common functions of the benchmarks: ratios from interleaved repeats, the table, the exit code."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dataclasses import asdict, dataclass
 
 from hysteresis_ros.models.block import COMPILED
 
-#: The axis that everything is measured on: Kim, Kim & Park 2009, complete with quantiser, compensator and observer.
+#: The axis of most benchmarks: Kim, Kim & Park 2009, with quantiser, compensator and observer.
 CONFIGURATION = pathlib.Path(__file__).parent.parent / "config" / "kim2009.yaml"
 
 
@@ -42,7 +42,7 @@ class Result:
     Parameters
     ----------
     name : str
-        What was measured.
+        Name of the measured quantity.
     value : float
         The figure.
     limit : str
@@ -50,7 +50,7 @@ class Result:
     target : float
         The target.
     detail : str
-        The figures that the value was made from.
+        The figures from which the value was calculated.
     """
 
     name: str
@@ -66,27 +66,27 @@ class Result:
 
 
 def parser(description: str, **defaults) -> argparse.ArgumentParser:
-    """Return the command line that all benchmarks have."""
+    """Return the parser of the options that all benchmarks have."""
     made = argparse.ArgumentParser(description=description)
     made.add_argument("--json", metavar="F", help="write the figures to this file as well")
     repeats = defaults.get("repeats")
     if repeats:
-        made.add_argument("--repeats", type=int, default=repeats, help=f"repeats (default {repeats})")
+        made.add_argument("--repeats", type=int, default=repeats, help=f"number of repeats (default {repeats})")
     return made
 
 
 def realtime_parser(description: str, seconds: float, turns: int) -> argparse.ArgumentParser:
-    """Return the command line of benchmarks that run loops in real time, in turns with a C loop."""
+    """Return the parser for benchmarks of loops in real time, in turns with a C loop."""
     made = parser(description)
-    made.add_argument("--seconds", type=float, default=seconds, help=f"length of a turn of each (default {seconds:g})")
-    made.add_argument("--turns", type=int, default=turns, help=f"turns (default {turns})")
-    made.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
-    made.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
+    made.add_argument("--seconds", type=float, default=seconds, help=f"length of a turn [s] (default {seconds:g})")
+    made.add_argument("--turns", type=int, default=turns, help=f"number of turns (default {turns})")
+    made.add_argument("--priority", type=int, default=80, help="SCHED_FIFO priority; 0: normal (default 80)")
+    made.add_argument("--cpu", type=int, default=-1, help="core of the loops; -1: any (default -1)")
     return made
 
 
 def require_compiled() -> None:
-    """Raise when there is no compiled loop to measure."""
+    """Raise BenchmarkError if the kernels are not compiled."""
     if not COMPILED:
         raise BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
 
@@ -102,7 +102,7 @@ def busy_core() -> Iterator[None]:
 
 
 def machine() -> dict:
-    """Return what the figures depend on."""
+    """Return the date, the machine and the versions, on which the figures depend."""
     processor = platform.processor() or platform.machine()
     info = pathlib.Path("/proc/cpuinfo")
     if info.exists():
@@ -117,7 +117,7 @@ def machine() -> dict:
 
 
 def report(results: list[Result], options) -> int:
-    """Print the table, write the JSON file if wanted, and return the exit code: 1 when a target is missed."""
+    """Print the table, write the JSON file if requested, and return the exit code: 1 if a target is missed."""
     about = machine()
     print(f"{about['date']}, {about['cores']} cores, {about['processor']}, {about['python']}")
     width = max(len(result.name) for result in results)
@@ -132,7 +132,7 @@ def report(results: list[Result], options) -> int:
 
 
 def run(main) -> None:
-    """Run the ``main`` of a benchmark; what it cannot do is one line on standard output and exit code 2."""
+    """Run the ``main`` of a benchmark; if it cannot run, print one line with the reason, and exit with code 2."""
     try:
         raise SystemExit(main())
     except BenchmarkError as error:
@@ -141,7 +141,7 @@ def run(main) -> None:
 
 
 def cpu_seconds(function) -> float:
-    """Return the processor time of this thread [s] that ``function()`` takes: other programs do not count."""
+    """Return the processor time of this thread [s] for ``function()``, on which other programs have little effect."""
     start = time.thread_time_ns()
     function()
     return (time.thread_time_ns() - start) * 1e-9
@@ -150,8 +150,8 @@ def cpu_seconds(function) -> float:
 def interleaved(first, second, repeats: int, seconds=cpu_seconds) -> tuple[float, float, float]:
     """Time two functions in turns and return the median ratio first / second and the median time of each [s].
 
-    The two of a pair run directly after one another, in alternating order, so that what else happens on the machine
-    meets both; the ratio is taken pair by pair.
+    The two functions of a pair run directly one after the other, in alternating order, so that other work of the
+    machine affects both. A ratio is calculated for each pair.
     """
     times: list[tuple[float, float]] = []
     for index in range(repeats):
@@ -165,6 +165,6 @@ def interleaved(first, second, repeats: int, seconds=cpu_seconds) -> tuple[float
 
 
 def resident_megabytes() -> float:
-    """Return the memory that this process has in RAM [MB] (Linux)."""
+    """Return the resident memory of this process [MB] (Linux)."""
     pages = int(pathlib.Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

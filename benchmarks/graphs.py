@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The four nodes in lockstep, and a bare relay of the same graph that computes nothing; started by bench_lockstep.py.
+"""The four nodes in lockstep, and a relay of the same graph that computes nothing; started by bench_lockstep.py.
 
-The relay has the same topics, messages, quality of service and executor, reuses its messages as the nodes do, and sends
-on what comes in. It checks nothing, counts nothing and knows no partners: what it costs is the price of the messages.
+The relay has the same topics, messages, quality of service and executor, reuses its messages as the nodes do, and
+forwards what it receives. It performs no checks and does not monitor its partners, so its time is that of the messages.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ except ImportError:  # as the nodes do
 
 
 class Turns:
-    """Lets the two graphs run in turns of some samples, and takes the time of each turn.
+    """Lets the two graphs run in turns of some samples, and measures the time of each turn.
 
-    What else happens on the machine then meets both alike, however it changes.
+    Other work of the machine, even if it changes, then affects both graphs equally.
 
     Parameters
     ----------
     samples : int
-        Samples of a turn.
+        Number of samples per turn.
     """
 
     def __init__(self, samples: int):
@@ -61,7 +61,7 @@ class Turns:
         self._start = None
 
     def may(self, graph: str, sample: int) -> bool:
-        """Tell whether ``graph`` may publish ``sample``."""
+        """Return whether ``graph`` may publish ``sample``."""
         if self.whose != graph:
             return False
         if self._start is None:
@@ -75,12 +75,12 @@ class Turns:
 
 
 class TimedRunner(LockstepPlant):
-    """Makes a sample only in its turn."""
+    """Advances the plant only in its turn."""
 
     turns: Turns
 
     def advance(self) -> None:
-        """Publish the present sample when it is this graph's turn, too."""
+        """Publish the current sample, if it is this graph's turn; the end of the run is published in any turn."""
         node = self.node
         if self.turns.may("nodes", node.sample) or node.sample == node.parameters.samples:
             super().advance()
@@ -90,7 +90,7 @@ class TimedPlant(PlantSimulatorNode):
     """The plant, which advances only in its turn."""
 
     def make_runner(self) -> TimedRunner:
-        """Return what decides when a sample is made."""
+        """Return the runner that decides when the plant advances."""
         return TimedRunner(self)
 
 
@@ -115,7 +115,7 @@ class Relay(Node):
         self.number = Float64()
 
     def listen(self, message_type, topic: str, callback) -> None:
-        """Subscribe like the nodes."""
+        """Subscribe to a topic as the nodes do."""
         self.create_subscription(message_type, topic, callback, self.qos)
 
     def listen_end(self) -> None:
@@ -123,7 +123,7 @@ class Relay(Node):
         self.create_subscription(UInt64, "end_of_run", self.on_end, latched_qos())
 
     def talk(self, topic: str):
-        """Publish numbers like the nodes."""
+        """Return a publisher of numbers like that of the nodes."""
         return self.create_publisher(Float64, topic, self.qos)
 
     def publish_state(self, value: float) -> None:
@@ -142,7 +142,7 @@ class Relay(Node):
         self.state.header.stamp = message.header.stamp
 
     def ignore(self, message) -> None:
-        """Take a message that the nodes take too."""
+        """Receive a message that the nodes also receive."""
 
 
 class RelayPlant(Relay):
@@ -164,12 +164,12 @@ class RelayPlant(Relay):
         self.waiting = True
 
     def begin(self) -> None:
-        """Begin a turn; the first one once the three readers are there."""
+        """Publish the current sample if the relay waits for its turn and the three readers are present."""
         if self.waiting and not self.ended and self.joint_states.get_subscription_count() == 3:
             self.advance()
 
     def advance(self) -> None:
-        """Publish the present sample when it is this graph's turn."""
+        """Publish the current sample, if it is this graph's turn."""
         self.waiting = not self.turns.may("relay", self.sample)
         if not self.waiting:
             self.joint_states.publish(self.message)
@@ -199,7 +199,7 @@ class RelayReference(Relay):
         self.listen_end()
 
     def on_sample(self, message) -> None:
-        """Answer the sample."""
+        """Publish the reference for a sample."""
         super().on_sample(message)
         self.number.data = message.position[0]
         self.output.publish(self.number)
@@ -218,7 +218,7 @@ class RelayController(Relay):
         self.listen_end()
 
     def on_reference(self, message) -> None:
-        """Send the reference on as command."""
+        """Publish the reference as command."""
         self.number.data = message.data
         self.output.publish(self.number)
         self.publish_state(message.data)
@@ -236,14 +236,14 @@ class RelayCompensator(Relay):
         self.listen_end()
 
     def on_command(self, message) -> None:
-        """Send the command on as voltage."""
+        """Publish the command as voltage."""
         self.number.data = message.data
         self.output.publish(self.number)
         self.applied.publish(self.number)
         self.publish_state(message.data)
 
 
-#: Node name: the node, and its place in the relay.
+#: Node name: the class of the node, and that of its counterpart in the relay.
 PARTS = {
     "plant_simulator": (TimedPlant, RelayPlant),
     "hysteresis_compensator": (HysteresisCompensatorNode, RelayCompensator),
@@ -253,7 +253,7 @@ PARTS = {
 
 
 def relay(parts, arguments) -> None:
-    """Run nodes of the relay until the end, as the nodes' own loop does."""
+    """Run nodes of the relay until the end of the run, with the same loop as the nodes."""
     context = Context()
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = Executor(context=context)
@@ -271,13 +271,13 @@ def relay(parts, arguments) -> None:
 
 
 def main() -> int:
-    """Run one process of both graphs; returns the exit code."""
+    """Run one process with its nodes of both graphs; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("node", choices=("all", *PARTS))
     parser.add_argument("parameters", help="parameter file of the nodes")
     parser.add_argument("namespace")
     parser.add_argument("turns", type=int)
-    parser.add_argument("samples", type=int, help="samples of a turn")
+    parser.add_argument("samples", type=int, help="number of samples per turn")
     options = parser.parse_args()
     parts = list(PARTS.values()) if options.node == "all" else [PARTS[options.node]]
     TimedRunner.turns = RelayPlant.turns = turns = Turns(options.samples)
@@ -286,7 +286,7 @@ def main() -> int:
     def ros(graph):
         return ["benchmark", "--ros-args", "--log-level", "warn", "-r", f"__ns:={options.namespace}/{graph}"]
 
-    # a thread of its own, which sleeps while the nodes have their turn, and the other way round
+    # a separate thread, which sleeps during the turns of the nodes; the nodes sleep during its turns
     bare = threading.Thread(target=relay, args=([stand_in for _, stand_in in parts], ros("relay")), daemon=True)
     bare.start()
     code = run([node for node, _ in parts], [*ros("nodes"), "--params-file", options.parameters])

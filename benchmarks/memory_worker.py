@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One process whose memory bench_memory.py measures: a node, all four composed, or a bare node that does nothing.
+"""One process whose memory bench_memory.py measures: a node, all four nodes composed, or an empty node.
 
-It answers every line on its standard input with one line of JSON, and leaves when the input ends.
+The process answers every line on its standard input with one line of JSON, and exits when the input ends.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ LEAVING = threading.Event()
 
 
 def answer() -> None:
-    """Answer lines until there are no more, then leave as after Ctrl-C."""
+    """Answer lines until the input ends, then exit as after Ctrl-C."""
     for _ in sys.stdin:
         found = {
             "sample": STATE["sample"](),

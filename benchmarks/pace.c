@@ -7,10 +7,10 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-/* The yardstick of bench_realtime.py: the fused loop's waiting with nothing to do.
+/* The reference loop of bench_realtime.py: it waits for each deadline like the fused loop, and computes nothing.
 
-   pace RATE SAMPLES PRIORITY CPU writes the lateness of each sample [ns], int64, to standard output. PRIORITY 0 is a
-   normal one, CPU -1 any. Exit code 3: priority or core are not permitted. */
+   pace RATE SAMPLES PRIORITY CPU writes the lateness of each sample [ns], int64, to standard output. PRIORITY 0 is the
+   normal priority, CPU -1 any core. Exit code 3: the priority or the core is not permitted. */
 
 #define _GNU_SOURCE
 #include <sched.h>

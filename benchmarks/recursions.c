@@ -9,8 +9,8 @@
 
 /* The recursions of hysteresis_ros in C, operation by operation as in the Python sources named at each function.
  *
- * bench_kernels.py compiles this file with `gcc -O3` and times it beside the compiled kernels. p and x have the layouts
- * of the Python modules; u, r and y are signals of n samples.
+ * bench_kernels.py compiles this file with `gcc -O3` and compares its times with those of the compiled kernels. p and x
+ * have the layouts of the Python modules; u, r and y are signals of n samples.
  */
 
 #include <math.h>
@@ -189,7 +189,7 @@ static inline double polynomial_inverse(double *x, const double *p, const double
     return voltage;
 }
 
-/* Voltage for each displacement, and the model following it. */
+/* Calculates the voltage for each displacement, and advances the model with it. */
 void run_compensation(Parameters p, State x, State scratch, const double *restrict r, double *restrict voltage, size_t n)
 {
     for (size_t k = 0; k < n; k++) {
