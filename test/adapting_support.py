@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis whose inverse adapts: the measured stage under a triangle, its plant 15 % off in gain and in opening."""
+"""An axis whose inverse adapts: the measured stage under a triangle; gain and opening of its plant are 15 % off."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hysteresis_ros.loop.reach import single_axis
 LAG = {"A": [0.686131723], "B": [0.313868277], "C": [1.0], "sample_time": 0.005}
 ADAPTATION = {"adaptation__type": "recursive", "adaptation__memory": 8.0, "adaptation__rate": 0.2}
 ADAPTATION |= {f"adaptation__dynamics__{name}": value for name, value in LAG.items()}
-#: What the plant's weights are of the identified ones, and what of its parameters that changes.
+#: Ratio of the plant's weights to the identified ones, and the parameters to which this ratio applies.
 TRUE = np.where(np.arange(20) > 0, 0.85, 1.0) * 0.85
 CHANGED = ("weights", "thresholds")
 TRIANGLE = {

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Compile what most tests run, before they begin: else each worker and the first nodes compile it for themselves.
+"""Compile the kernels of most tests in advance; otherwise each worker and the first nodes compile them themselves.
 
-``make test`` runs this first; without it tests only take longer.
+``make test`` runs this script first; without it the tests only take longer.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ for name in ("kim2009", "inchworm_travel"):
     FusedLoop(Axis(axis.with_time_mode("fused")))
 FusedLoop(Stage(StageParameters.from_configuration(load_configuration("xy_scanner"))))
 if importlib.util.find_spec("rclpy"):
-    # nodes call kernels one by one, and compile other forms of them
+    # nodes call kernels one by one, and compile other versions of them
     axis = single_axis(load_configuration("kim2009").override("", exit_at_end=True)).with_duration(0.02)
     with contextlib.ExitStack() as stack:
         domain = stack.enter_context(Domain())

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What tests of integral force feedback share: the shipped stage with what a design for it has found."""
+"""Common functions of the tests of integral force feedback: the shipped stage with the result of a design for it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ IFF = {
     "pid__Ki": 1722.55,
     "pid__Kd": 9.72554e-5,
 }
-#: Without what hides small differences.
+#: Without effects that hide small differences.
 CLEAN = {"sensor__noise": 0.0, "force_sensor__noise": 0.0, "limits__bits": 0}
 
 
 def changed(**values) -> dict[str, float]:
-    """Return parameters as a change names them."""
+    """Return parameters with the names that a change uses."""
     return {name.replace("__", "."): value for name, value in (IFF | values).items()}

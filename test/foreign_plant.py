@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plants that no model of the package describes, for tests of the way from a recording to a closed loop.
+"""Plants that no model of the package describes, for tests from a recording to a closed loop.
 
-voltage → delay → amplifier lag → plays whose radius grows with the rate and whose branches are bent unlike each other
-+ relays of a Preisach plane → creep → lags and modes in series → sensor noise. All is integrated in steps finer than a
-sample; the measurement of a sample is taken before its voltage acts. ``fast`` compiles the loop where Numba is there.
+voltage → delay → amplifier lag → plays whose radius grows with the rate and whose branches are curved differently
++ relays of a Preisach plane → creep → lags and modes in series → sensor noise. The chain is integrated in steps finer
+than a sample; the measurement of a sample is taken before its voltage acts. ``fast`` compiles the loop if Numba exists.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ try:
 except ImportError:  # slower, otherwise the same
 
     def fast(function):
-        """Leave the function as it is."""
+        """Return the function unchanged."""
         return function
 
 
@@ -39,22 +39,22 @@ class ForeignPlant:
 
     Parameters
     ----------
-    sample_rate : float
+    [s], in multiples of 1/8 of a sample.
         [Hz]
-    amplifier : float
+    Time constant after the hysteresis [s].
         Time constant before the hysteresis [s].
     delay : float
         [s], in parts of 1/8 of a sample.
     lag : float
         Time constant behind the hysteresis [s].
     modes : tuple of (float, float, float)
-        Frequency [Hz], damping, and the part of the displacement that passes through the mode (1: all of it).
+        Frequency [Hz], damping, and the fraction of the displacement that passes through the mode (1: all of it).
     hysteresis : float
-        Part of the displacement that is hysteretic; 0: a proportional stage.
+        Fraction of the displacement that is hysteretic; 0: a proportional stage.
     rate : float
         Time by which the radius of the plays grows with the slope of the voltage, relative to 100 V [s].
     creep : float
-        Part of a step by which each of the two operators (0.3 s, 6 s) creeps.
+        Fraction of a step by which each of the two operators (0.3 s, 6 s) creeps.
     noise : float
         Standard deviation [m].
     """
@@ -74,14 +74,14 @@ class ForeignPlant:
         return PlantRun(self)
 
     def record(self, voltage, seed: int = 0) -> np.ndarray:
-        """Return what is measured [m], shape (N,), under voltages of one sample each [V]."""
+        """Return the measured displacements [m], shape (N,), under voltages of one sample each [V]."""
         run = self.start()
         clean = run.advance(np.asarray(voltage, dtype=float))
         return clean + self.noise * np.random.default_rng(seed).standard_normal(len(clean))
 
 
 class PlantRun:
-    """The state of a plant under way."""
+    """The state of a running plant."""
 
     def __init__(self, plant: ForeignPlant):
         step = 1.0 / plant.sample_rate / STEPS
@@ -132,7 +132,7 @@ def _advance(voltage, found, output, sizes, lags, modes, plays, relays, line, st
             for j in range(len(modes)):
                 omega = 2.0 * np.pi * modes[j, 0]
                 x, rate = state[5 + 2 * j] - output, state[6 + 2 * j]
-                # exact under a held input
+                # exact for a held input
                 damped = omega * np.sqrt(1.0 - modes[j, 1] ** 2)
                 decay = np.exp(-modes[j, 1] * omega * step)
                 c, s = np.cos(damped * step), np.sin(damped * step) / damped
@@ -144,7 +144,7 @@ def _advance(voltage, found, output, sizes, lags, modes, plays, relays, line, st
 
 @fast
 def _static(v, slope, sizes, plays, relays):
-    """Displacement [m] of plays, relays and the part without hysteresis."""
+    """Displacement [m] of plays, relays and the linear part."""
     widening = 1.0 + sizes[1] * slope
     played = 0.0
     for i in range(len(plays)):

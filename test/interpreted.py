@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What compiled kernels are compared with: the same computation in a process without Numba's machine code."""
+"""Reference for compiled kernels: the same computation in a process without Numba's machine code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 
 
 def interpreted(module: str, expression: str, folder) -> np.ndarray:
-    """Return what ``expression`` gives in the namespace of a support module, every kernel interpreted."""
+    """Return the value of ``expression`` in the namespace of a support module, with every kernel interpreted."""
     path = folder / "interpreted.npy"
     script = f"import sys\nsys.path[:0] = {sys.path!r}\nimport numpy\nfrom {module} import *\n"
     script += f"numpy.save({str(path)!r}, {expression})\n"

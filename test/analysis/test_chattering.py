@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Chattering and effort: closed forms, and the laws of control in the order that theory gives them."""
+"""Chattering and effort: closed forms, and the ranking of control laws that theory predicts."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_what_is_not_recorded_is_said():
 
 
 def test_discontinuous_law_chatters_more_than_boundary_layer_and_implicit_super_twisting():
-    """Kim's axis with a wrong compensator: the same level β once as a sign, once within a layer of width δ."""
+    """Kim's axis with a wrong compensator: the same level β as a sign function, and in a boundary layer of width δ."""
     base = load_configuration(CONFIG).override("hysteresis_compensator", hysteresis__polynomial__scale=1.05)
     estimating = dict(kalman__gain="riccati", kalman__q=0.685, kalman__disturbance="constant")
     sign = dict(type="sliding_mode", sliding_mode__beta=0.02, sliding_mode__delta=0.0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What of a run is judged: a part, the last periods, no jump into a scan; and how it is said."""
+"""Which part of a run is evaluated (a part, the last periods, no jump into a scan), and how the report states it."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from hysteresis_ros.recordings import Recording, load_run, save_run
 from hysteresis_ros.recordings.run_bag import write_recording
 
 RATE = 1000.0
-#: Amplitude of the error of the scan [m], below the size at which it is told in nanometres.
+#: Amplitude of the error of the scan [m], small enough to be shown in nanometres.
 RIPPLE = 20e-9
 
 
 def scan(seconds_: float = 1.0, start: float = 0.0, noise: float = 0.0):
-    """A 5 Hz triangle over 10 µm that is followed with a ripple, and reached from ``start`` [m] within 20 ms."""
+    """A 5 Hz triangle over 10 µm, tracked with a ripple; the axis reaches it from ``start`` [m] within 20 ms."""
     time = np.arange(round(seconds_ * RATE)) / RATE
     turn = (5.0 * time + 1e-9) % 1.0
     reference = 5e-6 + 10e-6 * (1.0 - np.abs(1.0 - 2.0 * turn))
@@ -64,7 +64,7 @@ def test_the_jump_into_a_scan_does_not_count_and_is_said():
     assert any("errors count from 0.1 s on" in note for note in figures["notes"]["recording"])
     (axis,) = chart_figure(error_chart(judged(scan(start=1e-9)))).axes
     assert axis.get_legend() is not None and axis.get_ylabel() == "error [nm]"
-    assert np.ptp(axis.get_ylim()) < 200.0, "what does not count makes the rest small"
+    assert np.ptp(axis.get_ylim()) < 200.0, "samples that are not evaluated determine the scale"
 
 
 def test_steps_and_a_scan_without_a_jump_count_from_the_beginning():
@@ -119,7 +119,7 @@ def test_small_lengths_are_nanometres_and_large_ones_are_not():
 
 
 def test_a_loop_that_is_drawn_has_a_width_also_where_the_voltage_is_noisy():
-    """Noise that reverses the voltage by more than a hundredth of its range hides no loop."""
+    """A loop is found even if noise reverses the voltage by more than a hundredth of its range."""
     run = scan(noise=3.0)
     assert compute_metrics(run)["voltage_loop_width_percent"] is not None
     lines = loops_chart(judged(run)).lines
@@ -153,7 +153,7 @@ def test_a_page_says_what_when_and_with_which_version(tmp_path):
 
 
 def test_a_bag_with_a_raw_file_is_an_axis_and_a_folder_names_its_bags(tmp_path):
-    """A section for every node makes nobody an inchworm."""
+    """A section for each node, including the sequencer, does not make an actuator's axis an inchworm."""
     for name in ("left", "right"):
         write_recording(scan(), tmp_path / name, config_path("kim2009").read_text(encoding="utf-8"))
     result = CliRunner().invoke(main, ["report", str(tmp_path / "left")])
@@ -166,7 +166,7 @@ def test_a_bag_with_a_raw_file_is_an_axis_and_a_folder_names_its_bags(tmp_path):
 
 
 def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatch):
-    """`ros2 launch … record:=` puts two files together: 5e-6 stays a number, and no inchworm comes of it."""
+    """`ros2 launch … record:=` merges two files: 5e-6 remains a number, and the axis does not become an inchworm."""
     launch = load_launch_file(monkeypatch)
     path = tmp_path / "axis.yaml"
     text = config_path("kim2009").read_text(encoding="utf-8").replace("maximum: 12.0e-6", "maximum: 12e-6")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Report of an inchworm's run: figures against runs worked out by hand, and the page."""
+"""Report of an inchworm's run: figures compared with values calculated by hand, and the page."""
 
 import json
 import re
@@ -52,7 +52,7 @@ CONFIGURATION = """
 
 
 class Story:
-    """A made-up run: the slider jumps at the end of each step."""
+    """A synthetic run: the slider jumps at the end of each step."""
 
     def __init__(self):
         self.now = dict.fromkeys((*REQUIRED, "setpoint", "displacement", "error", "request", "speed"), 0.0)
@@ -60,7 +60,7 @@ class Story:
         self.rows = []
 
     def wait(self, samples, **changes):
-        """Hold everything for some samples; requests last for one."""
+        """Keep all signals for some samples; a request lasts one sample."""
         self.now |= changes
         for _ in range(samples):
             self.rows.append(dict(self.now))
@@ -95,7 +95,7 @@ class Story:
 
 
 def walk(steps=5, moved=7.6e-6):
-    """Ten samples of rest, then a setpoint, steps of 8 µm that slip by 0.4 µm, 40 samples at the setpoint."""
+    """Ten samples at rest, a setpoint, steps of 8 µm that slip by 0.4 µm, and 40 samples at the setpoint."""
     story = Story().wait(10, arrived=1.0)
     story.now["setpoint"] = steps * moved
     for _ in range(steps):
@@ -105,7 +105,7 @@ def walk(steps=5, moved=7.6e-6):
 
 def test_a_walk_by_hand():
     story = walk()
-    # from the arrival (sample 110 of 150) on: the second half of the hold has the error 3 nm and 5 nm in turn
+    # from the arrival (sample 110 of 150) on: in the second half of the hold, errors of 3 nm and 5 nm alternate
     for k in range(130, 150):
         story.rows[k]["displacement"] = 5 * 7.6e-6 - (3.0e-9 if k % 2 else 5.0e-9)
     story.rows[112]["displacement"] = 5 * 7.6e-6 + 50.0e-9

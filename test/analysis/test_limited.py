@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A run whose output was limited for more than a moment says so, and by what."""
+"""The report states by what the output of a run was limited, if it was limited for more than a moment."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is shown of signals at kilohertz: no peak is lost, whatever the columns of the screen are."""
+"""Display of signals at kilohertz: no peak is lost, for any number of screen columns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VALUES = st.floats(-1e6, 1e6) | st.just(float("nan"))
 
 @st.composite
 def tables(draw):
-    """Signals, and samples of a bin: (rows, bins × length)."""
+    """Signals, and the number of samples per bin: (rows, bins × length)."""
     rows, bins, length = draw(st.integers(1, 4)), draw(st.integers(0, 6)), draw(st.integers(1, 9))
     return draw(arrays(float, (rows, bins * length), elements=VALUES)), length
 
@@ -70,7 +70,7 @@ def test_the_area_below_the_spectrum_is_the_variance_and_a_line_stands_where_it_
     time = np.arange(24000) / rate
     noise = np.random.default_rng(1).normal(0.0, 1e-9, time.size)
     found, density = amplitude_density(noise, rate)
-    # white: a density of σ √(2 / rate) at all frequencies; of each step of the picture the greatest is shown
+    # white noise: a density of σ √(2 / rate) at all frequencies; the largest value of each displayed step
     assert np.median(density[found < 20.0]) == pytest.approx(1e-9 * np.sqrt(2.0 / rate), rel=0.25)
     found, density = amplitude_density(noise + amplitude * np.sin(2.0 * np.pi * frequency * time), rate)
     assert found[density.argmax()] == pytest.approx(frequency, rel=0.02)

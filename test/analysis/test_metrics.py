@@ -147,7 +147,7 @@ def test_residual_is_taken_from_the_end_of_the_last_hold_at_zero():
         [np.zeros(1000), np.full(1000, 1e-6), np.full(1000, 0.5e-6), np.full(1000, -1e-6), left]
     )
     assert compute_metrics(run(time, reference, displacement))["residual_m"] == pytest.approx(0.3e-6)
-    # a hold at zero before anything moved is none
+    # a hold at zero before any motion is not counted as a hold
     assert compute_metrics(run(time[:2000], reference[:2000], displacement[:2000]))["residual_m"] is None
 
 
@@ -155,12 +155,12 @@ def test_iae_is_the_integral_of_the_size_also_where_the_sign_changes_every_sampl
     time = np.arange(1001) / 1000.0
     error = 2e-6 * (-1.0) ** np.arange(1001)
     assert compute_metrics(run(time, np.zeros(1001), -error))["iae_m_s"] == pytest.approx(2e-6)
-    # trapezes: a triangle of error between three samples
+    # trapezoids: the error is a triangle between three samples
     figures = compute_metrics(run(time[:3], np.zeros(3), np.array([0.0, 1e-6, 0.0])))
     assert figures["iae_m_s"] == pytest.approx(1e-9)
 
 
-#: What one of a figure's shown units is in SI.
+#: Factor from each displayed unit to SI.
 SHOWN = {
     **{"µm": 1e-6, "µm s": 1e-6, "µm/s": 1e-6, "nm rms": 1e-9, "nm": 1e-9, "mm": 1e-3, "ms": 1e-3, "µs": 1e-6},
     **dict.fromkeys(
@@ -212,7 +212,7 @@ def triangle(cycles, samples=2000):
     [(0, 1.0, 15.0), (1, 1.0, 8.2), (3, 1.0, 1.7), (6, 1.0, 0.26), (1, 1.12, 9.3), (3, 1.12, 1.8), (6, 1.12, 0.10)],
 )
 def test_loop_widths_of_the_inverse_are_those_published(picard_steps, rate, percent):
-    """Loop of 120 V, 15 % open: 15, 8.2, 1.7, 0.26 % after 0, 1, 3, 6 Picard steps with R g = 1 (PAPERS K7a, K8)."""
+    """A loop of 120 V with 15 % width: 15, 8.2, 1.7, 0.26 % after 0, 1, 3, 6 Picard steps, R g = 1 (PAPERS K7a, K8)."""
     g, d, w, v_max = 0.1025e-6, 0.0125e-6, 0.15, 120.0
     corner = d * v_max
 
@@ -264,7 +264,7 @@ def test_the_opening_is_that_of_the_widest_loop_wherever_it_stands(order, sign):
     falling = np.append(np.diff(u) < 0.0, False)
     opened = np.repeat(order, 2000)
     y = u + 0.5 * sign * np.append(opened, 0.0) * np.where(falling, 1.0, -1.0) * (1.0 - u**2)
-    # the first branch is none of a loop: the second one falls in the cycle of the first opening
+    # the first branch belongs to no loop; the second one falls in the cycle of the first loop width
     widest = max(0.5 * (a + b) for a, b in zip(np.repeat(order, 2)[1:-1], np.repeat(order, 2)[2:], strict=True))
     assert loop_opening(u, y) == pytest.approx(widest, rel=0.02)
 

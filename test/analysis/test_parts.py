@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parts of synthetic runs that are known, and of runs that were stopped."""
+"""Parts of synthetic runs whose parts are known, and of runs that were stopped."""
 
 import json
 
@@ -77,7 +77,7 @@ def test_a_run_falls_into_its_parts(name):
     reference = np.concatenate(given) if np.ndim(given[0]) else np.asarray(given)
     found = find_parts(reference)
     assert [part.kind for part in found] == [kind for kind, *_ in expected]
-    # the beginning of a scan is known to a part of its period: what is before it is like it for a while
+    # the beginning of a scan is known only to a fraction of its period, because the motion before it is similar
     for part, (_, start, stop) in zip(found, expected, strict=True):
         assert part.start == pytest.approx(start, abs=12) and part.stop == pytest.approx(stop, abs=12)
     assert found[0].start == 0 and found[-1].stop == reference.size
@@ -105,7 +105,7 @@ def test_two_tones_repeat_after_all_of_their_reversals():
 
 
 def test_a_scan_is_judged_over_its_whole_periods():
-    """Before the first reversal and at rest the error is another, which the scan is not judged by."""
+    """The error before the first reversal and at rest is different; it is not counted for the scan."""
     reference = np.concatenate([REST, TRIANGLE, REST])
     time = np.arange(1400) / RATE
     inside = (time >= 0.299) & (time < 1.1)
@@ -116,13 +116,13 @@ def test_a_scan_is_judged_over_its_whole_periods():
     assert scan["rms_error_percent_of_stroke"] == pytest.approx(0.2, rel=1e-2)
     assert (scan["periods"], scan["period_s"]) == (4, pytest.approx(0.2))
     assert hold["rms_error_m"] == pytest.approx(300e-9) and "loop_width_percent" in scan and "steps" not in scan
-    assert compute_metrics(run(reference))["steps"] == 0, "a scan between rests is no step"
+    assert compute_metrics(run(reference))["steps"] == 0, "a scan between two rests is not a step"
     higher = np.concatenate([REST, TRIANGLE, np.full(200, 5e-6)])
     assert compute_metrics(run(higher))["overshoot_percent"] is None
 
 
 def stopped_run(stop: int = 1000, signal: str = "tripped", value: float = 3.0):
-    """Steps that are followed with 10 % overshoot; then the axis is stopped, which moves it by 1.5 µm."""
+    """Steps that are tracked with 10 % overshoot; then the axis is stopped, which moves it by 1.5 µm."""
     displacement = STEPS.copy()
     for start in np.flatnonzero(np.diff(STEPS)) + 1:
         displacement[start : start + 5] += 0.1 * (STEPS[start] - STEPS[start - 1])
@@ -143,7 +143,7 @@ def test_a_shutdown_is_no_step_and_is_not_judged(signal, value):
     assert set(figures["parts"][-1]) == {"part", "from_s", "to_s"} and figures["parts"][-1]["from_s"] == 1.0
     assert figures["overshoot_percent"] == pytest.approx(10.0) and figures["steps"] == 4
     assert figures["settling_time_s"] == pytest.approx(0.005) and figures["steady_state_error_m"] < 1e-15
-    assert figures["max_error_m"] == pytest.approx(0.5e-6), "10 % of 5 µm: nothing of the shutdown"
+    assert figures["max_error_m"] == pytest.approx(0.5e-6), "10 % of 5 µm, without the motion of the shutdown"
     assert figures["duration_s"] == pytest.approx(1.399) and figures["samples"] == 1400
     assert "0.4 s of shutdown" in " ".join(figures["notes"]["recording"])
     assert not judged(recording).counted[1000:].any() and judged(recording).counted[:1000].all()
@@ -237,7 +237,7 @@ def test_text_leads_with_the_parts_and_what_judges_the_longest():
 
 @pytest.mark.parametrize("samples", [4, 24, 90])
 def test_errors_are_also_given_without_what_skipped_samples_disturbed(samples):
-    # an error of 2 nm, and after each of forty skipped samples 1 µm that decays within the given number of samples
+    # an error of 2 nm; after each of forty skipped samples 1 µm of error that decays within the given number of samples
     random = np.random.default_rng(5)
     skipped = np.zeros(40000)
     skipped[random.choice(np.arange(200, 39000), 40, replace=False)] = 1.0

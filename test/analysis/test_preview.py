@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""With a preview a run is judged by the reference to be followed at a sample, not the one received then."""
+"""With a preview a run is evaluated against the reference that applies to a sample, not the one received then."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plots and report: complete, self-contained, honest about missing libraries."""
+"""Plots and report: complete, self-contained, and with a message if a library is missing."""
 
 import builtins
 import html

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report in a browser: a zoom changes what is drawn and its figures, the cursor says values."""
+"""The report in a browser: a zoom changes the plotted data and its figures, the cursor shows values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hysteresis_ros.recordings import Recording
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
-#: What a hand would do, and what an eye would see, as JSON in the page's last element.
+#: Actions of a user and the resulting display, written as JSON into the last element of the page.
 TRIAL = """
 <pre id="seen"></pre>
 <script>
@@ -89,7 +89,7 @@ def run() -> Recording:
     time = np.arange(4000) / 1000.0
     reference = 5e-6 * (1.0 - np.cos(2 * np.pi * 2.0 * time))
     displacement = reference - 10e-9 * (1.0 + time) * np.sin(2 * np.pi * 31.0 * time)
-    displacement[-1] += 80e-9  # the largest error of all is in the last block
+    displacement[-1] += 80e-9  # the largest error of the run is in the last block
     columns = {"time": time, "reference": reference, "displacement": displacement, "voltage": 1e7 * reference}
     limits = "/**/hysteresis_compensator:\n  ros__parameters:\n    limits: {minimum: -30.0, maximum: 120.0}\n"
     return Recording.from_columns(columns, {"configuration": limits})
@@ -98,7 +98,7 @@ def run() -> Recording:
 @pytest.fixture(scope="module")
 def seen(run, tmp_path_factory) -> dict:
     if CHROMIUM is None:
-        pytest.skip("no Chromium is installed: nobody looks at the page")
+        pytest.skip("Chromium is not installed")
     folder = tmp_path_factory.mktemp("browser")
     page = folder / "page.html"
     page.write_text(render_report(run, "run").replace("</body>", TRIAL), encoding="utf-8")
@@ -133,7 +133,7 @@ def test_a_zoom_changes_what_is_drawn_and_its_figures(seen, run):
     changed = {name for name, a, b in zip(seen["names"], seen["before"], seen["after"], strict=True) if a != b}
     assert changed == {"traces", "error", "loops", "voltage"}, "charts over time, and the part of the loop"
     assert seen["back"] == seen["before"]
-    assert seen["far"] > 120.0 > seen["closer"], "the limits of the voltage are there until somebody looks closer"
+    assert seen["far"] > 120.0 > seen["closer"], "voltage limits are shown until the user zooms in"
     begin, end = (float(value) for value in seen["ends"])
     assert 0.8 < begin < 1.2 and 1.8 < end < 2.2
     first, last = (float(value) for value in re.findall(r"[\d.]+", seen["head"])[:2])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report as a page: what scripts draw loses nothing, its figures are those of the metrics, and it reads without."""
+"""The report as a page: scripts draw all data, its figures are those of the metrics, and it works without scripts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ RATE = 1000.0
 
 
 def scan(samples: int = 2000, **further) -> Recording:
-    """A 5 Hz sine over 10 µm, followed with a lag and noise of 5 nm."""
+    """A 5 Hz sine over 10 µm, tracked with a lag and noise of 5 nm."""
     time = np.arange(samples) / RATE
     noise = np.random.default_rng(3).normal(size=(2, samples))
     reference = 5e-6 * (1.0 - np.cos(2 * np.pi * 5.0 * time))
@@ -56,7 +56,7 @@ def unpacked(text: str, kind: str = "<f4"):
 
 
 class Words(html.parser.HTMLParser):
-    """What is left of a page without scripts: its text, its pictures, and elements that were not closed."""
+    """The content of a page without scripts: its text, its pictures, and elements that were not closed."""
 
     def __init__(self, page: str):
         super().__init__()
@@ -129,7 +129,7 @@ def test_a_short_run_stands_in_the_page_sample_by_sample(monkeypatch):
 
 
 def added_up(sums: dict, i: int, j: int) -> dict:
-    """What the page's script does with the sums of blocks i to j."""
+    """Return the result of the page's script for the sums of blocks i to j."""
 
     def between(name, counts):
         first = next((k for k in range(i, j) if sums[counts][k]), j)
@@ -197,7 +197,7 @@ def test_the_page_carries_these_sums_and_the_last_periods(monkeypatch):
 
 
 def test_what_begins_within_a_run_is_not_called_a_jump_into_it():
-    """Whatever error an excerpt begins with, its reader chose the beginning."""
+    """An excerpt may begin with any error, because the reader chose its beginning."""
     run = scan()
     signals = {**run.signals, "displacement": run["displacement"].copy()}
     signals["displacement"][700] += 1e-6
@@ -219,7 +219,7 @@ def test_a_sine_has_its_line_and_its_variance_in_the_spectrum():
 
 
 def test_trace_and_retrace_are_told_apart():
-    """A displacement that lags by 10 nm is 10 nm behind on both ways: 20 nm between them."""
+    """A displacement with a lag of 10 nm is 10 nm behind in both directions: 20 nm between trace and retrace."""
     turn = np.arange(1000) / 200.0 % 1.0
     reference = 10e-6 * (1.0 - np.abs(1.0 - 2.0 * turn))
     displacement = reference - 10e-9 * np.where(turn < 0.5, 1.0, -1.0)
@@ -313,7 +313,7 @@ def test_odd_recordings_have_pages(case, monkeypatch):
 
 @pytest.mark.slow
 def test_long_runs_make_no_larger_pages(monkeypatch):
-    """Ten minutes at 10 kHz; what pictures and table cost does not depend on the length."""
+    """Ten minutes at 10 kHz: the sizes of picture and table do not depend on the length."""
     samples = 6_000_000
     time = np.arange(samples) / 1e4
     wave = np.tile(scan(2000)["reference"], samples // 2000)

@@ -41,7 +41,7 @@ MADE = {
 
 
 def ran(kind: str = "raster", error=None, **more) -> ScanRun:
-    """A run of two frames whose error is what a function of time and reference returns."""
+    """A run of two frames with the error that a function of time and reference returns."""
     scan = scan_of(kind, MADE[kind] | more)
     time = (np.arange(40_000) + 0.5) * (2.0 * scan.frame_time / 40_000)
     reference = scan.position(time)
@@ -58,7 +58,7 @@ def test_trace_and_retrace_of_a_pure_delay_are_two_delays_apart():
     run = ran(error=lambda time, reference: reference - scan.position(time - delay))
     found = profile(run)
     shift = scan.line_velocity * delay
-    inner = slice(4, -4)  # within a delay of its beginning a line still follows the turn
+    inner = slice(4, -4)  # within a delay after its beginning, a line still follows the turn
     assert np.allclose(found.trace[inner], shift, rtol=1e-9) and np.allclose(found.retrace[inner], -shift, rtol=1e-9)
     figures = scan_figures(run)
     assert figures["trace_retrace_m"] == pytest.approx(2.0 * shift, rel=1e-3)
@@ -68,7 +68,7 @@ def test_trace_and_retrace_of_a_pure_delay_are_two_delays_apart():
 
 
 def test_coupling_is_what_the_line_leaves_across_itself():
-    """0.1 % of u in v is coupling; an offset from line to line is not."""
+    """0.1 % of u in v is coupling; an offset between lines is not."""
     scan = scan_of("raster", RASTER)
 
     def error(time, reference):
@@ -80,7 +80,7 @@ def test_coupling_is_what_the_line_leaves_across_itself():
     assert figures["coupling_error_m"] == pytest.approx(expected, rel=1e-3)
     assert figures["coupling_error_percent"] == pytest.approx(100.0 * expected / 80e-6, rel=1e-3)
     assert figures["across_error_m"] > 2.0 * expected and figures["along_error_m"] == pytest.approx(0.0, abs=1e-18)
-    assert scan_figures(ran("spiral"))["coupling_error_m"] is None, "both axes scan"
+    assert scan_figures(ran("spiral"))["coupling_error_m"] is None, "no coupling, because both axes scan"
 
 
 @pytest.mark.parametrize("kind", list(MADE))
@@ -162,7 +162,7 @@ def test_the_page_has_every_figure_and_needs_nothing_beside_it(kind, count, tmp_
 
 
 def lissajous(error_of_x: float = 0.0) -> Recording:
-    """Return a run of two axes; x lags by ``error_of_x`` [m] in the upper half of the plane, after 10 held samples."""
+    """Return a run of two axes after 10 held samples; x lags by ``error_of_x`` [m] in the upper half of the plane."""
     time = np.arange(4000) * 1e-4
     moved = np.maximum(time - time[10], 0.0)
     reference = {"x": 5e-6 * np.sin(20.0 * np.pi * moved), "y": 5e-6 * np.sin(30.0 * np.pi * moved)}
@@ -193,7 +193,7 @@ def test_two_axes_without_a_scan_are_judged_in_their_plane(tmp_path):
     assert reported["plane"] == figures and set(reported) == {"plane", "x", "y"}
     text = path.read_text(encoding="utf-8")
     assert "Path in the plane, coloured by the error" in text and "Map of the error in the plane" in text
-    # an axis that holds its place spans no map
+    # there is no map for an axis that does not move
     held = Recording(run.time, dict.fromkeys(("reference", "displacement"), 0.0 * run.time))
     hr.report(Recording.of_axes({"x": run.axis("x"), "y": held}, {}), path)
     assert "Map of the error" not in path.read_text(encoding="utf-8")

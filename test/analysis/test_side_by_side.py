@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs side by side: figures of each, lines of all, and what cannot be laid over each other is named."""
+"""Runs side by side: figures of each run, lines of all runs; runs that cannot be overlaid are named."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hysteresis_ros.recordings.files import save_run
 
 
 def run(rate: float, seconds: float, lag: float, begin: float = 0.0, text: str = "") -> Recording:
-    """A 4 Hz sine over 10 µm that is followed ``lag`` seconds late."""
+    """A 4 Hz sine over 10 µm, tracked with a delay of ``lag`` seconds."""
     time = np.arange(round(rate * seconds)) / rate
     wave = [5e-6 * (1.0 - np.cos(2 * np.pi * 4.0 * (time - late))) for late in (0.0, lag)]
     columns = {"time": time + begin, "reference": wave[0], "displacement": wave[1], "voltage": wave[0] * 1e7}
@@ -57,7 +57,7 @@ def test_each_run_has_its_own_figures_and_line_from_its_first_sample_on(runs):
         error = 1e6 * (runs[name]["reference"] - runs[name]["displacement"])
         np.testing.assert_allclose(line.y, error, atol=1e-12)
         np.testing.assert_allclose(line.x, runs[name].time - runs[name].time[0])
-    assert charts["error"].up == "error [µm]", "one unit for all, though the fast one has an error of nanometres"
+    assert charts["error"].up == "error [µm]", "one unit for all runs, although one error is small"
     assert len({line.colour for line in charts["error"].lines}) == 2
 
 

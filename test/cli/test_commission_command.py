@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis commission``: asks before anything moves, names what is wrong, leaves a page; through nodes as well."""
+"""``hysteresis commission``: asks before any motion, reports problems, writes a page; also with nodes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def written(folder, **values):
 
 
 def called(*words):
-    """Run the command as a process without a terminal would."""
+    """Run the command as a process without a terminal does."""
     return CliRunner().invoke(main, ["commission", *map(str, words)])
 
 
@@ -107,7 +107,7 @@ def test_a_run_through_the_nodes_is_what_was_asked_for(tmp_path):
     voltages = np.concatenate([np.zeros(20), np.linspace(0.0, 5.0, 60), np.zeros(20)])
     gain = plan_of(configuration, axis).gain
     waveform = {"type": "file", "cycles": 1, "file.path": write_samples(tmp_path / "v.npz", gain * voltages, 100.0)}
-    # a busy machine may be late: that is not what is tried here
+    # a busy machine may be late, which is not tested here
     configuration = configuration.override("plant_simulator", late_limit=-1)
     asked = single_axis(driven(configuration, axis.hysteresis_compensator.limits, gain, waveform)).with_duration(1.0)
     found = require_sound(GraphBench(external=False).run(asked), 100)

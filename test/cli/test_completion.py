@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a shell offers behind the command, and what is said while it lasts."""
+"""Shell completion of the commands, and messages during long commands."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_commands_options_waveforms_and_nodes_are_offered():
     assert offered("up", "kim2009", "--ref") == ["--reference"]
     assert offered("up", "kim2009", "--reference", "st") == ["staircase", "steps"]
     assert offered("get", "motion") == ["motion_controller"]
-    assert "simulate" in offered("simlate", ""), "a mistyped command ends in words while a shell completes"
+    assert "simulate" in offered("simlate", ""), "a mistyped command is completed too"
 
 
 @pytest.mark.parametrize("command", ["up", "watch", "simulate", "excite", "design", "compare", "validate"])
@@ -59,7 +59,7 @@ def test_configurations_are_those_of_the_package_and_files_here(tmp_path, monkey
 
 
 class Terminal(io.StringIO):
-    """A terminal that remembers what was shown."""
+    """A terminal that stores its output."""
 
     def isatty(self) -> bool:
         return True
@@ -67,7 +67,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def soon(monkeypatch):
-    """Everything is long at once."""
+    """Every command counts as long at once."""
     monkeypatch.setattr(module, "SHORT", 0.0)
     monkeypatch.setattr(module, "LOOK", 0.01)
 
@@ -117,7 +117,7 @@ def test_without_a_terminal_it_becomes_quiet(capsys, soon, steady):
         "exciting", lambda: told.append(time.monotonic()) or ""
     ):
         until(lambda: len(told) > 3)
-    silences = np.diff(told[:4])  # a busy machine makes them longer, nothing makes them shorter
+    silences = np.diff(told[:4])  # a busy machine makes these intervals longer, never shorter
     assert np.all(silences > 0.99 * 0.05 * 2.0 ** (np.zeros(3) if steady else np.arange(1, 4)))
     assert len(capsys.readouterr().err.splitlines()) == len(told)
 
@@ -131,7 +131,7 @@ def test_a_fit_of_unknown_length_never_goes_back():
     assert parts[0] is None and parts[2] == 0.5 and parts[1:] == sorted(parts[1:]) and parts[-1] < 1.0
 
 
-#: Commands that take no time, say by themselves what they do, or last until they are ended.
+#: Commands that are fast, report their progress themselves, or run until they are ended.
 QUICK = {"new", "urdf", "policy", "parameters", "models", "setpoint", "status", "get", "set", "call", "echo"}
 TALKATIVE = {"up", "ioc", "emulate", "watch"}
 
@@ -140,7 +140,7 @@ TALKATIVE = {"up", "ioc", "emulate", "watch"}
 def test_what_may_last_shows_that_it_goes_on(name):
     module = importlib.import_module(COMMANDS[name][0].split(":")[0])
     words = set(re.findall(r"\w+", inspect.getsource(module)))
-    assert words & {"Progress", "shown", "run_apart"}, "wrap what lasts in hysteresis_ros.cli.progress.shown"
+    assert words & {"Progress", "shown", "run_apart"}, "wrap long work in hysteresis_ros.cli.progress.shown"
 
 
 @pytest.mark.parametrize(

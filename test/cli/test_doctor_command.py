@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis doctor``: what it measures is in its words and in its file, whatever this machine holds."""
+"""``hysteresis doctor``: its output and its file contain all measurements, on any machine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.models.block import COMPILED
 
 @pytest.fixture
 def short(monkeypatch):
-    """Everything that is measured, for a moment only."""
+    """Each measurement takes only a moment."""
     monkeypatch.setattr(command, "RATES", (500.0, 1000.0))
     monkeypatch.setattr(command, "SECONDS", 0.05)
     monkeypatch.setattr(command, "COMPOSED", 30)
@@ -38,7 +38,7 @@ def short(monkeypatch):
     monkeypatch.setattr(delays, "WHOLE_SECONDS", 0.02)
 
 
-@pytest.mark.skipif(not COMPILED, reason="without Numba no rate is measured")
+@pytest.mark.skipif(not COMPILED, reason="without Numba the rate is not measured")
 def test_what_was_measured_is_said_and_written(tmp_path, short):
     pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
     path = tmp_path / "found.json"
@@ -59,7 +59,7 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
     for name in ("composed", "processes"):
         real = found["messages"][name]["realtime"]
         assert real["rate"] == 300.0 and 0 <= real["late"] <= real["samples"] <= 30
-        answered = real["p50"] is not None  # a machine that is busy may answer none of them
+        answered = real["p50"] is not None  # on a busy machine there may be no result
         assert not answered or 0.0 < real["p50"] <= real["p99"] <= real["max"]
         said = "answered after p50" if answered else "not one of"
         assert f"nodes, {name}, in real time at 300 Hz: {said}" in result.output
@@ -110,7 +110,7 @@ def test_what_is_missing_comes_with_what_to_do():
 
 @pytest.fixture
 def machine(monkeypatch, tmp_path):
-    """A made-up machine of two cores that are siblings; returns a function that writes its files."""
+    """A synthetic machine of two sibling cores; returns a function that writes its files."""
     monkeypatch.setattr(delays, "PROCESSORS", tmp_path / "cpu")
     monkeypatch.setattr(delays, "PROC", tmp_path / "proc")
     monkeypatch.setattr(delays, "_usable", lambda: [0, 1])
@@ -138,7 +138,7 @@ def machine(monkeypatch, tmp_path):
 
 
 def paced(spin=-1.0, cpu=-1, whole=False):
-    """Return a lateness that tells how the loop was run."""
+    """Return a lateness that shows how the loop was run."""
     late = 49e-3 if whole else 1e-6 if spin < 0.0 else (20 + cpu) * 1e-6
     looked = 1e-5 if spin or whole else 0.0
     return Lateness(late, late, late, late, late, 5 if whole else 0, 100, 1e-6 * (2 + cpu), 1e-6, looked, looked)

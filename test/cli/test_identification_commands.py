@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From a recording to a parameter file and back, through the commands: every model, and what bad input gets."""
+"""From a recording to a parameter file and back, through the commands: every model, and messages for bad input."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def refused(result) -> str:
 
 
 def loops(samples: int = 1600) -> np.ndarray:
-    """Two whole cycles of 0 … 100 V, then an amplitude that falls: voltage [V] at 200 Hz."""
+    """Two cycles of 0 … 100 V, then cycles of decreasing amplitude: voltage [V] at 200 Hz."""
     phase = np.arange(samples) / 200.0
     fall = np.where(phase < 2.0, 1.0, np.exp(-(phase - 2.0) / 3.0))
     return 50.0 - 50.0 * fall * np.cos(2.0 * np.pi * phase)
 
 
 def measured(voltage, lag=LAG, offset=-3e-6, noise=5e-9, seed=1) -> np.ndarray:
-    """What a Prandtl-Ishlinskii stack behind a lag of 10 ms measures [m]."""
+    """Return the measured displacement [m] of a Prandtl-Ishlinskii stack with a lag of 10 ms."""
     parameters = ActuatorParameters(
         limits=LimitsParameters(minimum=-200.0, maximum=200.0),
         hysteresis=HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=STACK),
@@ -101,7 +101,7 @@ def oscillation(tmp_path_factory):
     return write(path, u, y, rate, "t_s,u_V,y_um")
 
 
-#: Largest residual [% of stroke] of each model on loops of another one (the truth is a modified Prandtl-Ishlinskii).
+#: Largest residual [% of stroke] of each model on held-out loops; the truth is a modified Prandtl-Ishlinskii model.
 RESIDUALS = {
     "prandtl_ishlinskii": 0.2,
     "preisach": 0.5,
@@ -121,7 +121,7 @@ def test_every_model_goes_from_a_table_to_nodes_and_back(model, recording, tmp_p
     figures = json.loads(result.stdout)
     assert figures["rmse_percent_of_stroke"] < RESIDUALS[model]
     assert figures["inverse_rmse_v"] < 0.02 * RESIDUALS[model] * 100.0
-    # the very plant of the nodes, fed with the recorded voltage, measures what the command predicted
+    # the plant of the nodes, driven with the recorded voltage, measures what the command predicted
     axis = axes(load_configuration(path))[0]
     assert axis.plant_simulator.sample_rate == RATE
     Axis(axis)
@@ -147,7 +147,7 @@ def test_lag_is_told_from_hysteresis_and_the_file_says_where_it_comes_from(recor
     result = run("identify", recording, "--linear", "lag", "--offset", "free", "-o", path, "--json", "-")
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
-    # the discrete lag of the truth has a converter before it: 10 ms and half a sample
+    # the identified lag includes the converter: 10 ms and half a sample
     assert figures["lag_s"] == pytest.approx(0.0125, abs=0.001)
     assert figures["offset_m"] == pytest.approx(-3e-6, abs=2e-7)
     chain, section = load_chain(path)
@@ -246,7 +246,7 @@ def test_clipped_data_is_warned_of_in_file_and_report(tmp_path):
 
 
 def bad(name):
-    """Voltage, displacement and header of bad data, with words of the answer it must get."""
+    """Return voltage, displacement and header of bad data, with words that the message must contain."""
     voltage = loops(800)
     y = measured(voltage)
     header = "t_s,control_V,gauge_um"

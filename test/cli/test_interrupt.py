@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Ctrl-C anywhere in a command: one line, exit code 130, no traceback. Real processes, stopped at a known place."""
+"""Ctrl-C at any point of a command: one line, exit code 130, no traceback. Real processes, stopped at known points."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hysteresis_ros.cli import entry
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-#: What the executable runs; it says so and waits where it is about to import the module that the first word names.
+#: Code of the process: it prints a line and waits when it is about to import the module named by the first argument.
 WAITING_AT_AN_IMPORT = """
 import importlib.abc, signal, sys
 from hysteresis_ros.cli.entry import main
@@ -42,7 +42,7 @@ sys.meta_path.insert(0, Wait())
 main()
 """
 
-#: The same, waiting in a finalizer, where Python cannot raise: it drops what is raised there, and says so.
+#: The same, but waiting in a finalizer, where Python drops an exception and prints a message instead of raising it.
 WAITING_IN_A_FINALIZER = """
 import signal, sys, time
 import click
@@ -75,16 +75,16 @@ def start(*arguments) -> subprocess.Popen:
         stderr=subprocess.PIPE,
         text=True,
         env=dict(os.environ, PYTHONPATH=paths),
-        # a background job of a shell ignores SIGINT, and Python leaves it so
+        # a background job of a shell ignores SIGINT, and Python keeps this setting
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 
 def interrupted(process: subprocess.Popen) -> tuple[int, str]:
-    """Send Ctrl-C and return exit code and everything that is on stderr.
+    """Send Ctrl-C and return the exit code and all output on stderr.
 
-    Python notes a signal that comes just before a blocking read, and acts on it when that read ends: so it is sent
-    again while nothing happens, as a person does.
+    Python notes a signal that arrives just before a blocking read, but acts on it only when the read ends. Hence it is
+    sent repeatedly until the process reacts, as a user would do.
     """
     for _ in range(60):
         process.send_signal(signal.SIGINT)
@@ -128,7 +128,7 @@ def test_ctrl_c_during_an_import(tmp_path, module, words):
     ids=lambda words: words[0],
 )
 def test_ctrl_c_while_a_command_works(tmp_path, words):
-    """The command reads a pipe; that it is open says where the command is, and it gets nothing more."""
+    """The command waits in the read of a pipe that receives no more data; the open pipe shows that it has got there."""
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)
     process = start("-m", "hysteresis_ros.cli.entry", *[word.format(tmp_path, pipe=pipe) for word in words])
@@ -138,7 +138,7 @@ def test_ctrl_c_while_a_command_works(tmp_path, words):
     finally:
         os.close(end)
     assert code == 130 and said.splitlines()[-1] == "hysteresis: interrupted" and "Traceback" not in said
-    assert list(tmp_path.iterdir()) == [pipe], "nothing half-made is left"
+    assert list(tmp_path.iterdir()) == [pipe], "no incomplete file is left"
 
 
 def opened_for_writing(pipe: pathlib.Path, process: subprocess.Popen) -> int:
@@ -147,7 +147,7 @@ def opened_for_writing(pipe: pathlib.Path, process: subprocess.Popen) -> int:
     def opened() -> int | None:
         try:
             return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError:  # nobody reads it yet
+        except OSError:  # the process does not read the pipe yet
             assert process.poll() is None, process.stderr.read()
             return None
 

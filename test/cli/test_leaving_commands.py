@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How commands refuse what cannot work, and how they leave when told to."""
+"""How commands refuse impossible requests, and how they exit on a signal."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis new`` writes a file that is safe and whole, asks only on terminals, and overwrites nothing."""
+"""``hysteresis new`` writes a safe and complete file, asks only on terminals, and does not overwrite a file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hysteresis_ros.hardware.drivers.simulated import DRIVER
 
 
 def called(*words):
-    """Run the command as a process without a terminal would."""
+    """Run the command as a process without a terminal does."""
     return CliRunner().invoke(main, ["new", *map(str, words)])
 
 
@@ -52,7 +52,7 @@ def test_the_file_is_an_axis_in_open_loop_within_a_tenth_of_the_range(tmp_path):
     plan = plan_of(configuration, axis)
     assert (plan.minimum, plan.maximum, plan.stroke) == (-20.0, 80.0, 1e-4)
     assert all("#" in line for line in path.read_text().splitlines() if "slew_rate:" in line and "limits" in line)
-    # a setpoint beyond what is allowed moves no farther, and not faster
+    # a setpoint outside the allowed range moves the axis no farther and no faster
     run = simulate(axis, duration=0.5, setpoints=np.full(1000, 1.0))
     assert run["voltage"].max() <= 10.0
     assert np.abs(np.diff(run["voltage"])).max() <= 100.0 / 2000.0 * (1.0 + 1e-9)
@@ -128,7 +128,7 @@ def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path, monkeypatch):
         def isatty(self):
             return True
 
-    # what the prompts read and write
+    # the streams that the prompts read and write
     answers = iter(["30um", "-10:90V"])
     monkeypatch.setattr("click.prompt", lambda words, default: next(answers))
     monkeypatch.setattr("sys.stdin", Terminal())

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The command line as a user meets it: exit codes, one line for what is wrong, no traceback."""
+"""The command line for users: exit codes, one line for an error, no traceback."""
 
 import json
 import subprocess

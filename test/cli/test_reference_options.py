@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""`--reference …` moves an axis without a change of its file; what is wrong is named by the option that said it."""
+"""`--reference …` moves an axis without a change of its file; a message names the option with the wrong value."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis scan``: figures, limits, paths as files that are read again, refusals."""
+"""``hysteresis scan``: figures, limits, paths written as files and read again, refusals."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_it_prints_what_the_scan_asks_of_its_axes():
     assert result.exit_code == 0
     assert f"({1e3 * made.line_velocity:.4g} mm/s)" in result.stdout and "64 % of the time" in result.stdout
     rows = {line.split()[0]: line.split() for line in result.stdout.splitlines() if line[:2] in ("x ", "y ")}
-    # turned by a right angle, y scans
+    # rotated by a right angle: y scans
     velocity, acceleration, jerk = (made.peak(order)[0] for order in (1, 2, 3))
     assert rows["y"][-3:] == [f"{1e3 * velocity:.4g}", f"{acceleration:.4g}", f"{jerk:.4g}"]
     assert f"allow up to {2.0 * 20e-3 / velocity:.4g} Hz" in result.stdout

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""`hysteresis simulate`: the same run in every format, replayed setpoints, and what wrong input gets."""
+"""`hysteresis simulate`: the same run in every format, replayed setpoints, and messages for wrong input."""
 
 import subprocess
 import sys
@@ -52,7 +52,7 @@ def test_recorded_setpoints_are_replayed_sample_by_sample(run_file, tmp_path):
     hysteresis("simulate", "kim2009", "-o", tmp_path / "replay.npz", "--setpoints", tmp_path / "given.npz")
     replay = load_run(tmp_path / "replay.npz")
     np.testing.assert_array_equal(replay["setpoint"], setpoints)
-    # the steps of the file's waveform of 2.05 µm stand on top of the setpoint
+    # the steps of 2.05 µm of the file's waveform are added to the setpoint
     assert replay["reference"][-1] == pytest.approx(5.05e-6)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage by ``hysteresis simulate`` and by ``hr.simulate``, and commands that refuse one."""
+"""A stage with ``hysteresis simulate`` and ``hr.simulate``, and commands that refuse a stage."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_files_give_the_run_back_bit_for_bit(tmp_path, suffix):
     for name, values in run.signals.items():
         np.testing.assert_array_equal(found[name], values)
         assert found.units[name] == run.units[name]
-    if suffix == ".npz":  # a recording that holds its configuration runs again
+    if suffix == ".npz":  # a recording that contains its configuration can be run again
         again = hr.simulate(found, duration=0.01)
         np.testing.assert_array_equal(again["x"].displacement, run["x"].displacement)
 
@@ -278,7 +278,7 @@ def test_learning_of_a_stage_begins_with_the_inverse_and_takes_the_error_of_a_sc
         run = hr.simulate(path)
         errors[name] = [scan_figures(hr.scan_run(run, *part))["rms_error_percent"] for part in ((0.2, 0.4), (1.8, 2.0))]
     assert errors["before"][0] > 1.0
-    # the model's inverse takes most of it at once, and learning what hysteresis and creep leave
+    # the model's inverse removes most of the error at once; learning removes the part from hysteresis and creep
     assert errors["after"][0] < 0.2 * errors["before"][0]
     assert errors["after"][1] < 0.85 * errors["after"][0]
 
@@ -304,7 +304,7 @@ def test_all_axes_learn_together_from_recorded_runs(tmp_path):
             assert f"run {number + 1}, y: periodic error" in said and f"from {number + 1} runs" in said
             assert files[number + 1].read_text(encoding="utf-8").count("# Learning designed by") == 1
     left = [scan_figures(hr.scan_run(load_run(run), 0.2, 0.6))["rms_error_percent"] for run in runs]
-    # the plant is its model, but for noise and what remains of hysteresis and creep
+    # the plant equals its model, except for noise and the residual hysteresis and creep
     assert left[2] < 0.5 * left[0]
     words = ("design", files[0], "--learning", "coupled", "--run", runs[0])
     assert "would replace the corrections of the run" in hysteresis(*words, "-o", files[0], code=2)

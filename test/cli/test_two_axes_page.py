@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page on two axes says what is so: its file has two axes, its commands are commands, and those without ROS run."""
+"""The page on two axes is correct: its file has two axes, its commands exist, and those without ROS run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COMMANDS = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The folder in which the page's file stands."""
+    """The folder with the page's file."""
     made = tmp_path_factory.mktemp("page")
     (added,) = re.findall(r"<<'END'\n(.*?)^END$", BLOCKS[0], re.MULTILINE | re.DOTALL)
     (made / "two.yaml").write_text(config_path("kim2009").read_text(encoding="utf-8") + added, encoding="utf-8")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis verify``: one line, and an exit code that says whether a recording is repeated bit for bit."""
+"""``hysteresis verify``: one line and an exit code state whether a recording is reproduced bit for bit."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
 
 @pytest.fixture
 def scanned(tmp_path):
-    """Return what makes a recording of a run in lockstep along a file with so many empty lines, and that file."""
+    """Return a function that records a lockstep run along a file with some empty lines, and returns that file."""
 
     def made(empty: int):
         scan = tmp_path / "scan.csv"

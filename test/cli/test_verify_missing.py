@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A recording that lacks samples or changes is not equal to its twin, however well the rest agrees."""
+"""A recording with missing samples or changes does not equal its offline twin, even if all other samples agree."""
 
 from __future__ import annotations
 

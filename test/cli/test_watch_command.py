@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis watch``: what is wrong is said before anything moves."""
+"""``hysteresis watch`` reports wrong input before anything moves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 @pytest.fixture(autouse=True)
 def nothing_starts(monkeypatch):
-    """Whoever starts a process here has not looked at its input."""
+    """A test fails if the command starts a process before it has checked its input."""
     import subprocess
 
     monkeypatch.setattr(subprocess, "Popen", lambda *given, **options: pytest.fail(f"started: {given}"))

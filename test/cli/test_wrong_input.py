@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Whatever is wrong with the words of a command or the files they name: one line, exit code 2, no traceback."""
+"""Any error in the arguments of a command or in the named files gives one line, exit code 2 and no traceback."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def refusal(*words) -> str:
 def test_mistyped_words_are_answered_with_the_nearest(words, expected):
     line = refusal(*words)
     assert expected in line
-    assert "--help" in line or "there are: " in line, "neither where to read on nor what there is"
+    assert "--help" in line or "there are: " in line, "the message names neither --help nor the possible values"
 
 
 def test_without_a_word_the_help_is_shown():

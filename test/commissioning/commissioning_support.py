@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage of another class than any model, driven in process: what it remembers goes on from stage to stage."""
+"""A stage of another class than any model, simulated in process; its state is kept from stage to stage."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STAGE = ForeignParameters(
 
 
 class ForeignBench(Bench):
-    """Runs axes with a foreign actuator in the plant's place, as fast as the machine can.
+    """Runs axes with a foreign actuator instead of the plant, as fast as the machine can.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class ForeignBench(Bench):
     noise : float
         RMS [m].
     spoil : callable, optional
-        ``spoil(signals)`` changes what was recorded.
+        ``spoil(signals)`` modifies the recorded signals.
     """
 
     name = "foreign"
@@ -59,8 +59,8 @@ class ForeignBench(Bench):
         self._state = None
 
     def run(self, axis) -> Recording:
-        """Run an axis from where the last run left the actuator."""
-        # the stage has its own zero, whatever the file says of it
+        """Run an axis; the actuator begins in the state after the last run."""
+        # the sensor's zero does not depend on the file
         plant = replace(axis.plant_simulator, driver="", driver_options=(), preload=PreloadParameters())
         plant = replace(plant, sensor=replace(plant.sensor, noise=self.noise, seed=len(self.runs) + 1))
         self.runs.append(axis)
@@ -77,7 +77,7 @@ class ForeignBench(Bench):
 
 
 class Willing(Attendant):
-    """Allows everything and notes it."""
+    """Allows every motion and notes the question."""
 
     def __init__(self):
         self.asked, self.heard = {}, {}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of commissioning share, first of all commissioning."""
+"""Common functions of the tests of commissioning."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHORT = "    noise_duration: 0.5\n    cycle_frequency: 2.0\n    creep_duration: 
 
 
 def sitting(folder, resumed=False, plan="", **choices):
-    """Return what the stages know of a new axis."""
+    """Return the situation of a commissioning of a new axis."""
     path = folder / "stage.yaml"
     if not path.exists():
         write_new(path, NewAxis(100e-6, 0.0, 100.0, RATE))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From a new file to a judged loop on a stage of another class than any model; and what stops on the way."""
+"""From a new file to a verified loop on a stage of another class than any model; and faults that stop it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.recordings.dataset import Recording
 
 
 class Counting(ForeignBench):
-    """A bench that fails in its runs from some number on."""
+    """A bench whose runs fail from a given number on."""
 
     def __init__(self, last=99, **options):
         super().__init__(**options)
@@ -44,7 +44,7 @@ class Counting(ForeignBench):
 
 
 def swing(bench, signals):
-    """Something loose swings once the loop is closed."""
+    """A loose part vibrates once the loop is closed."""
     if bench.runs[-1].motion_controller.type != "open_loop":
         signals["measured"] += 2e-6 * np.sin(0.8 * np.arange(signals["measured"].size))
 
@@ -54,7 +54,7 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     with pytest.raises(CommissioningError, match="hysteresis: unplugged"):
         commission(situation, bench, attendant)
     assert list(attendant.heard) == ["noise", "gain", "resonance"]
-    # plugged in again: what is done is not done again; but the closed loop rings
+    # the cable is plugged in again: finished stages are not repeated, but the closed loop rings
     bench.last, bench.spoil = 99, lambda signals: swing(bench, signals)
     resumed = Willing()
     with pytest.raises(CommissioningError, match="loop: the closed loop does not settle"):
@@ -62,7 +62,7 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert [name for name, (_, before) in resumed.heard.items() if before] == ["noise", "gain", "resonance"]
     assert list(resumed.asked) == ["hysteresis", "creep", "loop"]
     assert "100 V" in resumed.asked["hysteresis"] and "100 µm" in resumed.asked["hysteresis"]
-    # tightened
+    # the loose part is tightened
     bench.spoil, situation, resumed = None, sitting(tmp_path, resumed=True), Willing()
     assert commission(situation, bench, resumed)
     assert list(resumed.heard) == list(STAGES) and list(resumed.asked) == ["loop", "response", "scan", "learn"]
@@ -73,46 +73,46 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert figures["gain"]["gain_m_per_v"] == pytest.approx(0.87e-6, rel=0.05)
     assert figures["resonance"]["resonance_hz"] == pytest.approx(420.0, rel=5e-3)
     assert figures["resonance"]["damping"] == pytest.approx(0.015, rel=0.2)
-    # a sample, half a one for which the voltage is held, and what the mode adds
+    # one sample, half a sample because the voltage is held, and the contribution of the mode
     assert figures["resonance"]["delay_s"] == pytest.approx(1.5 / RATE, rel=0.15)
     assert figures["identify"]["mode_1_hz"] == pytest.approx(420.0, rel=2e-3)
     assert figures["identify"]["delay_s"] == pytest.approx(1.0 / RATE, rel=0.05)
-    # without the delay taken off it is 0.33 µm; small loops of the stage are steeper than those of the model
+    # without removal of the delay it would be 0.33 µm; minor loops of the stage are steeper than those of the model
     assert figures["identify"]["rmse_m"] < 0.31e-6
     assert figures["identify"]["small_gain_over_model"] == pytest.approx(1.18, rel=0.1)
     assert figures["hysteresis"]["stroke_m"] == pytest.approx(100e-6, rel=0.05)
     assert 0.08 < figures["hysteresis"]["loop_opening_m"] / 100e-6 < 0.16
     assert 0.002 < figures["creep"]["creep_per_decade"] < 0.03
-    # the plant is of another class than the model: its small loops are steeper, and the loop is as much faster
+    # the plant is of another class than the model: its minor loops are steeper, so the loop is faster by this ratio
     loop = figures["response"]
     assert loop["as_predicted"] and loop["signal_to_noise_db"] > 20.0
     assert loop["sensitivity_peak_low"] < loop["sensitivity_peak"] < loop["sensitivity_peak_high"]
     assert 0.55 < loop["delay_margin_samples"] / loop["model_delay_margin_samples"] < 0.8
     assert 1.02 < loop["sensitivity_peak"] / loop["model_sensitivity_peak"] < 1.25
-    # without feedback and inverse the loop is open by 11 µm
+    # without feedback and inverse the loop width is 11 µm
     assert figures["scan"]["rms_error_m"] < 0.6e-6
-    # from period to period the same scan loses what it repeats: 3 nm are the sensor's
+    # learning removes the repeated part of the error of this scan; the remaining 3 nm are noise of the sensor
     learned = figures["learn"]
     assert learned["as_predicted"] and learned["rms_error_m"] < 8e-9 < 0.2 * figures["scan"]["rms_error_m"]
     assert sum(outcome.seconds for outcome in situation.found.values()) < 60.0
 
-    # every stage was held to its own voltages by the limits of plant and compensator
+    # in every stage the limits of plant and compensator allowed only the voltages of this stage
     small = [axis.hysteresis_compensator.limits for axis in bench.runs[:2]]
     assert (small[0].maximum, small[1].maximum) == pytest.approx((0.01, 5.01))
     assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs[1:])
-    assert bench.runs[0].plant_simulator.limits.maximum == 100.0, "a device's range is looked at before anything moves"
+    assert bench.runs[0].plant_simulator.limits.maximum == 100.0, "the device's range is checked before any motion"
     written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
     assert written.plant_simulator.limits.slew_rate > 0.0 and written.hysteresis_compensator.limits.slew_rate > 0.0
     assert not written.reference_generator.approach.unlimited
     assert written.recorder.sample_rate == RATE and written.recorder.joint == "stage"
     assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
-    # the plant is never the model: what the controller does not know is part of what is predicted
+    # the plant differs from the model: the prediction contains the part that the controller does not know
     assert written.plant_simulator.hysteresis.type == "polynomial"
     assert written.hysteresis_compensator.hysteresis.type == "prandtl_ishlinskii"
     assert figures["scan"]["predicted_rms_m"] == figures["design"]["predicted_rms_m"] > 20e-9
     assert written.hysteresis_compensator.limits.maximum == 100.0 and written.plant_simulator.joint == "stage"
 
-    # one alone, and anew: what rested on it has to be done again
+    # one stage is repeated alone; later stages that used its results must be repeated too
     alone = Willing()
     assert not commission(sitting(tmp_path, resumed=True), bench, alone, ["creep"])
     assert list(alone.asked) == ["creep"] and situation.folder.outcome("identify") is None
@@ -121,22 +121,22 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
 
 
 def reversed_sign(signals):
-    """The sensor counts backwards."""
+    """The sensor has the wrong sign."""
     signals["measured"] *= -1.0
 
 
 def blind(signals):
-    """The sensor sees another thing."""
+    """The sensor measures something else."""
     signals["measured"][:] = 3e-9 * np.random.default_rng(1).standard_normal(signals["measured"].size)
 
 
 def in_micrometres(signals):
-    """The driver says micrometres."""
+    """The driver returns micrometres."""
     signals["measured"] *= 1e6
 
 
 def in_kilometres(signals):
-    """The driver says kilometres."""
+    """The driver returns kilometres."""
     signals["measured"] *= 1e-3
 
 
@@ -146,28 +146,28 @@ def in_tenths(signals):
 
 
 def ringing(signals):
-    """Something else swings."""
+    """Another part vibrates."""
     if signals["voltage"].max() > 1.0:
         signals["measured"] += 3e-6 * np.sin(0.1 * np.arange(signals["measured"].size))
 
 
 def tripping(signals):
-    """The axis stopped itself."""
+    """The axis tripped."""
     signals["tripped"][100:] = 2.0
 
 
 def losing(signals):
-    """Every tenth sample has no measurement."""
+    """The measurement of every tenth sample is missing."""
     signals["measured"][::10] = np.nan
 
 
 def stuck(signals):
-    """The amplifier's limit holds the voltage."""
+    """The voltage stays at a limit of the amplifier."""
     np.minimum(signals["voltage"], 1.0, out=signals["voltage"])
 
 
 def noisy(signals):
-    """The cable is bad."""
+    """The cable is noisy."""
     signals["measured"] += 5e-6 * np.random.default_rng(1).standard_normal(signals["measured"].size)
 
 
@@ -200,7 +200,7 @@ def test_single_samples_that_are_missing_are_bridged():
     signals = {name: np.sin(time) for name in ("reference", "voltage", "measured", "command", "applied", "seen")}
     whole = Recording(time, signals)
     signals = {name: np.where(np.arange(197) == 9, np.nan, values[kept]) for name, values in signals.items()}
-    signals["voltage"][33] = np.nan  # answered too late
+    signals["voltage"][33] = np.nan  # the answer came too late
     signals["skipped"] = np.arange(197) == 33.0
     found = require_sound(Recording(time[kept], signals), 200)
     assert np.isfinite(found["voltage"]).all() and np.flatnonzero(found["skipped"] > 0.5).tolist() == [33]
@@ -226,7 +226,7 @@ def test_samples_for_which_the_machine_was_too_busy_are_said_with_what_was_found
 
 
 def clipped(signals):
-    """The sensor ends before the actuator."""
+    """The range of the sensor ends before that of the actuator."""
     np.minimum(signals["measured"], 60e-6, out=signals["measured"])
 
 
@@ -281,7 +281,7 @@ def test_voltages_begin_and_end_at_safe_and_stay_in_the_range(tmp_path, stage, l
 
 
 def test_the_damping_of_a_resonance_is_read_whatever_it_is(tmp_path):
-    """Measured beside the formula of the mode, at the recording of a stage without hysteresis."""
+    """Any damping is found: compared with the formula of the mode, from the recording of a stage without hysteresis."""
     for damping in (0.005, 0.03):
         stage = replace(STAGE, opening=0.0, dampings=(damping, 0.02))
         folder = tmp_path / f"{damping}"

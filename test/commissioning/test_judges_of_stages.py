@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What stages refuse: gains too large, zeros far away, axes that stopped themselves; each beside what passes."""
+"""What the stages refuse: too large gains, distant zeros, tripped axes; each compared with an accepted case."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hystere
 from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Expected of the new axis: 100 µm over 100 V, at 2 kHz.
+#: Expected values of the new axis: 100 µm over 100 V, at 2 kHz.
 RATE, GAIN = 2000.0, 1e-6
 NOISE = 3e-9
 
 
 def recorded(voltage, gain=GAIN, zero=0.0, **more) -> Recording:
-    """Return what a stage without memory makes of voltages."""
+    """Return the recording of a stage without memory under given voltages."""
     random = np.random.default_rng(1)
     measured = zero + gain * voltage + NOISE * random.standard_normal(voltage.size)
     return Recording(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the learning stage says of missed deadlines."""
+"""Messages of the learning stage about missed deadlines."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What holds a stage while it is commissioned: the watch of its travel, and the ends of the voltages."""
+"""Protection of a stage during commissioning: monitoring of its travel, and limits of the voltages."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def with_device(folder):
 
 @pytest.mark.parametrize("zero", [0.0, 35e-6])
 def test_once_the_zero_of_the_sensor_is_known_a_device_is_held_to_what_its_voltages_should_give(tmp_path, zero):
-    """The expected gain gives the travel, the sensor its zero; half a stroke beyond it the axis is stopped."""
+    """The expected gain gives the travel, the sensor its zero; half a stroke outside this range the axis is stopped."""
     situation = with_device(tmp_path)
     voltages = np.linspace(0.0, 40.0, 50)
     before = situation.driven_axis("noise", voltages).plant_simulator
-    assert before.allowed_travel == (-np.inf, np.inf), "nobody knows where the sensor's zero is"
+    assert before.allowed_travel == (-np.inf, np.inf), "the zero of the sensor is unknown"
     situation.found["noise"] = Outcome(["quiet"], {"noise_rms_m": 3e-9, "sensor_zero_m": zero})
     low, high = situation.driven_axis("gain", voltages).plant_simulator.allowed_travel
     # 40 of 100 V
@@ -56,7 +56,7 @@ def test_no_stage_puts_out_more_than_its_own_voltages(tmp_path):
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-30.0, 120.0)])
 def test_a_multisine_whose_peaks_are_higher_than_asked_ends_at_the_range(tmp_path, monkeypatch, low, high):
-    """A sum of sines has the peak that its phases give it; the range is that of the stack."""
+    """The peak of a sum of sines depends on the phases; the voltage is limited to the range of the stack."""
     plan = replace(sitting(tmp_path).plan, minimum=low, maximum=high)
     recipe = volts.recipe
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is judged: the displacement between the samples, against the reference itself and delayed by a constant."""
+"""What is evaluated: the displacement between the samples, against the undelayed and the delayed reference."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SINE, TRIANGLE = make_tasks(Conditions(), (0.0, 10e-6))
 
 
 def lag_and_mode(sample_time: float) -> LinearParameters:
-    """A lag of 2 ms and a mode of 180 Hz beside each other."""
+    """A lag of 2 ms and a mode of 180 Hz in parallel."""
     w = 2.0 * np.pi * 180.0
     A = np.array([[-500.0, 0.0, 0.0], [0.0, 0.0, w], [0.0, -w, -0.1 * w]])
     Ad, Bd = zero_order_hold(A, np.array([500.0, 0.0, w]), sample_time)
@@ -49,7 +49,7 @@ def lag_and_mode(sample_time: float) -> LinearParameters:
 @given(seed=st.integers(0, 10**6), delay=st.integers(0, 30), rest=st.floats(-1.0, 1.0))
 def test_dynamics_go_on_between_the_samples_as_a_finer_simulation_has_it(seed, delay, rest):
     held = np.random.default_rng(seed).normal(size=40)
-    # whole samples of delay: a part of one is a mean over the sample, not a switch within it
+    # whole samples of delay: a fractional delay is a mean over the sample, not a switch within it
     coarse = replace(lag_and_mode(T), delay=(delay // 10) * T)
     fine = replace(lag_and_mode(T / INSTANTS), delay=(delay // 10) * T)
     block = LinearDynamics(fine, T / INSTANTS)
@@ -123,7 +123,7 @@ def test_errors_are_of_the_true_displacement_at_ten_instants_a_sample():
     assert len(found.time) == 10 * round((task.duration - task.settling) * 200.0)
     ends = found.displacement[INSTANTS - 1 :: INSTANTS]
     assert ends[:-1] == pytest.approx(run["displacement"][run.time >= task.settling - 1e-4][1:], abs=1e-15)
-    # a lag answers between the samples: what is there is not what the samples suggest
+    # a lag responds between the samples: the values at the samples do not show it
     assert np.std(found.displacement) > 0.0 and not np.allclose(
         np.interp(found.time, run.time, run["displacement"]), found.displacement, atol=1e-8
     )

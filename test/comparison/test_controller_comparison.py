@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The tables that rank controllers: what stands in them, in the documentation, in the page and in the best's file."""
+"""The tables that rank controllers: their contents, in the documentation, in the page and in the file of the best."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_rows_are_ranked_by_their_worst_plants_and_compared_with_a_tuned_pi(comp
     for task in around.tasks:
         assert best.better[task] == pytest.approx(measure.results[task].worst / best.results[task].worst)
         assert best.better[task] > 1.0 > around.row(*OPEN).better[task]
-    # tuned on the plant by the score, it is better than an integrator that is not
+    # tuned on the plant by the score, it is better than an integrator that was not tuned this way
     assert best.score < measure.score < around.row(*INTEGRAL).score
 
 
@@ -116,7 +116,7 @@ def test_rows_on_plants_of_other_classes_are_joined_by_their_worst(comparison):
     found = table_of_others(Conditions(), tried)
     joined = found.row(*FED)
     for task in found.tasks:
-        # without creep in the second model the row with it is the one without
+        # if the second model has no creep, the row with creep equals the one without
         assert joined.results[task].worst == max(row.results[task].worst, plain.results[task].worst)
         assert joined.better[task] == min(row.better[task], plain.better[task])
     assert len(joined.delays) == 2 and joined.ranked
@@ -216,7 +216,7 @@ def test_the_command_names_what_is_wrong(words, named):
 
 
 def test_an_interrupt_ends_the_command_and_all_who_work_for_it():
-    """In one line, and nobody is left over to write another."""
+    """The command prints one line, and no worker remains that could print another."""
     words = ["compare", "picma_stage", "--draws", "1", "--others", "2", "--workers", "2"]
     process = subprocess.Popen(
         [sys.executable, "-m", "hysteresis_ros.cli.entry", *words],
@@ -240,7 +240,7 @@ def test_an_interrupt_ends_the_command_and_all_who_work_for_it():
 
 
 def printed_rows(title: str) -> dict[tuple[str, str], list[str]]:
-    """Return the cells behind the names of the rows of a table in the documentation."""
+    """Return the cells after the names in the rows of a table in the documentation."""
     text = DOCUMENT.read_text(encoding="utf-8")
     lines = text[text.index(f"\n{title}\n") + 1 :].splitlines()
     heading = next(line for line in lines if "controller" in line)
@@ -255,7 +255,7 @@ def printed_rows(title: str) -> dict[tuple[str, str], list[str]]:
 
 
 def test_the_documented_table_is_what_a_run_prints():
-    """Some of its rows, with the seeds of the whole."""
+    """Some of its rows, with the seeds of the full run."""
     printed = printed_rows("Plants around the configured one")
     assert len(printed) > 30
     trial = trial_around(load_configuration("picma_stage"), Conditions())

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Nothing that a candidate uses comes from the plant that was drawn, and the plants deviate as far as is said."""
+"""No candidate uses data of the drawn plant, and the plants deviate by the stated amount."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hysteresis_ros.loop.simulation import mismatched
 from hysteresis_ros.recordings.dataset import Recording
 
 OPEN = "open loop", "exact inverse"
-#: A plant whose answer to any voltage is its gain times that; its inverse leaves nothing but what the gain is off.
+#: A plant with a constant gain; the error that its inverse leaves is the error of the gain.
 PROPORTIONAL = """
 /**:
   ros__parameters:
@@ -62,14 +62,14 @@ def proportional() -> Configuration:
 
 
 def drawn_gains(conditions: Conditions) -> np.ndarray:
-    """Return the factors on the gain as the documentation of a draw has them: 1 + m u, u the first uniform number."""
+    """Return the factors on the gain by the documented formula: 1 + m u, with u the first uniform number."""
     seeds = range(conditions.seed, conditions.seed + conditions.draws)
     return np.array([1.0 + conditions.mismatch * np.random.default_rng(seed).uniform(-1.0, 1.0) for seed in seeds])
 
 
 @pytest.mark.parametrize("mismatch", [0.01, 0.05])
 def test_in_open_loop_the_error_is_what_the_gain_of_the_drawn_plant_is_off(mismatch):
-    """An inverse of the drawn plant would leave nothing, a mismatch of a tenth a tenth."""
+    """An inverse of the drawn plant would leave no error; a gain error of 10 % would leave 10 %."""
     conditions = Conditions(mismatch=mismatch, draws=6, others=0, noise=0.0, bits=0)
     trial = trial_around(proportional(), conditions)
     (row,), task = trial.rows({OPEN}), trial.tasks[0]
@@ -106,7 +106,7 @@ def test_what_is_known_of_an_axis_does_not_depend_on_its_plant(name):
 
 
 def test_candidates_run_with_what_is_known_on_every_plant(monkeypatch):
-    """Everything but the plant is the same in all runs of a row, and is what its design says."""
+    """Except for the plant, all runs of a row are the same and as its design states."""
     seen = []
     before = rows.Axis
 
@@ -127,7 +127,7 @@ def test_candidates_run_with_what_is_known_on_every_plant(monkeypatch):
 
 
 def reachable_types(annotation, found: set) -> set:
-    """Return all classes of this package that values of an annotation may hold, fields and all."""
+    """Return all classes of this package that values of an annotation may have, including those of fields."""
     for item in typing.get_args(annotation):
         reachable_types(item, found)
     if not isinstance(annotation, type) or isinstance(annotation, types.GenericAlias) or annotation in found:
@@ -150,7 +150,7 @@ def test_no_design_can_be_handed_a_plant(function):
     forbidden = (tasks.DrawnPlant, ForeignParameters, Plant)
     assert not [kind for kind in found if issubclass(kind, forbidden)]
     names = set(inspect.signature(function).parameters)
-    assert names - {"only", "tasks"} <= set(hints), "an argument without a type could be anything"
+    assert names - {"only", "tasks"} <= set(hints), "arguments without a type cannot be checked"
 
 
 def test_what_is_identified_follows_from_recording_and_bench_alone():
@@ -166,7 +166,7 @@ def test_what_is_identified_follows_from_recording_and_bench_alone():
 
 
 def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
-    """Models and references of a trial are those of the recording; the corners come after it."""
+    """Models and references of a trial come from the recording; the corners are applied after it."""
     bench, taken = others.Bench(), []
     monkeypatch.setattr(
         "hysteresis_ros.laboratory.comparison.compare.recorded",
@@ -181,12 +181,12 @@ def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
     plant = others.drawn(5, bench)
     assert taken == [(plant, 5), "recording"]
     assert trial.given is axis and trial.plants == tuple(others.around(plant, 0.05, 5))
-    # the model reaches 0 … 10 µm; what is off by 5 % still has to
+    # the model reaches 0 … 10 µm; plants with an error of 5 % still have to reach the reference
     assert trial.stroke == pytest.approx(9.5e-6, rel=1e-3)
 
 
 def test_a_loop_that_does_not_bear_the_mismatch_is_marked_before_it_runs(monkeypatch):
-    """Near M_s = 2 on its model: at a gain that is half as large again, and slower, it misses what is asked there."""
+    """M_s is near 2 on its model; with 1.5 times the gain and slower times the loop violates the requirement."""
     monkeypatch.setattr(candidates, "MISMATCHED", Requirements(2.3, 0.0, 0.0))
     given = known(load_configuration("picma_stage"), 16)
     controller = candidates.Candidate("PID", "none", {"type": "pid", "pid.Kp": 0.0, "pid.Ki": 90.0, "pid.Kd": 0.0})

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Candidates that learn: filters for each reference, judged from their eleventh period on, never the best's file."""
+"""Candidates that learn: filters for each reference, evaluated from the eleventh period on, never written as best."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_what_is_learned_takes_lag_and_hysteresis_off_both_references(rows):
     *_, plain, learned = rows
     for task, result in learned.results.items():
         assert result.undelayed[0] < 0.1 * plain.results[task].undelayed[0], task
-    # the undelayed reference is what is learned
+    # learning follows the undelayed reference
     assert plain.delays[0] > 5e-3 > 1e-3 > learned.delays[0]
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plants of other classes than the models: what they are, what is drawn, and what a user gets to see of them."""
+"""Plants of other classes than the models: their properties, their random parameters, and what a user knows of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParame
 from hysteresis_ros.recordings.loops import loop_opening
 
 T = 5e-4
-#: Without anything but the hysteresis.
+#: Only the hysteresis.
 BARE = dict(lag=0.0, creep=0.0, frequencies=(5000.0, 5000.0), dampings=(0.7, 0.7), delay=0.0)
 
 hystereses = pytest.mark.parametrize("kind", HYSTERESES)
@@ -74,7 +74,7 @@ def test_creep_follows_a_power_of_time():
     risen = (crept - plain) / plain[-1]
     at = [np.interp(seconds, time, risen) for seconds in (0.1, 1.0, 10.0)]
     assert at[2] - at[0] == pytest.approx(0.04, rel=1e-3)
-    # a logarithm would rise by as much in either decade; the power 0.2 by 10^0.2 = 1.6 times as much in the second
+    # a logarithm would rise by the same amount in both decades; the power 0.2 rises by 10^0.2 = 1.6 times in the second
     assert (at[2] - at[1]) / (at[1] - at[0]) == pytest.approx(10.0**0.2, rel=0.12)
 
 
@@ -86,7 +86,7 @@ def test_a_step_comes_after_the_delay_through_lag_and_modes(before):
     assert np.all(late[:65] == 0.0) and late[66] > 0.0
     final = late[-1]
     reached = np.interp(0.632 * final, late, np.arange(1, len(late) + 1) * fine)
-    # two well damped modes of 5 kHz beside each other lag by about 2 ζ/ω = 45 µs
+    # two well damped modes of 5 kHz in parallel lag by about 2 ζ/ω = 45 µs
     assert reached == pytest.approx(1.3 * T + 2e-3 + 45e-6, abs=1e-4)
 
 
@@ -130,7 +130,7 @@ def test_drawn_plants_go_through_all_classes_with_a_mode_in_the_band_one_above_a
 
 @pytest.mark.parametrize("mismatch", [0.0, 0.05])
 def test_around_a_plant_are_all_its_corners(mismatch):
-    """By what they do: gain at rest, and the frequency at which they ring."""
+    """Found by the gain at rest and by the frequency at which the plants ring."""
     plants = around(drawn(2, Bench()), mismatch, 2)
 
     def told(plant):
@@ -156,7 +156,7 @@ def test_around_a_plant_are_all_its_corners(mismatch):
     }
     assert len(corners) == (8 if mismatch else 1)
     assert all(abs(value - 1.0) == pytest.approx(mismatch) for corner in corners for value in corner)
-    assert len({plant.parameters.sensor.seed for plant in plants}) == len(plants), "noise of their own"
+    assert len({plant.parameters.sensor.seed for plant in plants}) == len(plants), "each plant has its own noise"
 
 
 def test_a_recording_is_what_sensor_and_converter_see():
@@ -166,7 +166,7 @@ def test_a_recording_is_what_sensor_and_converter_see():
     assert np.array_equal(true["voltage"], excitation(quiet))
     assert np.unique(seen["voltage"]).size <= 256 and np.ptp(seen["voltage"]) == pytest.approx(100.0)
     assert np.allclose(np.rint(seen["measured"] / 1e-9), seen["measured"] / 1e-9, atol=1e-6)
-    # with the same voltages nothing but noise is between what is seen and what is
+    # with the same voltages, true and measured displacement differ only by noise
     there = np.concatenate([[0.0], plant.between(seen["voltage"])[:-1, -1]])
     assert np.std(seen["measured"] - there) == pytest.approx(20e-9, rel=0.03)
     assert set(seen.signals) == {"voltage", "measured"}

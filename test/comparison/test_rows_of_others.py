@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Rows of the comparison that laws of other packages have, and laws that still hold their own."""
+"""Rows of the comparison that are added by laws of other packages; the rows of built-in laws stay the same."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ print(found["leaky PI"](None))
 
 
 def ran(folder: pathlib.Path, row: str) -> subprocess.CompletedProcess:
-    """Return what the table of the comparison is beside a package that adds a row."""
+    """Return the names in the comparison with a package that adds a row."""
     information = folder / "others-1.0.dist-info"
     information.mkdir()
     (folder / "leaky_rows.py").write_text(PACKAGE.format(row=row))

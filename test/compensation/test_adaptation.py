@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Adaptation of weights by itself: known weights are found, nonsense does no harm, without excitation nothing moves."""
+"""Adaptation of weights: known weights are found, invalid data do no harm, and without excitation nothing changes."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def triangle(seconds, low=5.0, high=95.0, frequency=2.0):
 
 
 def measured_of(hysteresis, voltages, dynamics=LAG, creep=CREEP):
-    """Return what a sensor sees of an actuator with this hysteresis: sample k before the k-th voltage acts."""
+    """Return the measurement of an actuator with this hysteresis: sample k is taken before the k-th voltage acts."""
     moved = hysteresis_block(hysteresis, SAMPLE_TIME).simulate(voltages)
     behind = LinearDynamics(dynamics, SAMPLE_TIME).simulate(Creep(creep, SAMPLE_TIME).simulate(moved))
     return np.concatenate([[0.0], behind[:-1]])
 
 
 def run(compensator, adaptation, voltages, measured, usable=1.0):
-    """Let the adaptation see voltages and measurements, sample by sample."""
+    """Give voltages and measurements to the adaptation, sample by sample."""
     block, xs = compensator.hysteresis, adaptation.xs
     history = np.empty((len(voltages), len(xs.factors)))
     for k, (voltage, value) in enumerate(zip(voltages, measured, strict=True)):
@@ -73,7 +73,7 @@ def weighted(hysteresis, factors):
 
 @functools.cache
 def learned(name, scale, delay=1.5):
-    """Return what is learned of a model of ``scale`` times the weights, 1.2 times more of those that open it."""
+    """Return what is learned on an actuator with ``scale`` times the weights, the opening ones 1.2 times larger."""
     model = given(name)
     compensator, adaptation = made(model)
     true = np.array([scale * (1.2 if opens else 1.0) for opens in adaptation.terms.opening])
@@ -88,7 +88,7 @@ def learned(name, scale, delay=1.5):
 def test_known_weights_are_found_behind_creep_lag_delay_and_an_offset(name, scale):
     true, history, compensator, adaptation = learned(name, scale)
     np.testing.assert_allclose(history[-1], true, rtol=0.01)
-    # what the compensator inverts is that model now: the loop of the actuator, but for a constant
+    # the compensator now inverts this model: its loop is that of the actuator, except for a constant
     voltages = triangle(1.0)
     actuator = hysteresis_block(weighted(given(name), true), SAMPLE_TIME).simulate(voltages)
     model = hysteresis_block(adaptation.hysteresis, SAMPLE_TIME).simulate(voltages)
@@ -97,14 +97,14 @@ def test_known_weights_are_found_behind_creep_lag_delay_and_an_offset(name, scal
 
 
 def test_a_delay_that_is_not_modelled_is_taken_for_hysteresis():
-    """What the dynamics are for: without them the weights that open the loops take what is a delay."""
+    """The purpose of the dynamics: without them, a delay is learned as weights that widen the loop."""
     true, history, *_ = learned("prandtl_ishlinskii", 0.8, delay=5.5)
     opened = history[-1][1:] / true[1:]
     assert np.all(opened > 1.03)
 
 
 def test_the_minimum_is_that_of_the_normal_equations():
-    """Closed form: weights of one window, solved at once, against the ones that the recursion has come to."""
+    """Closed form: the weights of one window, solved at once, equal those of the recursion."""
     _, history, _, adaptation = learned("prandtl_ishlinskii", 1.2)
     count = len(history[-1])
     squares = adaptation.xs.squares.reshape(count, count)
@@ -125,7 +125,7 @@ def test_noise_and_spikes_and_nothing_at_all_keep_within_bounds():
     assert np.abs(np.diff(history, axis=0)).max() <= 0.1 * SAMPLE_TIME * (1.0 + 1e-9)
     assert np.all(np.isfinite(np.concatenate(adaptation.xs)))
     assert np.all(np.array(adaptation.hysteresis.chosen.weights) > 0.0)
-    # and it forgets that
+    # and the adaptation forgets it
     voltages = triangle(25.0)
     history = run(compensator, adaptation, voltages, measured_of(model, voltages))
     np.testing.assert_allclose(history[-1], 1.0, rtol=0.02)
@@ -143,7 +143,7 @@ def test_without_excitation_nothing_moves_however_long():
     compensator, adaptation = made(given())
     voltages = np.concatenate([triangle(10.0), np.full(12000, 50.0), triangle(2.0)])
     measured = measured_of(weighted(given(), true), voltages)
-    measured[5000:] += np.interp(np.arange(13000), [0, 12000], [0.0, 2e-6])  # and a drift meanwhile
+    measured[5000:] += np.interp(np.arange(13000), [0, 12000], [0.0, 2e-6])  # and a drift at the same time
     before = run(compensator, adaptation, voltages[:8000], measured[:8000])[-1].copy()
     states = [array.copy() for array in (adaptation.xs.squares, adaptation.xs.products)]
     assert adaptation.condition == adapting.UNEXCITED

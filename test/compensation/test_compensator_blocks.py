@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Compensator: inverse, limits, what is really applied, retune, state."""
+"""Compensator: inverse, limits, achieved command, retune, state."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def test_multiplicative_inverse_is_the_identity(exponent, drive):
 
 
 def test_multiplicative_inverse_of_the_paper_s_actuator():
-    """Its loop is not quite monotone at 150 V; below, the inverse is exact all the same."""
+    """The actuator's loop is not quite monotone at 150 V; below 150 V the inverse is nevertheless exact."""
     paper = BoucWenParameters(d_e=0.206e-6, alpha=8.09e-8, beta=3.80e-3, gamma=-5.40e-3)
     wanted = np.concatenate([np.linspace(0.0, 14.375e-6, 200), np.linspace(14.375e-6, 0.0, 200)])
     check_identity(BoucWenHysteresis(paper, 1e-3), multiplicative, wanted)
@@ -137,7 +137,7 @@ def jump(p, x, u):
 
 
 def test_search_ends_where_there_is_no_solution():
-    """At a jump the two numbers beside it are all that is left."""
+    """At a jump the search ends with the two neighbouring numbers."""
     x_i = np.zeros(4)
     voltage = general(jump, np.array([0.0, 0.0, 1e-3, -60.0, 200.0]), x_i, np.zeros(1), np.zeros(2), 0.3)
     assert voltage == pytest.approx(3.3, abs=1e-14)
@@ -199,7 +199,7 @@ def test_creep_is_fed_forward(kind):
 
 
 def test_inverse_duhem_equation_keeps_its_own_point():
-    """With f linear and g its slope both equations are straight lines: V = w/gain, no loop."""
+    """With f linear and g its slope, both equations are straight lines: V = w/gain, no loop."""
     straight = dict(shape="spline", f_spline=tuple(KNOTS), g_spline=(1.0,) * 9)
     inverse = DuhemParameters(
         alpha=1e5, input_low=0.0, input_high=STROKE, output_low=0.0, output_high=120.0, **straight

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Loop widths of none, Picard steps and the exact inverse on the loop of K7a to 120 V (K8).
+"""Loop widths without inverse, after Picard steps and with the exact inverse, on the loop of K7a to 120 V (K8).
 
 The digest's numbers are those of the static branches: Picard's iteration on x_r and on x_f of the 120 V loop, continued
-below 0 V, for commands from 0 to S = g · 120 V; the width is the largest opening as a part of S. The compensator runs
-the iteration on the model with its memory instead, where a trial voltage behind the present one is a reversal. That
+below 0 V, for commands from 0 to S = g · 120 V; the width is the largest opening as a fraction of S. The compensator
+runs the iteration on the model with its memory instead, where a trial voltage below the present one is a reversal. This
 converges faster, so its loops are narrower.
 """
 

@@ -43,7 +43,7 @@ CONTROLLER = {
 class Loop:
     """Plant (linear model, SI) and controller in the order of the nodes.
 
-    ``carry`` is what limits leave of a command, ``disturbance`` is added behind them, ``noise`` and ``offset`` to the
+    ``carry`` limits a command, ``disturbance`` is added after the limits, ``noise`` and ``offset`` to the
     measurement.
     """
 
@@ -68,7 +68,7 @@ class Loop:
 
 @pytest.fixture(scope="session")
 def parameters():
-    """Build the published controller's parameters with entries changed or, by None, removed."""
+    """Build the published controller's parameters with changed entries; None removes an entry."""
 
     def build(changes=None):
         entries = CONTROLLER | (changes or {})

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of control share, first of all damping."""
+"""Common functions of the tests of damping."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hysteresis_ros.control.damping.inner_loop import DampingParameters
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 from hysteresis_ros.models.sensor import ForceParameters
 
-#: A stage of 700 Hz and 1 % damping at 20 kHz with a sample of delay, its output in µm, 2 µm a volt.
+#: A stage of 700 Hz and 1 % damping at 20 kHz with one sample of delay; its output is in µm, with 2 µm/V.
 T, OMEGA, DAMPING = 5e-5, 2.0 * math.pi * 700.0, 0.01
 
 
@@ -37,7 +37,7 @@ def stage(delay: float = T, frequency: float = 700.0, sample_time: float = T) ->
     )
 
 
-#: A stack ten times as stiff as the flexure it pushes against, and a sensor that loses what is below 3 Hz.
+#: A stack ten times as stiff as the flexure that it moves, and a force sensor with a high-pass of 3 Hz.
 FORCE = ForceParameters(stack_stiffness=2e7, flexure_stiffness=2e6, high_pass=3.0)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of control share, first of all learning."""
+"""Common functions of the tests of learning."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def learning(fade=0.0, **values):
 
 
 def followed(block, answer, periods, reference=REFERENCE, bad=()):
-    """Return corrections and errors, shape (periods, N), over a loop that adds ``answer`` (impulse response)."""
+    """Return corrections and errors, shape (periods, N), in a loop that adds ``answer`` (an impulse response)."""
     asked, m, e = np.zeros(periods * N + 100), [], []
     for k in range(periods * N):
         r = reference[k % N] if len(reference) == N else reference[k]
-        # the answer of this sample needs earlier samples only
+        # the response in this sample depends on earlier samples only
         y = sum(a * asked[k - i + 100] for i, a in enumerate(answer) if i)
         e.append(r - y)
         m.append(learned_correction(block.p, block.x, r, np.nan if k in bad else e[-1]))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""xy_scanner without hysteresis, creep and noise, and its errors over a scan: for tests of designs of stages."""
+"""xy_scanner without hysteresis, creep and noise, and its errors during a scan, for tests of the design of stages."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import simulate_stage, with_scan
 
 SAMPLE_TIME = 1e-4
-#: A plant without hysteresis, creep and noise, so that its linear model is all there is.
+#: A plant without hysteresis, creep and noise, which therefore equals its linear model.
 PROPORTIONAL = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": 0.4e-6, "creep__type": "none"}
 EXACT = {"limits__bits": 0, "limits__slew_rate": 0.0}
 SPIRAL = "spiral", ("diameter=16um", "turns=4", "frame_rate=16Hz")
 
 
 def stage(kind="", values=(), structure=None, **overrides) -> StageParameters:
-    """Return xy_scanner without hysteresis, creep and noise, that follows a scan."""
+    """Return xy_scanner without hysteresis, creep and noise, which follows a scan."""
     made = load_configuration("xy_scanner")
     quiet = {"sensor__noise": 0.0, "sensor__resolution": 0.0, "overtravel": -1.0}
     nodes = {"plant_simulator": PROPORTIONAL | EXACT | quiet, "hysteresis_compensator": PROPORTIONAL | EXACT}
@@ -37,7 +37,7 @@ def stage(kind="", values=(), structure=None, **overrides) -> StageParameters:
 
 
 def late_structure() -> dict:
-    """Return a structure whose sensor x leads its mode the wrong way: a zero outside the unit circle."""
+    """Return a structure whose sensor x initially responds in the wrong direction: a zero outside the unit circle."""
     C = np.reshape(load_configuration("xy_scanner").node("stage")["structure.C"], (2, 4)).copy()
     C[0, 1] = -0.3
     return {"structure__C": tuple(C.ravel())}

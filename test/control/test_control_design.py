@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains: the published ones follow from the model, designs keep what they promise, bad designs are refused by name."""
+"""Gains: the published ones follow from the model, designs keep their specifications, bad designs are refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PUBLISHED_S = np.array([-1.0744, -0.0904, 0.0781])
 
 
 def stable_systems(order=3):
-    """Random stable (A, B, C) of the given order, away from losing controllability or observability."""
+    """Random stable (A, B, C) of the given order, with a distance from uncontrollable and unobservable systems."""
 
     def build(entries):
         values = np.array(entries)
@@ -82,7 +82,7 @@ def test_riccati_residual_vanishes_and_filter_is_stable(system, q, r):
     innovation = r + (C @ P @ C.T).item()
     predicted = A @ P @ A.T
     residual = predicted - A @ P @ C.T @ C @ P @ A.T / innovation + Q - P
-    # the terms may be far larger than what is left of them
+    # the terms may be far larger than their sum
     assert np.abs(residual).max() <= 1e-8 * np.abs(P).max() + 1e-12 * np.abs(predicted).max()
     assert gain == pytest.approx((P @ C.T)[:, 0] / innovation)
     assert state_feedback.spectral_radius(A - np.outer(A @ gain, C)) < 1.0
@@ -227,7 +227,7 @@ def test_modes_that_cannot_be_seen_or_moved_are_refused():
         state_feedback.hyperplane_lq(unstable, np.ones((2, 1)), np.diag([1.0, 0.0]), 1.0)
     with pytest.raises(ParameterError, match="kalman.q"):
         state_feedback.kalman_gain(np.diag([0.5, 1.0]), np.ones((1, 2)), np.diag([1.0, 0.0]), 1.0)
-    # A hidden mode that decays by itself does no harm.
+    # An unobservable mode that decays is allowed.
     gain, _ = state_feedback.kalman_gain(np.diag([0.5, 0.9]), blind, np.eye(2), 1.0)
     assert np.isfinite(gain).all()
 

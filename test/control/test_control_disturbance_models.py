@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Kalman filters with a model of the disturbance: textbook recursion, disturbances found and rejected, refusals."""
+"""Kalman filters with a disturbance model: textbook recursion, estimation and rejection of disturbances, refusals."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, model,
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
 def test_a_ramp_of_disturbance_is_compensated_in_the_sample_in_which_it_acts(loop, form):
-    """The constant model lags behind a ramp; the ramp's model, predicted one sample on, leaves nothing."""
+    """The constant model lags behind a ramp; the ramp model, predicted by one sample, leaves no error."""
     samples, rate = 3000, 1e-9  # metres per sample
     errors = {}
     for name, changes in (("constant", CONSTANT), ("ramp", RAMP)):
@@ -146,7 +146,7 @@ def test_a_periodic_disturbance_is_checked_when_the_sample_time_is_known(control
 
 
 def test_a_disturbance_at_a_zero_of_the_model_is_refused():
-    """x⁺ = u, y with a zero pair at ±j: nothing of a quarter of the sample rate comes through."""
+    """x⁺ = u, y with a zero pair at ±j: signals at a quarter of the sample rate are blocked."""
     from hysteresis_ros.control.kalman import KalmanParameters
 
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])

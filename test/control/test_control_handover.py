@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hand-over: the output goes on from where it was and fades to the new input."""
+"""Hand-over: the output continues from its last value and fades to the new input."""
 
 from __future__ import annotations
 

@@ -85,9 +85,9 @@ def test_error_decays_with_the_poles_of_the_filter(parameters, model, signals, f
     observer.step(0.0, 0.0)
     error = state.copy()
     for k in range(60):
-        # The measurement comes before the input changes: the feedthrough acts on the input held last.
+        # The measurement comes before the input changes: the feedthrough acts on the last held input.
         state = A @ state + B[:, 0] * applied[k]
-        # The measurement that started the filter made no innovation.
+        # The first measurement, which started the filter, gave no innovation.
         transition = A - np.outer(L, C) if k else A
         error = transition @ error
         observer.step(applied[k], (C @ state).item() + feedthrough * applied[k])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Margins: closed forms, scipy.signal, and the time domain agree with what the kernels are linearised to."""
+"""Margins: closed forms, scipy.signal and the time domain agree with the linearised kernels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hysteresis_ros.control.margins import Requirements, close, judge, loop_tran
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, StateSpace, zero_order_hold
 
 T = 1.0 / 3000.0
-#: One entry per type: what makes the published axis run under it.
+#: One entry per type: parameters with which the published axis runs.
 TYPES = {
     "pid": {"pid.Kp": -0.1, "pid.Ki": 300.0, "pid.Kd": 4e-5, "pid.derivative_filter": 3000.0},
     "sliding_mode": {},
@@ -86,7 +86,7 @@ def test_a_modelled_delay_is_taken_from_the_delay_margin():
 
 
 def test_phase_margin_is_the_nearer_side_of_minus_one():
-    """Positive position feedback of a resonance: it crosses gain one below the resonance with the phase ahead."""
+    """Positive position feedback of a resonance: the gain crosses one below the resonance with a phase lead."""
     A, B = zero_order_hold([[0.0, 1.0], [-1.0, -0.1]], [[0.0], [1.0]], 0.05)
     plant = StateSpace(A, B, np.array([[1.0, 0.0]]), np.zeros((1, 1)))
     feedback = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[0.0, 0.5]]))
@@ -94,9 +94,9 @@ def test_phase_margin_is_the_nearer_side_of_minus_one():
     crossing = loop_transfer(feedback, plant, np.exp(2j * np.pi * 0.05 * found.gain_crossovers))
     assert found.stable and np.abs(crossing) == pytest.approx(1.0)
     ahead = np.degrees(np.angle(crossing))
-    assert 150.0 < ahead[0] < 180.0, "the phase is ahead by more than it is behind anywhere"
+    assert 150.0 < ahead[0] < 180.0, "the phase lead is larger than any phase lag"
     assert found.phase_margin == pytest.approx(180.0 - ahead[0])
-    # a loop turned by that much passes -1, and a delay turns the other way: all the way round
+    # a loop rotated by this phase passes -1; a delay rotates the other way, by the rest of a turn
     assert np.min(np.abs(1.0 + crossing * np.exp(1j * np.radians(found.phase_margin)))) < 1e-6
     assert found.delay_margin > np.pi / (2.0 * np.pi * found.gain_crossovers[-1])
 
@@ -105,7 +105,7 @@ def test_noise_gains_are_those_of_a_noisy_run():
     g, time = 0.5, 0.01
     chosen = static(Kp=0.5 * g, Ki=g / time)
     found = margins(chosen, time)
-    # T = g/(z - 1 + g): the pole p = 1 - g makes g²/(1 - p²) of the variance
+    # T = g/(z - 1 + g): the pole p = 1 - g multiplies the variance by g²/(1 - p²)
     assert found.noise_gain == pytest.approx(g / np.sqrt(1.0 - (1.0 - g) ** 2), rel=1e-4)
     noise = np.random.default_rng(3).standard_normal(20000)
     controller, plant = controller_block(at_rest(chosen), time), LinearDynamics(chosen.model.dynamics, time)
@@ -160,7 +160,7 @@ def test_a_search_judges_like_the_margins(parameters, kind):
 
 @pytest.mark.parametrize("kind", TYPES)
 def test_linear_loop_is_what_kernel_and_plant_do(parameters, kind):
-    """A small step of the reference, sample by sample, against the linear closed loop."""
+    """A small step of the reference, sample by sample, compared with the linear closed loop."""
     changes = {"type": kind, "sliding_mode.beta": 0.0, "sliding_mode.eta": 0.0} | TYPES[kind]
     chosen = parameters(changes)
     whole = close(*linear_loop(chosen, T))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""PID: hand-computed samples, the continuous closed form, windup, bumpless start and retune, unstable gains refused."""
+"""PID: samples by hand, the continuous closed form, windup, bumpless start and retune, refusal of unstable gains."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MODEL = {
     "model.dynamics.C": (1.0,),
     "model.dynamics.output_scale": 1e-6,
 }
-#: No model: the gains are checked by nobody.
+#: No model: the gains are not checked.
 FREE = {"model.dynamics.input_scale": 1e-6, "model.dynamics.output_scale": 1e-6}
 
 
@@ -43,7 +43,7 @@ def block(changes, model=FREE, sample_time=T):
 
 
 def run(controller, reference, least=-np.inf, most=np.inf):
-    """Return commands and displacements, shape (N,) [m], of the loop with the lag; the input is cut to least … most."""
+    """Return commands and displacements, shape (N,) [m], of the loop with the lag; input limits are least … most."""
     plant = LinearDynamics(LinearParameters(**{k.rsplit(".", 1)[1]: v for k, v in MODEL.items()}), T)
     commands, displacements = [], []
     for r in reference:
@@ -108,8 +108,8 @@ def test_offset_free_on_the_model():
     ("method", "beyond"), [("clamping", 4.2), ("back_calculation", 4.2), ("back_calculation", 8.0)]
 )
 def test_long_saturation_does_not_wind_up(method, beyond, own):
-    # 5 s beyond the limit of 4 um, then a step to 1 um, beside the same step from rest at 4 um that no limit disturbs.
-    # Clamping stops the integral where saturation began: what the P part of a large error held then is missing later.
+    # 5 s above the limit of 4 um, then a step to 1 um, compared with the same step from 4 um without saturation.
+    # Clamping stops the integral where saturation began, so the P part of the large error then is missing later.
     gains = {"Kp": 1.0, "Ki": 20.0}
     limits = {"output_minimum": -4.0, "output_maximum": 4.0} if own else {}
     most = np.inf if own else 4e-6
@@ -123,7 +123,7 @@ def test_long_saturation_does_not_wind_up(method, beyond, own):
         return grown[1] - grown[0]
 
     assert abs(growth(method)) < 0.3
-    assert growth("none") > 15.0 * (beyond - 4.0), "the integral of the error goes on"
+    assert growth("none") > 15.0 * (beyond - 4.0), "the integral of the error continues to grow"
     reference = np.concatenate([np.full(500, beyond * 1e-6), np.full(300, 1e-6)])
     _, ideal = run(block(gains, MODEL), np.concatenate([np.full(500, 4e-6), np.full(300, 1e-6)]))
     _, y = run(block(gains | limits | {"anti_windup": method}, MODEL), reference, most=most)

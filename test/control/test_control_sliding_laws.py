@@ -30,7 +30,7 @@ TWISTING = {"type": "super_twisting", "super_twisting.gains": "given"}
 TWISTING |= {"super_twisting.k1": 0.1, "super_twisting.k2": 0.1}
 TYPES = [{"type": "sliding_mode"}, INTEGRAL, TWISTING, TWISTING | {"super_twisting.discretisation": "explicit"}]
 
-# One state that is measured and, by the current form with L = 1, known exactly: x+ = 0.9 x + 0.1 (u + d), SI units.
+# One measured state, which the current form with L = 1 knows exactly: x+ = 0.9 x + 0.1 (u + d), SI units.
 KNOWN = {
     "model.dynamics.A": (0.9,),
     "model.dynamics.B": (0.1,),
@@ -45,7 +45,7 @@ KNOWN = {
 
 
 class Known:
-    """The controller on the plant of one known state; ``run`` returns σ = s / Λ, the command and x of each sample."""
+    """The controller on the plant with one known state; ``run`` returns σ = s / Λ, the command and x of each sample."""
 
     def __init__(self, changes, limit=1e9):
         self.controller = controller_block(ControllerParameters.from_mapping(KNOWN | changes), SAMPLE_TIME)
@@ -65,7 +65,7 @@ class Known:
 
 @pytest.mark.parametrize("pole", [0.0, 0.5, 0.9, -0.4])
 def test_a_constant_matched_disturbance_is_rejected_with_the_rejection_pole(pole):
-    """u1_k = -(1 - ρ^k) d from the first sample on, whatever the nominal controller does meanwhile."""
+    """u1_k = -(1 - ρ^k) d from the first sample on, independent of the nominal controller."""
     found = Known(INTEGRAL | {"sliding_mode.rejection_pole": pole}).run(np.zeros(40), np.full(40, 0.7))
     nominal = -(0.9 - 0.8) / 0.1 * found[:, 2]
     k = np.arange(40)
@@ -94,7 +94,7 @@ def test_a_step_of_the_reference_never_leaves_the_integral_surface(loop, form):
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
 def test_integral_switching_function_is_driven_by_the_innovation_alone(loop, model, form):
-    """s_(k+1) = ρ s_k + S L ε, with noise, moving reference, limits and a disturbance that is estimated."""
+    """s_(k+1) = ρ s_k + S L ε, with noise, a moving reference, limits and an estimated disturbance."""
     changes = INTEGRAL | LINEAR_ONLY | CONSTANT | {"kalman.form": form, "sliding_mode.rejection_pole": 0.6}
     noise = np.random.default_rng(3).normal(scale=5e-9, size=400)
     axis = loop(changes, disturbance=0.2e-6, noise=noise, carry=lambda u: min(max(u, -1.2e-6), 1.2e-6))
@@ -119,7 +119,7 @@ def test_with_an_estimated_disturbance_no_law_leaves_an_offset(loop, plant, chan
     axis = loop(changes | CONSTANT | {"kalman.form": form, "sliding_mode.beta": 0.0}, disturbance=-0.3e-6)
     axis.plant = plant({"input_scale": 2.05e-6 / 1.05})
     _, y = axis.run(np.full(4000, STEP))
-    # the explicit law circles around zero by what its sign adds in a sample, k2 T, times the gain to the output
+    # the explicit law oscillates around zero by the step of its sign function, k2 T, times the gain to the output
     tolerance = 5e-9 if changes.get("super_twisting.discretisation") == "explicit" else 1e-14
     assert np.max(np.abs(y[-500:] - STEP)) < tolerance
 
@@ -145,21 +145,21 @@ def test_explicit_super_twisting_circles_and_its_command_chatters_by_the_step_of
 @pytest.mark.parametrize("reference", [0.5, 2.0, 20.0])
 @pytest.mark.parametrize("k1", [0.1, 0.3])
 def test_super_twisting_reaches_the_surface_in_finite_time(reference, k1):
-    """Without disturbance the integral only helps on the way in: √σ falls by about k1/2 a sample."""
+    """Without a disturbance the integral only helps in the approach: √σ falls by about k1/2 per sample."""
     found = Known(TWISTING | {"super_twisting.k1": k1, "super_twisting.k2": 0.3}).run(
         np.full(3000, reference), np.zeros(3000)
     )
     sigma = found[:, 0]
     crossed = np.flatnonzero(np.sign(sigma) != np.sign(sigma[0]))[0]
     bound = 2.0 * np.sqrt(abs(sigma[0])) / k1
-    # backward Euler falls a little slower than k1/2 near the end: by a logarithm of how far it has to go
+    # near the end, backward Euler falls slightly slower than k1/2: by the logarithm of the distance
     assert crossed <= bound + 2.0 * np.log2(2.0 + abs(sigma[0]) / (k1 * k1))
     assert np.max(np.abs(sigma[-100:])) < 1e-12
 
 
 @pytest.mark.parametrize("discretisation", ["implicit", "explicit"])
 def test_gains_from_a_bound_hold_a_disturbance_of_that_rate(discretisation):
-    """|σ| stays within a few of what the disturbance moves in one sample, L T."""
+    """|σ| stays within a few times the change of the disturbance in one sample, L T."""
     bound, k = 50.0, np.arange(6000)
     frequency = 5.0
     disturbance = bound / (2 * np.pi * frequency) * np.sin(2 * np.pi * frequency * k * SAMPLE_TIME)
@@ -185,7 +185,7 @@ def test_integral_of_super_twisting_holds_at_the_limits():
 
 
 def test_super_twisting_leaves_the_limit_as_it_leaves_any_other_level():
-    """A slow law, held at the limit for long, comes back in the time of an ordinary step from there."""
+    """A slow law that was saturated for long returns as fast as in an ordinary step from this level."""
     slow = {"type": "super_twisting", "super_twisting.bound": 1.0}
     settled = []
     for level in (0.95, 2.0):
@@ -203,7 +203,7 @@ def test_integral_sliding_mode_takes_no_limit_for_a_disturbance():
 
 @pytest.fixture
 def fed(parameters):
-    """Return a function: measured and delayed reference, shape (N,), under feedforward with feedback, from rest."""
+    """Return a function: measured and delayed reference, shape (N,), with feedforward and feedback, from rest."""
 
     def run(changes, reference, plant):
         entries = {"feedforward.type": "inverse_dynamics", "feedforward.preview": 30} | changes

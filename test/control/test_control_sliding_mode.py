@@ -141,7 +141,7 @@ def test_integral_is_not_held_by_a_coarse_converter(loop):
 
 
 def test_published_units_and_metres_are_the_same_controller(controller, loop):
-    """PAPERS K7: with g = DC gain x 1 um, S, K, eta and phi stay; C/2.05, q/r x 2.05^2, beta and delta x g."""
+    """PAPERS K7: with g = DC gain x 1 um, S, K, eta and phi are the same; C/2.05, q/r x 2.05^2, beta and delta x g."""
     gain = controller().p[sliding_surface.INPUT_SCALE]
     metres = {
         "model.dynamics.C": tuple(c * 1e-6 / gain for c in (-0.8674, 0.7907, 0.3855)),
@@ -165,7 +165,7 @@ def test_command_is_bumpless_through_handover(controller, parameters, loop, plan
     transfer = handover_block(parameters(), axis.controller.sample_time)
     commands, _ = axis.run(np.full(300, STEP))
     transfer.simulate(commands)
-    # From sliding mode to open loop with another reference, and back with other gains.
+    # From sliding mode to open loop with another reference, and back with different gains.
     passing = controller({"type": "open_loop"})
     arm(transfer)
     first = transfer.step(passing.step(2 * STEP, STEP))
@@ -254,7 +254,7 @@ def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, mod
 
     ramp = parameters({"kalman.disturbance": "ramp"}).kalman
     ramp_gain = tuple(filter_gain(ramp, model).tolist())
-    # Given gains, because two processes need not get the same bits from LAPACK.
+    # Given gains, because LAPACK may give different bits in two processes.
     gains = {"kalman.gain": "given", "sliding_mode.hyperplane": "given"}
     whole = {**gains, "sliding_mode.tracking": "integral", "sliding_mode.S": (-1.2725, -0.1099, 0.0923, -0.0199)}
     cases = [

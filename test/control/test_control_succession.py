@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One controller takes over from another while the axis runs: the command goes on, the displacement is not kicked."""
+"""One controller takes over from another on the running axis: the command continues, the displacement has no jump."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ GAINS = {
     "super_twisting__k1": 0.1,
     "super_twisting__k2": 0.1,
 }
-#: Every pair of types that close the loop, and the way out.
+#: Every pair of closed-loop types, and the change to open loop.
 ROUND = ("pid", "sliding_mode", "integral_sliding_mode", "super_twisting", "sliding_mode", "super_twisting")
 ROUND += ("integral_sliding_mode", "sliding_mode", "pid", "integral_sliding_mode", "pid", "super_twisting", "pid")
 ROUND += ("open_loop",)
@@ -72,14 +72,14 @@ def hold(axis, samples):
 
 
 def block(parameters):
-    """Return the controller's own part of a node's parameters."""
+    """Return the controller's own group of a node's parameters."""
     return part(parameters, ControllerParameters).without_preload
 
 
 @pytest.mark.parametrize("changes", [ESTIMATING, {}], ids=["estimating", "published filter"])
 @pytest.mark.parametrize("mismatch", [0.05, -0.05])
 def test_command_goes_on_and_nothing_is_kicked_with_a_wrong_model(changes, mismatch):
-    """At rest under one type, then under the next: the displacement goes from one level to the other, no further."""
+    """At rest under one type, then under the next: the displacement moves between the two levels without overshoot."""
     axis, parameters = axis_of(mismatch, **changes)
     command, displacement = hold(axis, 2400)
     for kind in ROUND[1:]:
@@ -125,7 +125,7 @@ def test_observer_goes_on_where_the_filter_is_shared():
     assert made.x[STARTED] == 1.0
     other, _ = successor(block(parameters("super_twisting", kalman__q=0.1)), before.sample_time, before, History())
     assert not other.shares_observer(before)
-    assert other.x[STARTED] == 0.0  # without a history from rest at the next measurement
+    assert other.x[STARTED] == 0.0  # without history, as from rest at the next measurement
     assert other.x[APPLIED] == before.x[APPLIED] and other.x[COMMAND] == before.x[COMMAND]
 
 
@@ -151,7 +151,7 @@ def test_observer_learns_from_the_last_samples_what_it_would_have_known():
 
 
 def test_integral_tracking_goes_on_from_the_present_command():
-    """The integral starts where the command of its predecessor is, so the level is held at once."""
+    """The integral starts at the command of the predecessor, so the level is held at once."""
     tracking = {
         "sliding_mode__tracking": "integral",
         "sliding_mode__hyperplane": "poles",

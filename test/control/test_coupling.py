@@ -29,7 +29,7 @@ from hysteresis_ros.models.linear import StateSpace
 
 
 def python_control():
-    """Return python-control, or skip the test; the folder of this test is a module of that name, too."""
+    """Return python-control, or skip the test; the folder of this test is also a module named control."""
     pytest.importorskip("control.statesp", reason="python-control is optional")
     return importlib.import_module("control")
 
@@ -46,7 +46,7 @@ def random_loop(count: int, seed: int, order: int = 4) -> StateSpace:
 
 
 def diagonal(loops) -> StateSpace:
-    """Return loops of one input and output as one that does not couple them."""
+    """Return several loops of one input and output as one uncoupled loop."""
     order = sum(loop.order for loop in loops)
     A, B, C = np.zeros((order, order)), np.zeros((order, len(loops))), np.zeros((len(loops), order))
     first = 0
@@ -58,7 +58,7 @@ def diagonal(loops) -> StateSpace:
 
 
 def closed_but(loop: StateSpace, open_: int) -> StateSpace:
-    """Return what lies between one cut of a loop and back while the other loops are closed."""
+    """Return the transfer function around one opened loop while the other loops are closed."""
     others = [i for i in range(loop.B.shape[1]) if i != open_]
     A = loop.A - loop.B[:, others] @ loop.C[others]
     return StateSpace(A, loop.B[:, [open_]], loop.C[[open_]], np.zeros((1, 1)))
@@ -128,7 +128,7 @@ def test_margins_are_those_of_python_control(count, seed, skew):
     angles = np.concatenate([np.linspace(1e-4, np.pi, 2000), np.minimum(angles, np.pi)])
     alpha, gain, phase = control.disk_margins(system, np.unique(angles), skew=skew)
     assert found.alpha == pytest.approx(alpha, rel=1e-4)
-    if skew == 0.0:  # where both ways have the same gain margin, which is the one it returns
+    if skew == 0.0:  # where the gain margin is the same in both directions, and is the one that is returned
         assert found.gain_margin == pytest.approx(gain, rel=1e-3)
         assert found.phase_margin == pytest.approx(phase, rel=1e-3)
 

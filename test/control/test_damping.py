@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Damping in front of a plant: closed forms of its filters, what a law sees of it, and what is refused."""
+"""Damping in front of a plant: closed forms of its filters, what a law sees of the plant, and what is refused."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def response(system, hertz):
 
 def test_a_filter_has_its_continuous_response_at_its_frequency_and_its_gain_at_rest():
     found = damping("irc").filter(T)
-    # k/(s − k D_f) with s = h (z − 1)/(z + 1), h = 2/T: exactly that of continuous time at the warped frequency
+    # k/(s − k D_f) with s = h (z − 1)/(z + 1), h = 2/T: exactly the continuous filter at the warped frequency
     s = 2j / T * math.tan(math.pi * 300.0 * T)
     assert response(found, 300.0) == pytest.approx(2000.0 / (s + 5000.0), rel=1e-12)
     assert found.dc_gain == pytest.approx(1.0 / 2.5, rel=1e-12)
@@ -87,7 +87,7 @@ def test_a_filter_has_its_continuous_response_at_its_frequency_and_its_gain_at_r
 
 
 def test_integral_resonant_control_has_the_poles_of_its_characteristic_polynomial():
-    # at 2 MHz without delay: (s² + 2 ζ ω s + ω²)(s − k D_f) − k ω² = 0, so fast that holding no longer matters
+    # at 2 MHz without delay: (s² + 2 ζ ω s + ω²)(s − k D_f) − k ω² = 0; the hold has no effect at this rate
     fast = 5e-7
     dynamics = stage(delay=0.0, sample_time=fast)
     found = damped(dynamics, damping("irc"), fast)
@@ -95,7 +95,7 @@ def test_integral_resonant_control_has_the_poles_of_its_characteristic_polynomia
     wanted = np.roots(np.polysub(polynomial, [2000.0 * OMEGA**2]))
     poles = np.log(found.state_space.poles.astype(complex)) / fast
     assert np.sort_complex(poles) == pytest.approx(np.sort_complex(wanted), rel=2e-3)
-    assert -wanted.real.max() > 0.1 * OMEGA  # and they are damped, by a tenth at least
+    assert -wanted.real.max() > 0.1 * OMEGA  # and they are damped, by at least a tenth
 
 
 def test_integral_force_feedback_has_the_poles_of_its_characteristic_polynomial_and_preumonts_largest_damping():
@@ -110,7 +110,7 @@ def test_integral_force_feedback_has_the_poles_of_its_characteristic_polynomial_
     wanted = np.roots(np.polyadd(polynomial, gain * whole * np.array(zeros)))
     poles = np.log(found.state_space.poles.astype(complex)[np.abs(found.state_space.poles) > 0.5]) / fast
     assert np.sort_complex(poles) == pytest.approx(np.sort_complex(wanted), rel=5e-3)
-    # of an integrator alone no gain damps more than (ω_p − ω_z)/(2 ω_z), reached with α K = ω_p √(ω_p/ω_z)
+    # with an integrator alone no gain gives more damping than (ω_p − ω_z)/(2 ω_z), reached with α K = ω_p √(ω_p/ω_z)
     soft = ForceParameters(stack_stiffness=2e7, flexure_stiffness=1e7)
     ratio = math.sqrt(soft.flexure_stiffness / soft.whole)
 
@@ -133,7 +133,7 @@ def test_a_force_at_rest_does_not_move_what_the_law_means(high_pass):
         sensor.step(block.damp(between.p, between.x, 3e-6, plant.output(), sensor.read()))
     assert plant.output() == pytest.approx(3e-6, rel=1e-6)
     assert sensor.read() == pytest.approx(FORCE.flexure_stiffness * 3e-6, rel=1e-6)
-    # an offset of the sensor moves nothing behind the high-pass; without it by α/ω_c of it
+    # with the high-pass an offset of the sensor has no effect; without it the axis moves by α/ω_c of the offset
     for _ in range(6000):
         sensor.step(block.damp(between.p, between.x, 3e-6, plant.output(), sensor.read() + 0.5))
     moved = plant.output() - 3e-6
@@ -153,7 +153,7 @@ def test_what_a_law_sees_is_the_plant_behind_the_kernel(kind):
     sensor = Sensed(plant, FORCE)
     between = damping_block(own, T)
     random = np.random.default_rng(3)
-    # it begins at rest under what comes first
+    # it begins at rest with the first sample
     for output in [0.0, *(1e-6 * random.standard_normal(300)).tolist()]:
         measured = plant.output()
         assert measured == pytest.approx(model.output(), abs=1e-15)
@@ -243,6 +243,6 @@ def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_
         assert slowest.bandwidth >= 5.0 * without.margins.bandwidth
         assert slowest.sensitivity_peak <= 2.0 and whole.sensitivity_peak <= 2.0
         assert whole.delay_margin_samples >= 1.0
-        # the poles of the loop do not depend on where it is cut
+        # the poles of the loop do not depend on the point at which it is opened
         assert np.sort(np.abs(slowest.poles))[-4:] == pytest.approx(np.sort(np.abs(whole.poles))[-4:], rel=1e-6)
         assert modes(around.plant.poles.astype(complex), T)[0][1] > 0.1

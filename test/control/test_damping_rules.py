@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Rules that every design of a damping is held to, one filter at a time: margins by the closed form of the loop."""
+"""Rules for every design of a damping, tested on single filters: margins by the closed form of the loop."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IRC = KINDS["irc"]
 
 
 def design_among(monkeypatch, points, dynamics):
-    """Return k and feedthrough that a design takes where these are all there is."""
+    """Return k and feedthrough that a design selects if only these points exist."""
 
     def boxes(mode):
         return tuple(tuple((value, value, False) for value in point) for point in points)
@@ -40,7 +40,7 @@ def design_among(monkeypatch, points, dynamics):
 
 
 def inner_loop(point, dynamics):
-    """Return M_s of 1/(1 − F P) and the least damping of its modes, on the model and with the resonance off by 10 %.
+    """Return M_s of 1/(1 − F P) and the smallest damping of its modes, on the model and with the resonance off by 10 %.
 
     F = k/(s − k D_f) with s = h (z − 1)/(z + 1), h = 2/T; P from the poles of the stage, both as polynomials in z.
     """
@@ -73,7 +73,7 @@ def test_an_inner_loop_of_too_large_a_peak_is_not_taken_however_slow_the_law_in_
 
 @pytest.mark.slow
 def test_a_filter_that_leaves_the_mode_nearly_as_it_was_is_none(monkeypatch):
-    """The stage has 1 %: 2 % are asked for, on the plant that is damped least."""
+    """The stage has 1 %; 2 % are required on the plant with the least damping."""
     dynamics = stage()
     little, enough = (60.0, -2.5), (132.0, -2.5)
     assert 0.011 < inner_loop(little, dynamics)[1] < 0.019 and 0.0205 < inner_loop(enough, dynamics)[1] < 0.03
@@ -84,12 +84,12 @@ def test_a_filter_that_leaves_the_mode_nearly_as_it_was_is_none(monkeypatch):
 
 @pytest.mark.slow
 def test_the_fastest_filter_is_left_where_a_slower_one_tolerates_a_sample_of_delay_more(monkeypatch):
-    """Without any such filter the fastest is better than none."""
+    """Without such a filter the fastest one is used."""
     dynamics = stage(delay=0.0, frequency=5000.0)
     fast, slow = (3142.0, -2.5), (31416.0, -6.0)
     assert design_among(monkeypatch, [fast, slow], dynamics) == slow
     assert design_among(monkeypatch, [fast], dynamics) == fast
-    # one more sample of delay: only the slower one is a design there
+    # one more sample of delay: only the slower filter is accepted
     late = stage(delay=T, frequency=5000.0)
     with pytest.raises(ParameterError, match="no irc damps the resonance at 5000 Hz"):
         design_among(monkeypatch, [fast], late)
@@ -102,13 +102,13 @@ def test_modes_come_by_their_damping_the_least_damped_first():
     poles = np.exp(T * omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
     found = modes(np.concatenate([poles, poles.conj(), [0.5, 0.0]]), T)
     np.testing.assert_allclose(found, [(2000.0, 0.01), (900.0, 0.05), (700.0, 0.3)], rtol=1e-9)
-    # the design damps that one, wherever it stands
+    # the design damps this mode, whatever its place in the model
     assert mode_to_damp(stage(), T).frequency == pytest.approx(700.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(("damping", "there"), [(0.65, True), (0.75, False)])
 def test_a_mode_that_is_damped_by_itself_needs_no_filter(damping, there):
-    """Two poles of 700 Hz, complex up to the critical damping: a step overshoots by 7 % at 0.65 and by 3 % at 0.75."""
+    """Two poles of 700 Hz, complex below critical damping: the step overshoot is 7 % at 0.65 and 3 % at 0.75."""
     omega = 2.0 * np.pi * 700.0
     A, B = zero_order_hold([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]], [[0.0], [omega**2]], T)
     dynamics = replace(stage(), A=tuple(A.ravel().tolist()), B=tuple(B[:, 0].tolist()))
@@ -120,7 +120,7 @@ def test_a_mode_that_is_damped_by_itself_needs_no_filter(damping, there):
 
 
 def test_all_resonances_off_to_both_sides_are_judged():
-    """Slower and faster by the part that is asked: the model's mode over 1 − part and 1 + part."""
+    """Slower and faster by the requested fraction: the frequency of the mode over 1 − part and 1 + part."""
     found = [modes(one.plant.poles.astype(complex), T)[0][0] for one in damping_plants(stage(), T, 0.2)]
     np.testing.assert_allclose(np.sort(found) / 700.0, [1 / 1.2, 1.0, 1 / 0.8], rtol=1e-3)
     assert found[0] == pytest.approx(700.0, rel=1e-6)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a damping filter sees and keeps: no preload, and no state of another filter."""
+"""Inputs and states of a damping filter: no preload, and no state of another filter."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def fed(between, outputs, measured, force=0.0) -> np.ndarray:
 
 @kinds
 def test_an_axis_under_a_preload_is_damped_as_one_without(kind):
-    """The preload moves where the sensor reads zero, by 2 µm here, and nothing of the dynamics."""
+    """The preload moves the zero of the sensor, here by 2 µm, and does not change the dynamics."""
     preload = PreloadParameters(force=3.0, A1=-0.5e-6, B1=-0.5e-6)
     assert preload.offset == pytest.approx(-2e-6)
     model = ModelParameters(dynamics=stage(), force=FORCE, preload=preload)
@@ -61,13 +61,13 @@ def test_another_filter_begins_at_rest_whatever_the_one_before_has_seen(before, 
     [("irc", {"k": 1200.0}), ("irc", {"feedthrough": -3.5}), ("ppf", {"gains": (0.1, 0.05)})],
 )
 def test_other_gains_of_the_same_filter_do_not_move_an_axis_that_rests(kind, changes):
-    """At rest at 3 µm the command is 3 µm before and after, with no transient between."""
+    """At rest at 3 µm the command is 3 µm before and after, without a transient."""
     between = damping_block(controller(kind), T)
     rest = np.full(20, 3e-6)
     np.testing.assert_allclose(fed(between, rest, rest), rest, rtol=1e-12)
     between.retune(controller(kind, **changes))
     np.testing.assert_allclose(fed(between, rest, rest), rest, rtol=1e-9)
-    # and a filter that was not at rest goes on from where it was
+    # and a filter that was not at rest continues from its state
     other = damping_block(controller(kind), T)
     step = np.concatenate([np.zeros(5), np.full(5, 1e-6)])
     fed(other, step, step)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Feedforward: a model driven by its own inverse dynamics follows the reference, as far as the preview allows."""
+"""Feedforward: a model driven by its inverse dynamics follows the reference, as far as the preview allows."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def parameters(dynamics, preview, kind="inverse_dynamics"):
 
 
 def motion(samples, seed=1):
-    """Return a reference that rests, then moves without any smoothness, then rests [m]."""
+    """Return a reference that rests, then moves without smoothness, then rests [m]."""
     moving = np.random.default_rng(seed).uniform(0.0, 1e-5, samples)
     return np.concatenate([np.full(20, moving[0]), moving, np.full(60, moving[-1])])
 
@@ -73,7 +73,7 @@ def followed(dynamics, preview, reference, kind="inverse_dynamics"):
 
 
 def commands_of(found, reference):
-    """Return the commands u(0) … u(K-1) [m] of an inverse filter from rest, for a reference that stays at its last."""
+    """Return the commands u(0) … u(K-1) [m] of an inverse filter from rest; the reference stays at its last value."""
     last = found.first + max(len(found.weights), 1) - 1
     ahead = np.concatenate([reference, np.full(last, reference[-1])])
     state, commands = found.rest * reference[0], np.empty(len(reference))
@@ -172,7 +172,7 @@ def test_zeros_on_the_unit_circle_are_named_where_a_reference_needs_them():
     ids=["beside", "on, and one farther out", "and inside", "two pairs", "half", "within half", "and a slow one"],
 )
 def test_zeros_beside_the_circle_are_left_out_without_phase_error(zeros, samples):
-    """f = g g* p: one at rest, without phase, within a per cent as far as stated, nothing at the zeros."""
+    """f = g g* p: one at rest, zero phase, within one per cent in the stated band, zero at the zeros."""
     resonances = [*pair(0.9, 0.9), *pair(0.97, 2.2), 0.6]
     poles = {1: [0.9, 0.6], 2: [*pair(0.9, 0.9), 0.6]}.get(len(zeros), resonances)
     dynamics = replace(realised(zeros, poles), sample_time=1e-3, delay=samples * 1e-3)
@@ -186,7 +186,7 @@ def test_zeros_beside_the_circle_are_left_out_without_phase_error(zeros, samples
         reference = 1e-5 * np.sin(2.0 * np.pi * cycles * np.arange(900))
         delayed, outputs = (values[400:] for values in followed(dynamics, preview, reference))
         missing = 1.0 - (outputs @ delayed) / (delayed @ delayed)
-        # a part of a sample in the delay has an error of its own
+        # a fractional delay has an additional error
         own = (4.0 * (samples % 1.0) * (1.0 - samples % 1.0) * np.sin(np.pi * cycles) ** 2) ** 4
         assert abs(missing) < 0.011 + own
         assert np.std(outputs - delayed * (1.0 - missing)) < 2e-4 * np.std(delayed)
@@ -194,7 +194,7 @@ def test_zeros_beside_the_circle_are_left_out_without_phase_error(zeros, samples
 
 @pytest.mark.parametrize("zeros", [pair(1.003, 2.3), pair(0.99, 2.3), [-0.995, 0.0]], ids=["outside", "inside", "real"])
 def test_a_command_does_not_ring_at_zeros_that_are_left_out(zeros):
-    """Where the reference has come to rest the command has, but for the modes of the rest: here none."""
+    """Once the reference is at rest, so is the command, except for modes of the rest; this plant has no other modes."""
     dynamics = replace(realised(zeros, [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
     preview = designed_preview(dynamics)
     block = feedforward_block(parameters(dynamics, preview), 1e-3)
@@ -208,7 +208,7 @@ def test_a_command_does_not_ring_at_zeros_that_are_left_out(zeros):
 
 
 def test_a_mode_above_the_rate_of_the_reference_does_not_swing_between_the_samples():
-    """A mode of 1.5 % that is held has a zero at -0.986: inverted, the command alternates for hundreds of samples."""
+    """A held mode with 1.5 % damping has a zero at -0.986: its inverse alternates for hundreds of samples."""
     mode = ([[0.0, 1.0], [-1.0, -0.03]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     A, B, C, _, _ = cont2discrete([np.array(matrix) for matrix in mode], 1.32)
     values = {"A": tuple(A.ravel()), "B": tuple(B.ravel()), "C": tuple(C.ravel())}
@@ -225,7 +225,7 @@ def test_a_mode_above_the_rate_of_the_reference_does_not_swing_between_the_sampl
 
 
 def test_a_zero_that_a_slower_one_hides_is_inverted():
-    """Parts of the inverse are told apart by their size: what is slow and needed keeps what is fast and smaller."""
+    """Terms of the inverse are distinguished by size: a large slow term is kept, and so is a smaller fast one."""
     dynamics = replace(realised([-0.9, 0.97], [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
     assert inverse_filter(dynamics, 3).left_out is None
 
@@ -295,7 +295,7 @@ def test_structure_cannot_change_live():
 
 inside = st.floats(-0.9, 0.9)
 angle = st.floats(0.1, 3.0)
-#: None so near to -1 that it is left out.
+#: No zero is near enough to -1 to be left out.
 zero = st.one_of(st.floats(-0.86, 0.9), st.floats(1.3, 20.0), st.floats(-20.0, -1.3))
 
 
@@ -324,7 +324,7 @@ def realised(zeros, poles):
 @pytest.mark.parametrize("samples", [2.0, 0.25, 1.5, 0.9])
 @pytest.mark.parametrize("dynamics", [LAG, LinearParameters()], ids=["lag", "nothing"])
 def test_a_delay_is_taken_back_also_by_parts_of_a_sample(dynamics, samples):
-    """Whole samples exactly; of a part f the amplitude misses (4 f (1 - f) sin²(ω/2))⁴, and no phase."""
+    """Whole samples exactly; for a fraction f the amplitude error is (4 f (1 - f) sin²(ω/2))⁴, without phase error."""
     late, part = replace(dynamics, sample_time=1e-3, delay=samples * 1e-3), samples % 1.0
     preview = sufficient_preview(late)
     assert preview == relative_degree(late) + (4 if part else 0) == 1 + int(samples) + (4 if part else 0)
@@ -352,7 +352,7 @@ def test_any_stable_model_is_followed_exactly_with_enough_preview(dynamics):
 
 
 def test_modes_that_coincide_at_zero_cost_no_digits():
-    """Beside a zero outside the circle, three modes of the inverse stand at 0."""
+    """Besides a zero outside the circle, three modes of the inverse are at 0."""
     dynamics = realised([-2.0, 0.0], [0.3125 * np.exp(0.25j), 0.3125 * np.exp(-0.25j), 0.5, 0.5])
     chosen = inverse_filter(dynamics, relative_degree(dynamics))
     assert commands_of(chosen, np.full(50, 3e-6)) == pytest.approx(np.full(50, 3e-6), rel=1e-9)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs keep the bandwidth that was asked, place what they say, and refuse models and requests by name."""
+"""Designs reach the requested bandwidth, place the stated poles, and refuse models and requests by name."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_bandwidth_is_met_on_the_published_axis(parameters, controller):
 
 
 def test_order_one_pi_has_the_closed_form():
-    # the zero cancels the lag: L = g/(z - 1) with the pole 1 - g alone
+    # the zero cancels the lag: L = g/(z - 1), with the single pole 1 - g
     a, time = 0.686131723, 0.005
     lag = LinearParameters(A=(a,), B=(1.0 - a,), C=(1.0,), output_scale=1e-6)
     gains = design_pid(PidParameters(), lag, time, bandwidth=10.0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The learned correction: its law on loops whose answer is known, its limits, its filters, and its file."""
+"""The learned correction: its law in loops with known responses, its limits, its filters, and its file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 def test_a_delayed_loop_of_wrong_gain_is_inverted_in_one_period_by_a_filter_that_looks_as_far_ahead():
     m, e = followed(learning(error_filter=(1.0 / 0.8,), lead=3), (0.0, 0.0, 0.0, 0.8), 4)
     assert np.max(np.abs(e[0])) > 1e-7
-    # the first samples of the first period came from before the reference
+    # the first samples of the first period were measured before the reference began
     np.testing.assert_allclose(m[1, 3:-3], (1.0 / 0.8) * np.roll(e[0], -3)[3:-3], rtol=1e-12)
     np.testing.assert_allclose(e[2, 3:], 0.0, atol=1e-18)
     np.testing.assert_allclose(e[3], 0.0, atol=1e-18)
@@ -51,7 +51,7 @@ def test_the_error_falls_by_the_factor_that_contraction_says():
 def test_the_gain_falls_as_the_number_of_periods_says_and_the_limit_stays_where_it_is():
     block = learning(error_filter=(1.0,), lead=1, gain=0.8, averaging=2.0, least_gain=0.1)
     _, e = followed(block, (0.0, 1.0), 30, REFERENCE + 5e-7)
-    # nothing is known of a period before the first: learning begins with the second, j = 2
+    # nothing is known of a period before the first one: learning begins with the second, j = 2
     expected = [min(0.8, max(2.0 / j, 0.1)) for j in range(2, 31)]
     found = [1.0 - e[j, 5] / e[j - 1, 5] for j in range(2, 12)]
     np.testing.assert_allclose(found, expected[1:11], rtol=1e-6)
@@ -62,7 +62,7 @@ def test_the_robustness_filter_has_no_phase():
     length = (len(block.x) - at.RINGS) // 3
     corrections = block.x[at.RINGS : at.RINGS + length]
     block.x[at.RINGS + length :] = 0.0
-    corrections[(20 - N) % length] = 1e-6  # the sample 20 of the period before
+    corrections[(20 - N) % length] = 1e-6  # the sample 20 of the previous period
     values = [learned_correction(block.p, block.x, 0.0, 0.0) for _ in range(N)]
     expected = np.zeros(N)
     expected[18:23] = np.array([0.1, 0.2, 0.4, 0.2, 0.1]) * 1e-6
@@ -77,7 +77,7 @@ def test_what_was_not_measured_is_not_learned_and_the_rest_is():
 
 
 def learned_beside_a_late_voltage(recovery):
-    """Return what is learned where a late voltage has knocked the axis off by 0.1 µm, which halves each sample."""
+    """Return the result of learning when a late voltage disturbs the axis by 0.1 µm, which halves with each sample."""
     block = learning(error_filter=(1.0 / 0.9,), lead=1, recovery=recovery / RATE)
     knocked, late, asked = 0.0, 6 * N + 9, np.zeros(8 * N + 1)
     for k in range(8 * N):
@@ -147,7 +147,7 @@ def test_a_period_that_is_no_whole_number_of_samples_is_refused_with_its_neighbo
 
 
 def lags(spread):
-    """Return T of a lag with two samples of delay, and of lags that are slower or faster by up to a part."""
+    """Return T of a lag with two samples of delay, and of lags slower or faster by up to a fraction."""
     z = np.exp(1j * np.linspace(0.0, np.pi, 2049))
 
     def closed(gain, pole):
@@ -166,7 +166,7 @@ def test_filters_contract_on_all_plants_that_are_possible_and_do_so_in_the_loop(
     assert np.isclose(low_pass[0], 1.0)
     sizes = np.abs(low_pass - learned * response.possible) + UNSEEN * np.abs(learned)
     np.testing.assert_allclose(found.contraction, np.max(sizes), rtol=1e-9)
-    assert np.max(sizes) > np.max(sizes[4]) + 1e-3, "the model is not the worst of them"
+    assert np.max(sizes) > np.max(sizes[4]) + 1e-3, "the worst plant is not the model"
     given = {"error_filter": tuple(found.error), "lead": found.lead, "robustness_filter": tuple(found.robustness)}
     # the slowest of the lags
     answer = 0.9 * 0.43 * 0.57 ** np.maximum(np.arange(60) - 2, 0) * (np.arange(60) > 1)
@@ -185,7 +185,7 @@ def test_a_loop_whose_sign_is_open_is_refused_by_name_and_figure():
 
 
 def test_the_inverse_is_the_one_of_which_the_worst_plant_is_best():
-    # of gains g and 2 g the best is 1 / (1.5 g), which leaves a third of both
+    # for gains g and 2 g the best inverse is 1 / (1.5 g), which leaves a third of both errors
     model = np.full(1025, 1.0 + 0.0j)
     found = design_filters("inversion", Response(model, np.array([model, 2.0 * model])), N, bandwidth=0.4)
     _, learned = found.responses([1e-3])

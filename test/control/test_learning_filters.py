@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Filters of the learned correction beside closed forms: pure delays, plants of two gains, and one band of doubt."""
+"""Filters of the learned correction compared with closed forms: pure delays, two gains, and one uncertain band."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ N = 400
 
 @pytest.mark.parametrize("delay", [1, 3, 6])
 def test_a_repetitive_filter_looks_ahead_by_the_delay_of_the_loop_no_sample_more_or_less(delay):
-    """Behind a pure delay the lead is that delay: G T is real at every frequency, k Q."""
+    """For a pure delay the lead equals this delay: G T is real at every frequency, k Q."""
     model = np.exp(-1j * delay * ANGLES)
     found = design_filters("repetitive", Response(model, model[np.newaxis]), N)
     low_pass, learned = found.responses(ANGLES)
@@ -37,7 +37,7 @@ def test_a_repetitive_filter_looks_ahead_by_the_delay_of_the_loop_no_sample_more
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 3.0), (0.5, 1.5)])
 def test_norm_optimal_learning_weighs_what_is_not_known_of_the_plants(low, high):
-    """At rest λ = 0: G = E T/(μ + E|T|² + ε²); the mean square holds the variance of the plants, (high − low)²/4."""
+    """At rest λ = 0: G = E T/(μ + E|T|² + ε²); the mean square contains the variance of the plants, (high − low)²/4."""
     flat = np.ones(POINTS, dtype=complex)
     response = Response(0.5 * (low + high) * flat, np.array([low * flat, high * flat]))
     _, learned = design_filters("norm_optimal", response, N, bandwidth=0.3).responses([0.0])
@@ -49,7 +49,7 @@ def test_norm_optimal_learning_weighs_what_is_not_known_of_the_plants(low, high)
 
 
 def test_where_all_plants_agree_inversion_is_the_inverse():
-    """An inverse that is exact leaves no error to weigh plants by."""
+    """An exact inverse leaves no error by which plants could be weighted."""
     for model in (np.exp(-2j * ANGLES), 2.0 * np.exp(-1j * ANGLES)):
         for plants in ([model], [model, model]):
             found = design_filters("inversion", Response(model, np.array(plants)), N)
@@ -60,7 +60,7 @@ def test_where_all_plants_agree_inversion_is_the_inverse():
 
 
 def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it():
-    """The plants are opposite in sign around a tenth of the sample rate: Q dips there, and is whole on both sides."""
+    """The plants have opposite signs around a tenth of the sample rate: Q has a dip there, and is 1 on both sides."""
     place = ANGLES / (2.0 * np.pi)
     within = np.exp(-(((place - 0.1) / 0.06) ** 2))
     model = np.exp(-2j * ANGLES)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How much of a period is learned: the least gain, a new beginning, and what a hole in the errors costs."""
+"""Fraction of a period's error that is learned: the least gain, a restart, and the effect of missing errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hysteresis_ros.control.learning import FROZEN, LEARNING
 
 
 def gains(errors) -> np.ndarray:
-    """Return which part of the error each period has taken off, where the loop is one sample of delay."""
+    """Return the fraction of the error that each period has removed, in a loop with one sample of delay."""
     return 1.0 - errors[1:, 5] / errors[:-1, 5]
 
 
@@ -45,14 +45,14 @@ def test_learning_that_begins_anew_begins_with_the_whole_gain(how):
         followed(block, (0.0, 1.0), 2, REFERENCE + 5e-7)
         block.set_mode(LEARNING)
     _, after = followed(block, (0.0, 0.6), 6, other)
-    # of what is left 0.6 · 0.8 and more of a period that is not averaged yet
+    # of the remaining error 0.6 · 0.8, and more from a period that is not averaged yet
     taken = gains(after)
     assert taken[1:3].max() > 0.35, taken
 
 
 def test_a_hole_in_the_errors_is_weighed_by_the_sizes_of_the_taps_that_meet_it():
-    """Taps that cancel weigh as much as others: a hole under a small one costs little, under a large one the sample."""
+    """Taps that cancel also count: a missing error matters little at a small tap and costs the sample at a large one."""
     hole = 2 * N + 17
     m, _ = followed(learning(error_filter=(0.5, 0.04, -0.5), lead=1), (0.0, 0.9), 5, bad={hole})
-    # the large ones are of the samples before and after it
+    # the large taps belong to the samples before and after it
     np.testing.assert_array_equal(np.flatnonzero(m[3] == m[2]), [16, 18])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs of their own accord keep the margins of every design, on the model and with a sample of delay more."""
+"""Automatic designs keep the margins required of every design, on the model and with one more sample of delay."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def lag(time_constant: float = 0.015, sample_time: float = T, delay: float = 0.0
 
 
 def later(parameters, samples: float, sample_time: float = T):
-    """Return the same gains' loop on a model with more delay: with the observer's model as it was."""
+    """Return the loop of the same gains with more delay in the plant; the observer's model is unchanged."""
     dynamics = parameters.model.dynamics
     late = replace(dynamics, delay=dynamics.delay + samples * sample_time, sample_time=sample_time)
     controller, _ = linear_loop(parameters, sample_time)
@@ -55,7 +55,7 @@ def test_a_design_of_a_lag_keeps_them_with_and_without_a_modelled_delay(name, de
 
 
 def test_a_resonance_is_not_damped_by_a_loop_that_a_sample_of_delay_would_excite(parameters):
-    """Kim's axis turns by 76 degrees at its resonance in a sample; the published filter bears 0.58 of one."""
+    """Kim's axis has 76 degrees of lag per sample at its resonance; the published filter tolerates 0.58 samples."""
     time = 1.0 / 3000.0
     published = margins(parameters(), time)
     assert not published.meets and not later(parameters(), 1.0, time).stable
@@ -68,7 +68,7 @@ def test_a_resonance_is_not_damped_by_a_loop_that_a_sample_of_delay_would_excite
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "offset_free"])
 def test_a_fast_sample_rate_makes_no_fast_loop_of_a_slow_lag(name):
-    """A lag of 12 Hz at 20 kHz: what the sensor's noise does to the command ends the search, not the sample rate."""
+    """A lag of 12 Hz at 20 kHz: the effect of sensor noise on the command ends the search, not the sample rate."""
     time, slow = 5e-5, lag(1.0 / (2.0 * np.pi * 12.0), 5e-5)
     found = design_gains(slow, name, time, aimed=replace(REQUIRED, command_noise_gain=20.0))
     assert 10.0 < found.margins.command_noise_gain < 20.1
@@ -78,7 +78,7 @@ def test_a_fast_sample_rate_makes_no_fast_loop_of_a_slow_lag(name):
 
 
 def test_an_observer_that_knows_the_delay_foresees_through_it():
-    """Without noise its innovation is zero however the input moves; one that does not know it is surprised."""
+    """Without noise its innovation is zero for any input; an observer without the delay has an innovation."""
     dynamics = lag(delay=2.3 * T).model.dynamics
     inputs = np.random.default_rng(2).normal(size=200)
     surprises = {}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Margins from the lines of a measured loop are those of the loop, and lie within what its circles allow."""
+"""Margins from the lines of a measured loop are those of the loop, and lie within the bounds of its uncertainty."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hysteresis_ros.control.uncertainty import integral_controller
 from hysteresis_ros.models.linear import StateSpace
 
 RATE = 1000.0
-#: 120 Hz with 20 % of damping, held for a sample, of unit gain at rest.
+#: 120 Hz with 20 % damping, held for one sample, unit gain at rest.
 POLE = np.exp((-0.2 + 1j * np.sqrt(1 - 0.04)) * 2.0 * np.pi * 120.0 / RATE)
 BARE = StateSpace(
     np.array([[2.0 * POLE.real, -(abs(POLE) ** 2)], [1.0, 0.0]]),
@@ -62,12 +62,12 @@ def test_margins_of_whatever_lies_in_the_circles_lie_in_their_intervals():
     names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak")
     widest = dict.fromkeys(names, 0.0)
     for _ in range(200):
-        # one factor for all lines: another plant within the circles
+        # one factor for all lines: another plant within the uncertainty
         factor = 1.0 + 0.1 * random.uniform() * np.exp(2j * np.pi * random.uniform())
         other = MeasuredLoop(LINES, found.loop * factor, found.radius, found.sample_time)
         for name in names:
             interval, value = getattr(found, name), getattr(other, name).value
-            # to first order: what moves the crossover as well is left aside
+            # to first order: the change of the crossover is neglected
             slack = 0.3 * (interval.high - interval.low)
             assert interval.low - slack < value < interval.high + slack, name
             widest[name] = max(widest[name], abs(value - interval.value) / (interval.high - interval.low))

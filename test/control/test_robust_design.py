@@ -109,7 +109,7 @@ def test_robust_gains_meet_on_every_plant_what_others_miss_on_some(controller):
     assert usual.margins.meets and len(missed) == 1 and "on a plant with gain +32 %" in missed[0]
     found, worth = design_robust(parameters(LAG), controller, 0.005, ranges)
     assert worth.misses() == () and all(margins.meets for margins in worth.margins)
-    # no further from the limit than the steps of the search
+    # no farther from the limit than one step of the search
     assert 1.6 < worth.margins[worth.worst].sensitivity_peak < 2.003
     assert found.margins.sensitivity_peak < usual.margins.sensitivity_peak
     if controller == "pid":

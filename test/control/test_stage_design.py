@@ -40,7 +40,7 @@ def zeros(model) -> np.ndarray:
 
 
 def corrected(parameters: StageParameters, corrections: dict, folder, active=False) -> StageParameters:
-    """Return a stage whose references have corrections, which are not learned further."""
+    """Return a stage with corrections of its references that are not changed by learning."""
     axes = []
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         path = folder / f"{name}.yaml"
@@ -82,7 +82,7 @@ def test_the_inverse_of_the_coupled_loop_follows_the_path_at_all_samples(structu
 
 
 def test_decoupling_each_axis_alone_leaves_the_coupling_between_them(tmp_path):
-    """The inverse has a part of each axis in the other: without it the error is that of the cross-talk."""
+    """The inverse has cross terms; without them the error equals the cross-talk."""
     crossed = stage(
         "lissajous", ("width=16um", "depth=8um", "lines=5", "frame_rate=40Hz"), structure={"decoupling": []}
     )
@@ -111,7 +111,7 @@ def test_the_closed_loop_of_a_stage_is_that_of_its_loop_transfer():
     loop = stage_loop(parameters).response(np.exp(1j * angles))
     # at rest the references are followed, without coupling
     np.testing.assert_allclose(closed[0], np.eye(2), atol=0.05)
-    # of a PID without weights on the reference 1 - T is the sensitivity, but for the damping behind it
+    # for a PID without weights on the reference, 1 - T is the sensitivity, except for the damping
     sensitivity = np.linalg.inv(np.eye(2) + loop)
     without = stage(motion_controller={"damping__type": "none", "pid__Ki": 20.0, "pid__Kp": 0.0, "pid__Kd": 0.0})
     closed, loop = stage_response(without, angles), stage_loop(without).response(np.exp(1j * angles))
@@ -123,14 +123,14 @@ def test_the_period_of_an_axis_is_that_of_its_own_path():
     line = np.tile(np.sin(np.arange(40) * np.pi / 20.0), 6)
     assert shortest_period(line) == 40
     assert shortest_period(np.concatenate([line, line[:40] * 1.001])) == 280
-    assert shortest_period(line * 1e-6 + np.repeat([0.0, 1e-12], 120)) == 40, "less than learning notices"
+    assert shortest_period(line * 1e-6 + np.repeat([0.0, 1e-12], 120)) == 40, "a difference too small for learning"
 
 
 def test_each_axis_learns_over_the_period_of_its_own_path():
     values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
     found = design_stage_learning(stage("raster", values), LearningRequest("inversion"), {})
-    assert found.designs["x"].parameters.period == pytest.approx(0.05), "a line"
-    assert found.designs["y"].parameters.period == pytest.approx(0.4), "a frame"
+    assert found.designs["x"].parameters.period == pytest.approx(0.05), "period of a line"
+    assert found.designs["y"].parameters.period == pytest.approx(0.4), "period of a frame"
     assert len(found.corrections["x"].correction) == 500 and len(found.corrections["y"].correction) == 4000
 
 

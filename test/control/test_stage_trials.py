@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Learning of all axes of a stage together, from run to run, on plants that are not what the model says."""
+"""Joint learning of all axes of a stage, from run to run, on plants that differ from the model."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_slower_modes_are_those_of_a_slower_structure(monkeypatch):
     monkeypatch.setattr(np.random, "default_rng", lambda seed: Slowest())
     found = possible_loops(stage(structure=modal((700.0, 800.0))), ANGLES, replace(CERTAIN, resonance=0.05, draws=1))
     slower = stage_response(stage(structure=modal((700.0 / 1.05, 800.0 / 1.05))), ANGLES)
-    # a slower mode of the held structure has another zero of sampling, far above the modes
+    # a slower mode of the held structure has another sampling zero, far above the modes
     np.testing.assert_allclose(found.mean[:5], slower[:5], rtol=0.02, atol=2e-3)
 
 
@@ -85,7 +85,7 @@ def loops_of(mean, deviation: float) -> Loops:
 
 
 def test_runs_teach_a_loop_that_the_model_does_not_know():
-    """The model has the wrong phase by 80 degrees and no coupling; a few runs find c and T, with what they excite."""
+    """The model has a phase error of 80 degrees and no coupling; a few runs identify c and T from their excitation."""
     random = np.random.default_rng(3)
     true = np.array([[1.0, 0.4], [-0.3, 0.8]]) * np.exp(1.4j)
     wanted = np.array([1.0 + 0.5j, -0.7j])
@@ -100,7 +100,7 @@ def test_runs_teach_a_loop_that_the_model_does_not_know():
         belief = Belief.after(loops, *known) if belief is None else belief.given(*known)
         correction = correction + belief.step(correction, np.full((1, 2), 1e-12))
     assert left[-1] < 1e-3 * left[0]
-    # inverting the model alone does not converge on such a loop
+    # with the inverse of the model alone, learning does not converge on such a loop
     assert np.max(np.abs(np.linalg.eigvals(np.eye(2) - true))) > 1.0
 
 
@@ -112,12 +112,12 @@ def test_the_first_step_is_norm_optimal():
     belief = Belief.after(loops_of(mean, 0.3), given, error, np.zeros((1, 2)))
     expected = np.linalg.solve(mean[0].conj().T @ mean[0] + 2 * 0.3**2 * np.eye(2), mean[0].conj().T @ error[0])
     np.testing.assert_allclose(belief.step(given, np.zeros((1, 2)))[0], expected, rtol=1e-12)
-    # an error that may be noise is left alone
+    # an error that may be noise is not corrected
     np.testing.assert_array_equal(belief.step(given, np.full((1, 2), 1.0)), 0.0)
 
 
 def test_axes_learn_together_what_the_model_does_not_have(tmp_path):
-    """The plant has 3 % lower modes, 8 % more gain and twice the cross-talk of the model."""
+    """Compared with the model the plant has 3 % lower modes, 8 % more gain and twice the cross-talk."""
     model = stage(*SPIRAL, structure=modal((700.0, 800.0)))
     wrong = modal((679.0, 776.0), crossed=0.08)
     wrong["structure__C"] = tuple(1.08 * np.array(wrong["structure__C"]))
@@ -130,8 +130,8 @@ def test_axes_learn_together_what_the_model_does_not_have(tmp_path):
         left.append(np.max(np.abs(run["x/reference"] - run["x/displacement"])[-2500:]))
         runs.append(trial(model, run, applied(now)))
         corrections = learning.after(runs)
-    assert left[1] < 0.2 * left[0], "the model's inverse"
-    assert left[2] < 0.2 * left[1], "and what a run has shown"
+    assert left[1] < 0.2 * left[0], "the inverse of the model reduces the error"
+    assert left[2] < 0.2 * left[1], "and a run reduces it further"
     assert left[4] < 0.01 * left[1]
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Commands and snippets of the documents: all are read, those of the guide are run in the order of their page."""
+"""Commands and snippets of the documents: all are parsed, those of the guide are run in the order of their page."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
 #: Pages that are run as printed.
 GUIDE = ("install", "first_axis", "models", "real_time", "coupled_axes", "troubleshooting")
-#: What a page stands for where it prints no name.
+#: What replaces the placeholders of a page.
 PLACEHOLDERS = {"CONFIG": "kim2009", "RECORDING": "run.npz", "BAG": "run.npz"}
-#: Commands of the guide that nodes, minutes or hardware belong to, and the test that runs them.
+#: Commands of the guide that need nodes, minutes or hardware, and the test that runs them.
 TRIED_ELSEWHERE = {
     **{name: "test/nodes/test_remote.py" for name in ("setpoint", "status", "set", "get", "call", "echo")},
     "up": "test/nodes/test_lockstep.py",
     "doctor": "test/cli/test_doctor_command.py",
 }
-#: Pages whose Python other tests run, or that needs what is not here, and why.
+#: Pages whose Python code is run by other tests, or needs something that is not available here, with the reason.
 SNIPPETS = {
     "api": "test/test_api.py",
     "extending": "test/test_extending.py",
@@ -48,13 +48,13 @@ SNIPPETS = {
 
 
 def fenced(path: pathlib.Path, *languages: str) -> list[str]:
-    """Return the blocks of these languages on a page, those within lists too."""
+    """Return the blocks of these languages on a page, including those within lists."""
     blocks = re.findall(r"^( *)```(\S*)\n(.*?)^ *```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return [re.sub(rf"^{indent}", "", text, flags=re.MULTILINE) for indent, kind, text in blocks if kind in languages]
 
 
 def commands(path: pathlib.Path) -> list[list[str]]:
-    """Return the words of every command `hysteresis …` in the blocks of a page, variables put in."""
+    """Return the words of every command `hysteresis …` in the blocks of a page, with variables replaced."""
     found, variables = [], {}
     for block in fenced(path, "", "sh"):
         for line in block.replace("\\\n", " ").splitlines():
@@ -75,7 +75,7 @@ def option_names(command: click.Command) -> set[str]:
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_every_command_of_a_page_is_one(path):
-    """Names, options and choices are; what they name need not be there."""
+    """Names, options and choices exist; the named files need not exist."""
     for words in commands(path):
         with click.Context(main) as context:
             if words[0] in ("--version", "--help"):
@@ -101,7 +101,7 @@ def test_every_command_within_a_sentence_is_one(path):
 
 
 def run_commands(page: str) -> int:
-    """Run the commands of a page of the guide, here and now; `up` by its offline twin, which has the same bits."""
+    """Run the commands of a page of the guide in process; `up` by its offline twin, which has the same bits."""
     runner, done = CliRunner(), 0
     twins: dict[str, str] = {}
     for words in commands(ROOT / "docs" / f"{page}.md"):
@@ -119,7 +119,7 @@ def run_commands(page: str) -> int:
 
 @pytest.mark.parametrize("page", GUIDE)
 def test_the_guide_runs(page, tmp_path, monkeypatch):
-    """Its commands, then its Python."""
+    """First its commands, then its Python code."""
     monkeypatch.chdir(tmp_path)
     done = run_commands(page)
     names: dict = {}

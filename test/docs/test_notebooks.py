@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The notebooks run from their first to their last cell, without results in what is kept."""
+"""The notebooks run from their first to their last cell, and their stored form contains no results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
 def test_the_notebooks_run(tmp_path):
-    """One after the other in one kernel, names deleted between: most of a notebook's time is what it imports."""
+    """One after the other in one kernel, names deleted between, because imports take most of the time of a notebook."""
     from nbclient import NotebookClient
 
     whole = nbformat.v4.new_notebook()

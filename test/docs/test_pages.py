@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The pages: every one is found, every public name is in the reference, and nothing in them is broken."""
+"""The pages: every page is found, every public name is in the reference, and no link is broken."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BLOCKS = ("models", "inverses", "controllers", "references")
 
 @pytest.fixture(scope="module")
 def pages():
-    """What makes the reference: docs/pages.py, which is no part of the package; as docs/conf.py finds it."""
+    """The module docs/pages.py, which makes the reference and is not part of the package; found as by docs/conf.py."""
     found = sys.path.copy()
     sys.path.insert(0, str(DOCS))
     yield importlib.import_module("pages")
@@ -41,7 +41,7 @@ def pages():
 
 
 def listed(text: str) -> set[str]:
-    """Return the pages that the lists of a page name."""
+    """Return the pages in the lists of a page."""
     lists = re.findall(r"^```\{toctree\}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     return {line for block in lists for line in block.splitlines() if line and not line.startswith(":")}
 
@@ -78,7 +78,7 @@ def test_every_public_name_is_in_the_reference(pages):
 
 @pytest.mark.parametrize("block", BLOCKS[:1] + BLOCKS[2:3])
 def test_every_law_is_documented_with_what_it_is(block):
-    """Equations and sources stand in the module of the law, and in the help of its class."""
+    """Equations and sources are in the module of the law, and in the help of its class."""
     space = getattr(hr, block)
     for name in dir(space):
         made = getattr(space, name)
@@ -88,7 +88,7 @@ def test_every_law_is_documented_with_what_it_is(block):
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::PendingDeprecationWarning")
 def test_the_pages_are_made_without_a_warning(pages, tmp_path, capsys):
-    """Read and linked, not written; notebooks are run by a test of their own."""
+    """Pages are read and linked, but not written; notebooks are run by another test."""
     from sphinx.cmd.build import build_main
     from sphinx.util.docutils import docutils_namespace
 

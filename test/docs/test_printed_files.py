@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameter files that the pages print, or that their commands write, limit how far the voltage steps."""
+"""Parameter files on the pages, or written by the commands on the pages, limit the steps of the voltage."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHIPPED = {path.stem for path in (ROOT / "config").glob("*.yaml")}
 
 
 def printed() -> dict[str, str]:
-    """Return the parameter files of a whole axis that pages print, by page and number."""
+    """Return the parameter files of a complete axis on the pages, by page and number."""
     found = {}
     for page in PAGES:
         for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
@@ -40,12 +40,12 @@ def printed() -> dict[str, str]:
 
 
 def writing() -> dict[str, list[str]]:
-    """Return the words of the commands of pages that make a new file, or design one from a shipped configuration."""
+    """Return the words of the commands on the pages that create a file, or design one from a shipped configuration."""
     found = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
         for line in re.findall(r"^hysteresis ((?:new|design) .*)$", text, re.MULTILINE):
-            # the stage is the simulated one
+            # the simulated stage is used
             words = shlex.split(re.sub(r"--driver(-option)? \S+", "", line), comments=True)
             if words[0] == "new" or (words[1] in SHIPPED and "-o" in words and "leaky_pi" not in words):
                 found[f"{page.stem}-{len(found)}"] = words
@@ -53,16 +53,16 @@ def writing() -> dict[str, list[str]]:
 
 
 def judge(text: str) -> None:
-    """Take a file's axis, with a simulated plant, to its farthest setpoint and back, through the approach and bare."""
+    """Move a file's axis, with a simulated plant, to its farthest setpoint and back, with and without the approach."""
     configuration = parse_configuration(text, "printed.yaml")
     nodes = NODES
-    # the simulated plant stands for the device
+    # the simulated plant replaces the device
     entries = {
         name: {key: value for key, value in values.items() if not key.startswith(("driver", "tcp_stage."))}
         for name, values in configuration.entries
     }
     simulated = parse_configuration(dump_configuration(entries), "printed.yaml")
-    if not configuration.describes("plant_simulator"):  # an external one; a linear one stands for it
+    if not configuration.describes("plant_simulator"):  # an external plant is replaced by a linear one
         nodes, plant = NODES[1:], configuration.node("hysteresis_compensator")
         model = {name: value for name, value in plant.items() if name.startswith(("hysteresis.", "limits."))}
         simulated = simulated.override("plant_simulator", **model)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags: MCAP and sqlite files, the metadata beside them, and the messages in them."""
+"""Bags: MCAP and sqlite files, their metadata, and their messages."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _read_folder(data: bytes, folder: Path, storage: str):
 
 
 def _messages() -> list[bytes]:
-    """Return messages, each with a letter before it that says of which type it is."""
+    """Return messages, each preceded by a letter that states its type."""
     from hysteresis_ros.recordings import cdr
 
     types = cdr.typestore()
@@ -106,7 +106,7 @@ def _messages() -> list[bytes]:
 
 
 def _read_message(data: bytes, folder: Path):
-    """A message between two sound ones on its topic, aligned with the others."""
+    """A message between two valid messages on its topic, aligned with the others."""
     from hysteresis_ros.recordings import cdr
     from hysteresis_ros.recordings.align import align
     from hysteresis_ros.recordings.bag_reader import Bag
@@ -132,7 +132,7 @@ def _stamps() -> list[bytes]:
 
 
 def _read_stamps(data: bytes, folder: Path):
-    """Stamps at will: of sound messages that come in any order, with any gaps."""
+    """Arbitrary stamps: valid messages in any order, with any gaps."""
     from hysteresis_ros.recordings import cdr
     from hysteresis_ros.recordings.align import align
     from hysteresis_ros.recordings.bag_reader import Bag

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What devices say and are told: the emulators' streams, and the drivers' ends of them."""
+"""Data sent by and to devices: the streams of the emulators, and the drivers' side."""
 
 from __future__ import annotations
 
@@ -100,13 +100,13 @@ def _feed_nv200(data: bytes, folder: Path):
 
 
 class _Spoken:
-    """A connection whose other end says what stands in a text, whatever it is asked."""
+    """A connection whose other end sends a given text, independent of the request."""
 
     def __init__(self, data: bytes):
         self._data = data
 
     def sendall(self, data: bytes) -> None:
-        """Nobody listens."""
+        """Ignore the data."""
 
     def recv(self, size: int) -> bytes:
         part, self._data = self._data[:size], self._data[size:]
@@ -117,7 +117,7 @@ class _Spoken:
 
 
 class _Answering(_Spoken):
-    """A connection to an emulated controller, which keeps what that says."""
+    """A connection to an emulated controller that stores the controller's answers."""
 
     def __init__(self):
         from hysteresis_ros.laboratory.emulation.gcs import Session
@@ -136,7 +136,7 @@ def _open_gcs(connection):
 
     driver, link = GcsDriver(), GcsLink.__new__(GcsLink)
     link.name, link.broken, link._rest, link._leads, link._socket = "controller", False, b"", False, connection
-    link._require_silence = lambda what: None  # all answers stand there before they are asked for
+    link._require_silence = lambda what: None  # all answers are available before they are requested
     driver._link, driver._failed = link, True
     driver.open(GcsParameters(safe_time=0.0, check_period=60.0, safe_voltage=1.0), 100.0)
     driver.read()
@@ -148,7 +148,7 @@ def _gcs_answers() -> list[bytes]:
     from hysteresis_ros.hardware.driver import DriverError
 
     connection = _Answering()
-    with contextlib.suppress(DriverError):  # what was said until then is what there is
+    with contextlib.suppress(DriverError):  # only the answers up to this point count
         _open_gcs(connection)
     return [connection.said]
 

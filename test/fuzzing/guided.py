@@ -9,9 +9,9 @@
 
 """Fuzz one reader guided by coverage: ``python test/fuzzing/guided.py "text tables" -max_total_time=60``.
 
-Atheris makes the inputs, out of the valid ones; it is no dependency of the package (``pip install atheris``). Further
-arguments are those of libFuzzer. Readers behind which kernels are compiled (devices, nodes) are none for it: Numba does
-not compile what Atheris has changed.
+Atheris generates the inputs from the valid ones; it is not a dependency of the package (``pip install atheris``).
+Further arguments are those of libFuzzer. Readers that call compiled kernels (devices, nodes) cannot be tested in this
+way, because Numba does not compile code that Atheris has changed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 
 def main() -> int:
-    """Fuzz until libFuzzer ends; it leaves the process itself."""
+    """Fuzz until libFuzzer ends, which also ends the process."""
     try:
         import atheris
     except ImportError:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What every input must lead to: a valid object or the project's own error, soon, in little memory, nothing else."""
+"""The required result of every input: a valid object or the project's own error, soon, with little memory."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from mutations import LARGEST, mutated_bytes
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Time on a processor that one input may take [s], and memory beyond what the process has [bytes].
+#: Processor time that one input may take [s], and memory that it may take in addition to that of the process [bytes].
 LONGEST, MEMORY = 5.0, 1 << 30
-#: Longest message of an error, with its mark where something is left out: one line, whatever stood in the file.
+#: Longest error message, with its mark of omission: one line, for any content of the file.
 LONGEST_MESSAGE = 4010
 
 
 @dataclass(frozen=True)
 class Target:
-    """A reader, valid inputs of it, and how others are made of these.
+    """A reader, its valid inputs, and the generation of other inputs from these.
 
     Parameters
     ----------
@@ -41,17 +41,17 @@ class Target:
     read : callable
         ``read(data, folder)`` reads bytes, from a file in the folder where files are read.
     seeds : callable
-        Returns valid inputs, small ones.
+        Returns small valid inputs.
     mutate : callable
         ``mutate(random, seed, seeds, words)`` returns an input.
     words : tuple of str
-        What means something to this reader.
+        Words with a meaning for this reader.
     suite : int
-        How many inputs the tests take; the rest is for ``run.py``.
+        Number of inputs in the tests; ``run.py`` takes more.
     refusals : tuple of type
-        Errors that are answers. They name the file where there is one.
+        Errors that are valid answers. They name the file if there is one.
     file : str
-        Name of the file that is written and read; empty where there is none.
+        Name of the file that is written and read; empty without a file.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Target:
     file: str = ""
 
     def inputs(self, first: int, count: int, seed: int = 0) -> Iterator[bytes]:
-        """Yield the inputs of these numbers; number 0 … are the valid ones themselves."""
+        """Yield the inputs with these numbers; the first numbers are the valid inputs themselves."""
         seeds = self.seeds()
         for number in range(first, first + count):
             if number < len(seeds):
@@ -76,19 +76,19 @@ class Target:
 
 
 class Hang(BaseException):
-    """An input took too long; no reader that takes any exception for a damaged file may take this one."""
+    """An input took too long; a reader that catches all exceptions of a damaged file must not catch this one."""
 
 
 class Fault(AssertionError):
-    """What an input led to that it must not lead to.
+    """A forbidden result of an input.
 
     Parameters
     ----------
     target : Target
     kind : str
-        What faults of one cause have in common.
+        Common description of faults with the same cause.
     text : str, optional
-        What else there is to say.
+        Further information.
     """
 
     def __init__(self, target: Target, kind: str, text: str = ""):
@@ -97,12 +97,12 @@ class Fault(AssertionError):
 
 
 def judged(target: Target, data: bytes, folder: Path) -> bool:
-    """Give an input to a reader and tell whether it took it; False: it refused it.
+    """Give an input to a reader; return True if it was accepted, False if it was refused.
 
     Raises
     ------
     Fault
-        Something else happened.
+        Any other result.
     """
     signal.setitimer(signal.ITIMER_PROF, LONGEST)
     try:
@@ -131,7 +131,7 @@ def _require_message(text: str, target: Target) -> None:
 
 
 def _kind(error: Exception) -> str:
-    """Return the name of an error and the last place in the package that it passed."""
+    """Return the name of an error and the last place in the package that it passed through."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "hysteresis_ros" in frame.filename]
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "outside"
     return f"{type(error).__name__} at {place}"
@@ -139,7 +139,7 @@ def _kind(error: Exception) -> str:
 
 @contextlib.contextmanager
 def limited() -> Iterator[None]:
-    """Bound time and memory of what is read within the context; warnings are nothing a reader is asked about."""
+    """Limit time and memory of readers within the context; warnings are ignored."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     before = signal.signal(signal.SIGPROF, _stop)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Inputs that nobody meant: valid ones with bytes, words or values changed, each out of a number of its own."""
+"""Random inputs: valid inputs with changed bytes, words or values; each follows from its number."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import json
 import re
 from random import Random
 
-#: Most bytes of an input, and most changes of a valid one.
+#: Maximum number of bytes of an input, and of changes of a valid input.
 LARGEST, CHANGES = 1 << 16, 4
 
-#: Numbers at the ends of what the machine has, as sizes and offsets are written in heads of files.
+#: Numbers at the limits of machine types, as sizes and offsets are written in file headers.
 SIZES = [0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 2**40, 2**63 - 1, 2**64 - 1]
 
-#: Words that are numbers to some readers, or nearly.
+#: Words that are numbers, or nearly numbers, for some readers.
 NUMBERS = (
     *("0", "-0", "-0.0", "1", "-1", "nan", "NaN", ".nan", "inf", "-inf", ".inf", "-.inf", "Infinity", "1e308", "1e309"),
     *(
@@ -54,7 +54,7 @@ NUMBERS = (
     ),
 )
 
-#: What readers of text stumble over, whatever the format is.
+#: Words that are difficult for readers of any text format.
 WORDS = (
     *(
         "",
@@ -94,7 +94,7 @@ WORDS = (
     ),
 )
 
-#: What YAML gives a meaning.
+#: Words with a special meaning in YAML.
 YAML_WORDS = (
     *(
         "*a",
@@ -150,7 +150,7 @@ _TOKEN = re.compile(rb"[A-Za-z_]+|[0-9.eE+-]+|\s+|[^\sA-Za-z0-9]", re.ASCII)
 
 
 def mutated_bytes(random: Random, data: bytes, others: list[bytes], words: tuple[str, ...] = ()) -> bytes:
-    """Return bytes with some of them changed, lost, repeated or moved, or numbers among them that lie."""
+    """Return bytes with some of them changed, lost, repeated or moved, or with false sizes among them."""
     changed = bytearray(data)
     for _ in range(random.randint(1, CHANGES)):
         random.choice(_BYTE_CHANGES)(random, changed, others)
@@ -158,7 +158,7 @@ def mutated_bytes(random: Random, data: bytes, others: list[bytes], words: tuple
 
 
 def mutated_text(random: Random, data: bytes, others: list[bytes], words: tuple[str, ...] = ()) -> bytes:
-    """Return text with some of its words changed, lost, repeated or moved; now and then bytes that are no text."""
+    """Return text with some words changed, lost, repeated or moved, and sometimes with bytes that are not text."""
     if random.random() < 0.1:
         return mutated_bytes(random, data, others)
     tokens = _TOKEN.findall(data)
@@ -184,7 +184,7 @@ def mutated_text(random: Random, data: bytes, others: list[bytes], words: tuple[
 
 
 def mutated_value(random: Random, data: bytes, others: list[bytes], words: tuple[str, ...] = ()) -> bytes:
-    """Return JSON with some of its values replaced, of another type or size now and then, lost or repeated."""
+    """Return JSON with some values replaced by another type or size, lost or repeated."""
     whole = [json.loads(data)]
     for _ in range(random.randint(1, CHANGES)):
         places = list(_places(whole))
@@ -206,7 +206,7 @@ def mutated_value(random: Random, data: bytes, others: list[bytes], words: tuple
 
 
 def _other_value(random: Random, old, words):
-    """Return another value, of the same type mostly."""
+    """Return another value, usually of the same type."""
     if random.random() < 0.2:
         old = random.choice((None, True, 0, 0.0, "", [], {}))
     if isinstance(old, bool) or old is None:
@@ -226,7 +226,7 @@ _FLOATS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 5e-324, -0.
 
 
 def _places(holder):
-    """Go through every place of a value, as what holds it and the key there."""
+    """Yield every position in a value, as its container and the key there."""
     keys = list(holder) if isinstance(holder, dict) else range(len(holder))
     for key in keys:
         yield holder, key
@@ -245,7 +245,7 @@ def _set(random, data, others) -> None:
 
 
 def _lie(random, data, others) -> None:
-    """Write a size over what stands there."""
+    """Overwrite some bytes with a false size."""
     size = random.choice((1, 2, 4, 8))
     place = random.randrange(max(len(data) - size, 0) + 1)
     number = random.choice((*SIZES, random.getrandbits(8 * size), len(data), len(data) - place)) % (1 << 8 * size)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What nodes hear: messages of the right type with any values in them, and parameters of any type, without DDS."""
+"""Inputs of nodes: messages of the right type with any values, and parameters of any type, without DDS."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pathlib import Path
 from judging import Target
 from mutations import mutated_value
 
-#: Least and greatest of each whole number that a message has.
+#: Smallest and largest value of each integer type of a message.
 WHOLE = {f"{sign}int{bits}": bits for sign in ("", "u") for bits in (8, 16, 32, 64)} | {"octet": 8, "byte": 8}
 
 
 @functools.cache
 def _nodes():
-    """Return the nodes of an axis that answer messages, active and never spun, in a domain of their own."""
+    """Return the nodes of an axis that answer messages, active but never spun, in a separate domain."""
     import rclpy
     from rclpy.context import Context
     from rclpy.parameter import Parameter
@@ -62,7 +62,7 @@ def _nodes():
 
 
 def message_of(kind, values):
-    """Return a message of a type with these values where they are of the field's type, within what it can hold."""
+    """Return a message of a type with those of the given values that its fields can hold."""
     message = kind()
     values = values if isinstance(values, dict) else {}
     for name, field_type in kind.get_fields_and_field_types().items():
@@ -98,7 +98,7 @@ def _value(field_type: str, value):
 
 
 def _heard() -> list[bytes]:
-    _nodes()  # made before anything is timed
+    _nodes()  # before anything is timed
     header = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": ""}
     joints = {"header": header, "name": ["extender"], "position": [1e-6], "velocity": [0.0], "effort": []}
     point = {"positions": [1e-6], "velocities": [], "time_from_start": {"sec": 1, "nanosec": 0}}
@@ -123,7 +123,7 @@ def _heard() -> list[bytes]:
 
 
 def _hear(data: bytes, folder: Path):
-    """Nothing that a node hears may raise, end it, or leave an output that is not finite."""
+    """No input may raise an exception in a node, end it, or cause an output that is not finite."""
     from rclpy.parameter import Parameter
 
     entry = json.loads(data)
@@ -141,11 +141,11 @@ def _hear(data: bytes, folder: Path):
         parameters = []
         for key, value in values.items():
             if not node.has_parameter(key):
-                continue  # rclpy's service answers that there is none
+                continue  # rclpy's service answers that the parameter does not exist
             try:
                 parameters.append(Parameter(key, value=value))
             except (TypeError, ValueError, AssertionError):
-                continue  # what no message could hold
+                continue  # a value that no message can hold
         for result in node.set_parameters(parameters):
             assert result.successful or result.reason, "refused without a reason"
     assert not node.failure, node.failure

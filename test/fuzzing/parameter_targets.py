@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files that say what an axis is and what it has learned: YAML and JSON."""
+"""Files that describe an axis and its learned corrections: YAML and JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from judging import Target
 from mutations import YAML_WORDS, mutated_text, mutated_value
 from table_targets import given
 
-#: One axis in few words, and what stands in its file beside nodes.
+#: A short file of one axis, with entries that do not belong to nodes.
 AXIS = """\
 /**:
   ros__parameters: {sample_rate: 1000.0, faults: ["spike:0.1:0.2:1e-6"]}
@@ -68,7 +68,7 @@ def _entries() -> list[bytes]:
 
 
 def _read_axis(data: bytes, folder: Path):
-    """Values of every type under names that are known: what a parameter file leads to after YAML."""
+    """Values of every type under known names, as they follow from a parameter file after YAML."""
     import json
 
     from hysteresis_ros.cli.commissioning.situation import plan_of
@@ -94,7 +94,7 @@ def _read_chain(data: bytes, folder: Path):
     try:
         path.write_text(dump_configuration(_mappings(json.loads(data))), encoding="utf-8")
     except (TypeError, ValueError, AttributeError):
-        path.touch()  # what JSON has and YAML has not
+        path.touch()  # JSON content that YAML cannot express
     return load_chain(path)
 
 

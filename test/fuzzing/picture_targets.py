@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Frames: images as messages bring them, and pictures and videos as files."""
+"""Frames: images from messages, and pictures and videos from files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import numpy as np
 from judging import Target
 from mutations import mutated_bytes, mutated_value
 
-#: Head and content of an image message are two lines.
+#: Header and content of an image message are two lines.
 ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "rgb8", "bgra8", "yuv422", "")
 
 
@@ -56,13 +56,13 @@ def _mutated_image(random: Random, data: bytes, others: list[bytes], words: tupl
 
 
 def _see(data: bytes, folder: Path):
-    """An image and the one after it, looked at by the tracker of an axis."""
+    """An image and its successor, evaluated by the tracker of an axis."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.hardware.tracker import CameraParameters, Tracker, grey_image
 
     text, _, content = data.partition(b"\n")
     head = json.loads(text)
-    # what a message or a parameter cannot be does not come so far
+    # values that no message or parameter can have are not passed on
     if not isinstance(head, dict) or not all(type(head.get(name)) is int for name in ("height", "width", "step")):
         raise HysteresisError("no image message")
     if not all(0 <= head[name] < 2**32 for name in ("height", "width", "step")):

@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fuzz every reader for long: ``python test/fuzzing/run.py --inputs 1000000``; the tests take a part of it.
+"""Fuzz every reader for a long time: ``python test/fuzzing/run.py --inputs 1000000``; the tests run a part of it.
 
-Each reader runs in a process of its own, whose memory and time an input are bounded; an input that ends or hangs the
-process is found all the same. What is found is written to a file each, and listed at the end with the figures of
+Each reader runs in a separate process with limited memory and limited time per input; an input that ends or hangs the
+process is found, too. Each input at fault is written to a file, and all are listed at the end with the figures of
 docs/fuzzing.md.
 """
 
@@ -36,24 +36,24 @@ from judging import LONGEST, Fault, judged, limited  # noqa: E402
 from mutations import LARGEST  # noqa: E402
 from targets import TARGETS  # noqa: E402
 
-#: Time in which an input must be done, also when the process waits or other ones keep the processor [s].
+#: Wall time in which an input must be done, even if the process waits or others keep the processor busy [s].
 PATIENCE = 12.0 * LONGEST
-#: Faults of one reader after which the others would not be other ones.
+#: Number of faults of one reader after which further faults are probably the same.
 ENOUGH = 40
 
 
 def work(name: str, first: int, inputs: int, seed: int, seconds: float, share: Path) -> dict:
-    """Give inputs to a reader; the number and the bytes of the present one stand in a shared file.
+    """Give inputs to a reader; the number and the bytes of the current input are in a shared file.
 
     Parameters
     ----------
     name : str
-        Of the reader.
+        Name of the reader.
     first, inputs : int
-        Number of the first input, and of the one after the last.
+        Number of the first input, and of the one after the last input.
     seed : int
     seconds : float
-        Time on the processor after which it ends [s].
+        Processor time after which it ends [s].
     share : Path
     """
     target = TARGETS[name]
@@ -61,7 +61,7 @@ def work(name: str, first: int, inputs: int, seed: int, seconds: float, share: P
         taken, number = 0, first
         faults: dict[str, list] = {}
         next(iter(target.inputs(0, 1)))
-        begun = time.process_time()  # what is made and compiled before is not the reader's
+        begun = time.process_time()  # preparation and compilation before do not count
         with limited():
             for number, data in enumerate(target.inputs(first, inputs - first, seed), first):
                 shared[:16] = number.to_bytes(8, "little") + len(data).to_bytes(8, "little")
@@ -78,7 +78,7 @@ def work(name: str, first: int, inputs: int, seed: int, seconds: float, share: P
 
 
 def supervised(name: str, options: argparse.Namespace) -> tuple[dict, list[tuple[bytes, str]]]:
-    """Return the figures of a reader, and the inputs at fault with what they led to."""
+    """Return the figures of a reader, and the inputs at fault with their results."""
     faults: list[tuple[bytes, str]] = []
     first, taken, before = 0, 0, resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +111,7 @@ def _used(before) -> float:
 
 
 def _answer(process: subprocess.Popen, share: Path) -> dict:
-    """Return what a worker says; of one that ends or stands still the input at which it does."""
+    """Return the answer of a worker, or the input at which the worker ended or hung."""
     number, since = -1, time.monotonic()
     while True:
         try:
@@ -132,20 +132,20 @@ def _answer(process: subprocess.Popen, share: Path) -> dict:
 
 
 def _ended(share: Path, text: str) -> dict:
-    """Return what is known of a worker that is gone; what it had found before is found again by another seed."""
+    """Return the known figures of a worker that has ended; its earlier findings are found again with another seed."""
     content = share.read_bytes()
     number, size = (int.from_bytes(content[place : place + 8], "little") for place in (0, 8))
     return {"next": number + 1, "taken": 0, "faults": [[content[16 : 16 + size].hex(), text, 1]]}
 
 
 def main() -> int:
-    """Fuzz; returns 1 where something was found."""
+    """Fuzz; return 1 if a fault was found."""
     if sys.argv[1:2] == ["--worker"]:
         name, first, inputs, seed, seconds, share = sys.argv[2:]
         answer = work(name, int(first), int(inputs), int(seed), float(seconds), Path(share))
         sys.stdout.write("\n" + json.dumps(answer) + "\n")
         sys.stdout.flush()
-        os._exit(0)  # what a library's threads wait for is nobody's concern here
+        os._exit(0)  # without waiting for threads of libraries
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--inputs", type=int, default=1_000_000, help="of each reader")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="on the processor for each reader at most")

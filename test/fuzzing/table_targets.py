@@ -24,11 +24,11 @@ from judging import Target
 from mutations import mutated_bytes, mutated_text, mutated_value
 
 TIME = np.arange(6) * 1e-3
-#: An identification wants so many samples at least.
+#: Minimum number of samples of an identification.
 ROWS = range(52)
 COLUMNS = {"displacement": 1e-6 * TIME, "voltage": 1e3 * TIME}
 
-#: What the tables' readers know.
+#: Names that the readers of tables know.
 TABLE_WORDS = (
     "time [s]",
     "t_ms",
@@ -50,7 +50,7 @@ TABLE_WORDS = (
 
 
 def written(name: str, write) -> bytes:
-    """Return what a writer of the package, or of anybody, writes into a file of that name."""
+    """Return the content of a file that a writer of the package, or any other program, writes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         write(path)
@@ -118,7 +118,7 @@ def _read_reference(data: bytes, folder: Path, name: str):
 
 
 def archive(members: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:
-    """Return an archive with these members, whatever they are."""
+    """Return an archive with any given members."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", compression) as file:
         for name, content in members.items():
@@ -134,7 +134,7 @@ def array_bytes(values) -> bytes:
 
 
 def mutated_archive(random: Random, data: bytes, others: list[bytes], words: tuple[str, ...] = ()) -> bytes:
-    """Return an archive whose members have been changed, and whose sums are right all the same, mostly."""
+    """Return an archive with changed members, whose checksums are usually correct."""
     if random.random() < 0.3:
         return mutated_bytes(random, data, others)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
@@ -144,7 +144,7 @@ def mutated_archive(random: Random, data: bytes, others: list[bytes], words: tup
     change = random.randrange(7)
     if change <= 1:
         members[name] = mutated_bytes(random, content, others)
-    elif change <= 3:  # the head of an array is text
+    elif change <= 3:  # the header of an array is text
         head = content.find(b"\n") + 1
         text = mutated_text(random, content[10:head], others, HEAD_WORDS)[: 1 << 15]
         members[name] = content[:8] + len(text).to_bytes(2, "little") + text + content[head:]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A share of the inputs of ``run.py``, and what was once at fault."""
+"""A part of the inputs of ``run.py``, and the inputs that once revealed a fault."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_every_input_is_read_or_refused_in_one_line(name, tmp_path):
     target = TARGETS[name]
     with limited():
         taken = sum(judged(target, data, tmp_path) for data in target.inputs(0, target.suite))
-    # a reader that refuses all, or takes all, is not looked at beyond its first check
+    # a reader that refuses or accepts every input is not tested beyond its first check
     assert taken > 0
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Words of the command line, and texts that mean something: quantities, faults, waveforms, values of parameters."""
+"""Arguments of the command line, and texts with a meaning: quantities, faults, waveforms, parameter values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pathlib import Path
 from judging import Target
 from mutations import NUMBERS, mutated_text, mutated_value
 
-#: Commands that read and print, with words that they take.
+#: Commands that read and print, with words that they accept.
 COMMANDS = (
     ["parameters", "motion_controller"],
     ["models", "bouc_wen", "--yaml"],
@@ -39,7 +39,7 @@ WORDS = (*("--help", "-o", "--", "-x", "=", ":", "um", "kHz", "V", "0:", ":0", "
 
 
 def _call(data: bytes, folder: Path):
-    """Exit code 0 or 2, one line at most on standard error, and nothing else than a SystemExit."""
+    """Exit code 0 or 2, at most one line on standard error, and no exception but SystemExit."""
     from hysteresis_ros.cli.main import main
     from hysteresis_ros.errors import HysteresisError
 
@@ -63,7 +63,7 @@ def _call(data: bytes, folder: Path):
 
 
 def _harmless(word) -> str:
-    """Return a word that leads nowhere out of the folder."""
+    """Return a word that does not lead out of the folder."""
     text = word if isinstance(word, str) else json.dumps(word)
     return text.replace("/", "_").replace("..", "_").replace("~", "_").replace("\0", "_")
 
@@ -73,7 +73,7 @@ def _texts() -> list[bytes]:
 
 
 def _understand(data: bytes, folder: Path):
-    """Give one text to everything that takes one; each has errors of its own, all of them ValueErrors."""
+    """Give one text to every function that parses one; each has its own errors, all of them ValueErrors."""
     from hysteresis_ros.configuration import parse_value
     from hysteresis_ros.laboratory.emulation.bench import DeviceFaults
     from hysteresis_ros.loop.faults import parse_fault

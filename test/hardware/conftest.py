@@ -7,6 +7,6 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fixtures of several tests of devices."""
+"""Common fixtures of the tests of devices."""
 
 from driven_support import device  # noqa: F401

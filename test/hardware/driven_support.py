@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of hardware share, first of all driven plant."""
+"""Common functions of the tests of driven plants."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hysteresis_ros.hardware.drivers.simulated import SimulatedDriver
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.parameters import AxisParameters
 
-#: Limits, noise, 16 bits: what a plant can have.
+#: A plant with limits, noise and 16 bits.
 PLANT = {"limits__slew_rate": 4.0e4, "limits__bits": 12, "sensor__noise": 5e-9, "late_limit": -1, "driver": "simulated"}
 
 
@@ -39,7 +39,7 @@ def run(plant, voltages) -> np.ndarray:
 
 
 class Device(SimulatedDriver):
-    """The simulated actuator, which notes its voltages and fails when the test says so."""
+    """The simulated actuator, which stores its voltages and fails on request."""
 
     failing = ""
     can: Capabilities | None = None

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of hardware share, first of all gcs driver."""
+"""Common functions of the tests of the GCS driver."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ class Stand:
         return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)
 
     def say(self, text: str) -> None:
-        """Let somebody at the controller do something."""
+        """Execute a command, as if given by somebody at the controller."""
         Session(self.controller).feed(text.encode() + b"\n")
 
     def number_readings(self) -> None:
-        """Let each answer to POS? be another number: which of them a reading is, is seen by that."""
+        """Give each answer to POS? a different number, so that a reading shows which answer it is."""
         axis, self._numbers = self.controller.axes["1"], iter(range(1, 10**6))
         self._told: list[float] = [0.0]
 
         class Plant:
-            """The plant, whose measurement counts."""
+            """The plant, whose measurement increases with each reading."""
 
             @property
             def measured(_):
@@ -62,11 +62,11 @@ class Stand:
         plant, axis.plant = axis.plant, Plant()
 
     def places(self) -> list[float]:
-        """Return what the sensor has said so far, the last one last [m]."""
+        """Return all readings of the sensor so far, the last one last [m]."""
         return list(self._told)
 
     def session(self) -> Session:
-        """Return a session that notes what is heard."""
+        """Return a session that stores what it receives."""
         session = Session(self.controller)
         answer = session.answer
 

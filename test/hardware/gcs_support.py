@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An emulated controller without a link and with a clock of the test."""
+"""An emulated controller without a link, with a clock controlled by the test."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CYCLE = 5.0e-4
 
 
 class Bench:
-    """A controller, a master's session and a clock that goes when the test says so."""
+    """A controller, the session of a master, and a clock controlled by the test."""
 
     def __init__(self, model: str = "E-754"):
         self.now = 0.0

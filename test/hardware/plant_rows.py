@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Rows of a plant that is worked sample by sample, without the rest of the loop."""
+"""Rows of a plant that is stepped sample by sample, without the rest of the loop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hysteresis_ros.models.block import interpreted
 
 
 def rows_of(plant, kernels, voltages) -> np.ndarray:
-    """Return the rows of a plant that is given these voltages, NaN for those that do not come."""
+    """Return the rows of a plant under these voltages; NaN: no voltage arrives."""
     laws = Laws(*kernels, *(kernels[0],) * (len(Laws._fields) - len(kernels)))
     rows, row = [], [0.0] * at.MOTOR_ROW
     for voltage in voltages:

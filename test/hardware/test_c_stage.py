@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The driver in C of examples/c_stage, whose stage is another process with a clock and a watchdog of its own."""
+"""The driver in C of examples/c_stage, whose stage is a separate process with its own clock and watchdog."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ AXIS = """
     hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
 """
 
-#: A watchdog that a busy machine does not set off.
+#: A watchdog long enough for a busy machine.
 PATIENT = ("--watchdog", "20", "--rate", "5000")
 
 
@@ -77,7 +77,7 @@ def opened(name: str, *options: str) -> Device:
 
 
 def await_position(device: Device, wanted: float) -> None:
-    """Wait until the stage is somewhere."""
+    """Wait until the stage has reached a position [m]."""
     until(lambda: math.isclose(device.read()[0], wanted, abs_tol=2e-8), what=f"the stage at {wanted} m", every=0.002)
 
 
@@ -132,7 +132,7 @@ def test_a_stage_that_is_not_there_is_named_and_exit_code_2_follows(tmp_path):
 
 
 def fail_fused(stage, number: int) -> tuple[Axis, np.ndarray]:
-    """Let a fused axis run, send the stage a signal, and wait until the axis has stopped."""
+    """Run a fused axis, send the stage a signal, and wait until the axis has stopped."""
     given = axis_parameters(stage.name)
     axis = Axis(given, fused_plant_of(given.plant_simulator))
     loop = FusedLoop(axis)
@@ -159,7 +159,7 @@ def test_a_stage_that_dies_stands_still_or_answers_nonsense_stops_the_axis(numbe
         axis, table = fail_fused(stage, number)
         assert said.format(name=stage.name) in axis.plant.failure
         first = int(np.flatnonzero(table[at.TRIPPED])[0])
-        # a stage that has died cannot be made safe: it is recorded at the voltage at which it was left
+        # a stage that has died cannot be made safe: the recorded voltage is that at which it was left
         left = table[at.PLANT_VOLTAGE, first - 1] if number == signal.SIGKILL else 0.0
         assert np.isnan(table[at.MEASURED, first:]).all() and set(table[at.PLANT_VOLTAGE, first:]) == {left}
         assert np.all((table[at.PLANT_VOLTAGE] >= 0.0) & (table[at.PLANT_VOLTAGE] <= 100.0))
@@ -176,7 +176,7 @@ def test_after_nonsense_the_axis_goes_on_when_it_is_started():
 
         def goes_on() -> bool:
             assert not loop.failure, axis.plant.failure
-            axis.plant.start()  # the stage may not have heard the signal yet
+            axis.plant.start()  # the stage may not have received the signal yet
             return not axis.plant.tripped and loop.latest()[1][at.MEASURED] >= 2e-6
 
         until(goes_on, what="an axis that goes on")
@@ -189,7 +189,7 @@ def test_without_voltages_its_watchdog_puts_out_the_safe_one_and_takes_none_unti
         device = opened(stage.name)
         device.write([100.0])
         await_position(device, 9.75e-6)
-        await_position(device, 0.25e-6)  # nobody wrote
+        await_position(device, 0.25e-6)  # nobody wrote a voltage
         with pytest.raises(DriverError, match=f"the watchdog of stage {stage.name} has output the safe voltage"):
             device.write([100.0])
         device.make_safe()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A driver that delivers volts or counts: displacement in m, volts at the actuator, in Python and in machine code."""
+"""A driver in volts or counts: displacement in m, volts at the actuator; in Python and in machine code."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from hysteresis_ros.recordings.dataset import Recording
 
 pytestmark = needs_compiler
 
-#: The library reads 1e-7 of what it was told. Behind it an amplifier of 20 V/V that turns the sign round and bends, and
-#: a sensor in volts that does so too.
+#: The library reads 1e-7 times its voltage. After it come an amplifier of 20 V/V with inverted sign and a nonlinearity,
+#: and a sensor in volts with inverted sign and a nonlinearity.
 CALIBRATED = """
 /**:
   ros__parameters: {{sample_rate: 3000.0, time_mode: realtime}}
@@ -78,7 +78,7 @@ def axis_parameters(library, **changes) -> AxisParameters:
 
 
 def told(voltage):
-    """What the library is told for a voltage at the actuator."""
+    """Return the voltage for the library that gives a voltage at the actuator."""
     u = (voltage - 2.0) / -20.0
     return u + 0.02 * u**2
 
@@ -99,7 +99,7 @@ def test_fused_and_in_python_it_is_told_and_understood_by_the_same_formula(libra
     table = loop.take().table
     loop.axis.plant.close()
     voltage, measured = table[at.PLANT_VOLTAGE], table[at.MEASURED]
-    assert np.ptp(voltage) > 50.0 and voltage.min() >= 0.0, "the recording is not in volts at the actuator"
+    assert np.ptp(voltage) > 50.0 and voltage.min() >= 0.0, "the recorded voltage must be that at the actuator"
     np.testing.assert_allclose(measured[1:], displacement(1e-7 * told(voltage[:-1])), rtol=1e-12)
     signals = {signal.name: table[place] for place, signal in enumerate(at.ACTUATOR.row)}
     assert differences(Recording(sample_times(0, 3000, 3000.0), signals, {}, {}), given) == {}
@@ -131,10 +131,10 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
     absolute = displacement(1e-7 * told(np.array([5.0, 60.0])))
     rows = run(plant, [60.0] * 6)
     assert rows[:, at.TRIPPED].tolist() == [FINDING_HOME] * 4 + [0.0, 0.0]
-    assert rows[:4, at.PLANT_VOLTAGE].tolist() == [5.0] * 4, "it was moved while it was homed"
+    assert rows[:4, at.PLANT_VOLTAGE].tolist() == [5.0] * 4, "the axis moved during homing"
     rows = rows[:, at.MEASURED]
     assert np.isnan(rows[:5]).all() and np.isfinite(rows[5])
-    # the library stands at 0 until it is told its first voltage
+    # the library is at 0 until it receives its first voltage
     first = (4 * absolute[0] + displacement(0.0)) / 5
     step = displacement(1e-7 * told(5.0 + 1000.0 / 3000.0)) - first
     assert rows[5] == pytest.approx(step + 2.0e-6, abs=1e-15)
@@ -145,13 +145,15 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
         plant.home()
     plant.halt()
     run(plant, [60.0])
-    with pytest.raises(ParameterError, match="home is the position at safe_voltage"):  # stopped, and not there yet
+    with pytest.raises(
+        ParameterError, match="home is the position at safe_voltage"
+    ):  # stopped, not yet at safe_voltage
         plant.home()
     run(plant, [60.0] * 400)
     plant.start()
     run(plant, [5.0] * 10)
     assert plant.held() == 5.0
-    with pytest.raises(ParameterError, match="stop the axis"):  # there, and not stopped: the next sample may move it
+    with pytest.raises(ParameterError, match="stop the axis"):  # at safe_voltage, not stopped
         plant.home()
     assert not plant.sensor.homing
     plant.halt()

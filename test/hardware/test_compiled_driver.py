@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drivers in C: two functions of a shared library, called by machine code, watched like every plant."""
+"""Drivers in C: two functions of a shared library, called by machine code, monitored like every plant."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ STAGE = """
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    """The driver without a device, and the functions by which it tells what reached it."""
+    """The driver without a device, and the functions that return what it received."""
     path = listed_library(tmp_path_factory.mktemp("driver"))
     found = ctypes.CDLL(str(path))
     for name in ("reads", "writes", "safes", "closes"):
@@ -97,7 +97,7 @@ def run(plant, voltages) -> np.ndarray:
 
 
 def fused(axis_parameters: AxisParameters, samples: int) -> tuple[FusedLoop, np.ndarray]:
-    """Let an axis run in its thread, without deadlines; return its rows too."""
+    """Run an axis in its thread without deadlines; return its rows, too."""
     loop = FusedLoop(Axis(axis_parameters, fused_plant_of(axis_parameters.plant_simulator)), math.inf, samples)
     loop.start()
     assert loop.join(60.0) and not loop.failure
@@ -147,7 +147,7 @@ def test_one_that_fails_is_made_safe_in_that_sample_and_left_alone_until_start(l
     plant.halt()
     library.mend()
     rows = run(plant, [60.0] * 20)
-    assert (library.noted_reads(), library.noted_writes()) == calls, "it was not left alone"
+    assert (library.noted_reads(), library.noted_writes()) == calls, "a safe device must not be called"
     assert set(rows[:, at.TRIPPED]) == {DEVICE_FAILED} and np.isnan(rows[:, at.MEASURED]).all()
     assert set(rows[:, at.PLANT_VOLTAGE]) == {5.0}
     plant.start()
@@ -185,7 +185,7 @@ def test_one_that_cannot_be_made_safe_is_tried_again_until_it_is(library, kind):
     safe = library.noted_safes()
     assert plant.tripped and plant.held() == 5.0
     run(plant, [60.0] * 10)
-    assert library.noted_safes() == safe, "a device that is safe is left alone"
+    assert library.noted_safes() == safe, "a device that is safe is not called"
     assert plant.close() == ""
 
 
@@ -203,20 +203,20 @@ def test_the_fused_loop_reads_and_writes_once_a_sample_and_its_twin_is_the_same_
     loop, table = fused(given, 3000)
     assert library.noted_reads() == library.noted_writes() == 3000
     assert written(library) == table[at.PLANT_VOLTAGE].tolist()
-    # what is measured is what was put out one sample before
+    # the measurement is the output of the previous sample
     np.testing.assert_array_equal(table[at.MEASURED, 1:], 1e-7 * table[at.PLANT_VOLTAGE, :-1])
     assert np.ptp(table[at.MEASURED]) > 5e-6
     assert_equal_to_twin(given, loop, table)
     signals = {signal.name: table[place] for place, signal in enumerate(at.ACTUATOR.row)}
     recorded = Recording(sample_times(0, 3000, 3000.0), signals, {}, {})
     assert differences(recorded, given) == {}
-    signals["measured"][1500] += 1e-9  # what follows from it is another answer
+    signals["measured"][1500] += 1e-9  # the rest follows from a different measurement
     assert set(differences(recorded, given)) == {"estimated", "seen"}
     loop.axis.plant.close()
     assert library.noted_closes() == 1
 
 
-#: A stage of 100 V that goes to safe and back at 150 V/s, and a triangle that asks for 850 V/s.
+#: A stage of 100 V that moves to safe and back at 150 V/s, and a triangle that requires 850 V/s.
 FAST = {
     "plant_simulator": {"safe_slew_rate": 150.0, "voltage_timeout": 0.1, "late_limit": -1},
     "hysteresis_compensator": {"safe_slew_rate": 150.0},
@@ -242,13 +242,13 @@ def test_a_reference_faster_than_the_way_back_is_reached_and_what_is_recorded_is
     voltage, applied, reference = table[at.VOLTAGE], table[at.APPLIED], table[at.REFERENCE]
     np.testing.assert_array_equal(voltage, written(library))
     np.testing.assert_array_equal(voltage, table[at.PLANT_VOLTAGE])
-    # the device is at its safe 5 V and the path of 850 V/s begins some 45 V away: 0.3 s at 150 V/s
+    # the device is at its safe 5 V, about 45 V away from the path of 850 V/s: 0.3 s at 150 V/s
     away = np.abs(voltage - 1e7 * reference)
     ended = int(np.argmax(away < 1.0))
     assert 0.1 < ended / 3000.0 < 1.0 and np.max(away[ended:]) < 1.0 and np.max(away[-100:]) < 1e-6
     moved = np.abs(np.diff(voltage, prepend=5.0))
     assert np.all(moved <= 150.0 / 3000.0 + np.abs(np.diff(1e7 * reference, prepend=1e7 * reference[0])) + 1e-9)
-    # what the controller is told is what the actuator was given
+    # the controller receives the voltage that was given to the actuator
     np.testing.assert_allclose(applied, 1e-7 * voltage, rtol=0.0, atol=1e-7 * 1e-9)
     assert_equal_to_twin(given, loop, table)
     loop.axis.plant.close()
@@ -297,7 +297,7 @@ def test_one_that_does_not_return_is_told_to_whoever_asks_and_nothing_waits_for_
     try:
         blocked_is_told(loop)
     finally:
-        library.mend()  # or its thread goes on in the tests that follow
+        library.mend()  # otherwise its thread continues in the following tests
         assert loop.leave()
     assert loop.join(60.0) and not loop.is_blocked
 

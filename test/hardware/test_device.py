@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The guard around a driver: whatever that raises is an error that names it, and what does not suit is let go."""
+"""The guard around a driver: every exception becomes an error that names the driver, and invalid devices are closed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Ha
 
 
 class Stage(Driver):
-    """A stage that raises what the test wants, where it wants it."""
+    """A stage that raises given exceptions at given points."""
 
     raised: dict[str, Exception] = {}
     calls: list[str] = []

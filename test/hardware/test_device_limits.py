@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is written to a device is a voltage within its range: nothing else reaches its driver."""
+"""Only voltages within the range of a device reach its driver."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Ha
 
 
 class Noting(Driver):
-    """Notes what is written."""
+    """Stores the written voltages."""
 
     written: list[float] = []
     minimum, maximum = -10.0, 100.0

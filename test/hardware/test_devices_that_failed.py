@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device that has failed stays the reason, whatever is asked of the axis after it."""
+"""The failure of a device remains the reported reason, whatever is requested of the axis afterwards."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_an_emergency_stop_does_not_hide_that_the_device_has_failed(device):  # 
     assert plant.tripped and "unplugged" in plant.failure
     plant.halt()
     assert not plant.halted and plant._watch_x.trip[TRIP] == DEVICE_FAILED
-    # stopped by hand first, a failure takes its place
+    # after a stop by hand, a failure becomes the reason
     other = DrivenPlant(parameters())
     device.failing = ""
     run(other, np.full(20, 30.0))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device in the plant's place: it cannot be told from the simulated plant, is watched like it, and may fail."""
+"""A device as plant: it behaves like the simulated plant, is monitored like it, and may fail."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_behind_a_driver_the_simulated_actuator_is_the_same_bit_for_bit():
     there = [at.MEASURED, at.PLANT_MODE, at.TRIPPED, at.LATE]
     assert driven[:, there].tolist() == simulated[:, there].tolist()
     assert np.ptp(driven[:, at.MEASURED]) > 5e-6 and STALE in driven[:, at.PLANT_MODE]
-    # the grid of the converter is the device's own affair
+    # the grid of the converter depends on the device only
     grid = 150.0 / (2**12 - 1)
     assert np.max(np.abs(driven[:, at.PLANT_VOLTAGE] - simulated[:, at.PLANT_VOLTAGE])) <= 0.5001 * grid
     assert np.all(np.isnan(driven[:, at.DISPLACEMENT]))
@@ -67,7 +67,7 @@ def test_a_device_that_fails_is_made_safe_and_left_alone_until_start(device, cal
     assert math.isnan(rows[-1, at.MEASURED]) and rows[-1, at.PLANT_VOLTAGE] == 5.0
     assert device.last.heard.count("safe") == 1 and device.last.heard[-1] == "safe"
     device.failing = ""
-    assert np.isnan(run(plant, [60.0] * 20)[:, at.MEASURED]).all(), "it came back by itself"
+    assert np.isnan(run(plant, [60.0] * 20)[:, at.MEASURED]).all(), "the device recovered without ~/start"
     plant.start()
     back = run(plant, [60.0] * 400)
     assert not plant.tripped and plant.failure == "" and np.isfinite(back[:, at.MEASURED]).all()
@@ -101,7 +101,7 @@ def test_a_device_that_could_not_be_made_safe_is_made_safe_as_soon_as_it_can_be_
     assert run(plant, [60.0])[0, at.PLANT_VOLTAGE] == 5.0
     attempts = heard.count("safe")
     pause = threading.Event()
-    assert not pause.wait(0.1) and heard.count("safe") == attempts, "it is safe, and let alone"
+    assert not pause.wait(0.1) and heard.count("safe") == attempts, "a safe device is not called"
 
 
 @pytest.mark.parametrize("seen", ["start", "reset", "close"])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What all emulated devices share: a plant that keeps the time, and faults that come and go."""
+"""Common properties of all emulated devices: a plant in real time, and faults that begin and end."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CYCLE = 1.0e-3
 
 
 class Clock:
-    """A clock that goes when the test says so."""
+    """A clock controlled by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -59,7 +59,7 @@ def test_asked_at_any_times_it_is_the_plant_of_the_package_sample_by_sample():
         assert plant.cycles == math.floor((clock.now - 100.0) / CYCLE)
         seen.append((plant.cycles, plant.measured))
     assert seen == [(number, measured[number]) for number, _ in seen] and seen[-1][0] > 200
-    # the loop of a stage with hysteresis: the assumed one is no straight line
+    # the loop of a stage with hysteresis: the assumed stage is not linear
     assert max(measured) > 30.0e-6
 
 

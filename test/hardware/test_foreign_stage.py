@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The example of a stage to try a commissioning on: its two forms are one stage, which remembers where it was."""
+"""The example of a stage for trials of commissioning: both forms are the same stage, which keeps its state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def opened(*options):
 
 
 def driven(stage):
-    """Return what it reads before each voltage."""
+    """Return the measurement before each voltage."""
     found = []
     for voltage in VOLTAGES:
         found.append(stage.read().positions[0])
@@ -42,7 +42,7 @@ def driven(stage):
     return np.array(found)
 
 
-@pytest.mark.skipif(not COMPILED, reason="Numba is not there: the stage has no compiled form")
+@pytest.mark.skipif(not COMPILED, reason="Numba is missing: the stage has no compiled form")
 def test_as_machine_code_it_is_the_same_stage():
     expected, stage = driven(opened()), opened()
     compiled = stage.compiled()
@@ -65,7 +65,7 @@ def test_it_goes_on_where_it_was_left(tmp_path):
     again = opened(memory, "noise=0")
     stage.write((0.0,))
     assert again.read() == stage.read()
-    # the same voltages make another way: the first one began at rest
+    # the same voltages give another path, because the first path began at rest
     assert not np.array_equal(driven(again), driven(opened("noise=0")))
     (tmp_path / "stage.npy").write_bytes(b"nonsense")
     with pytest.raises(DriverError, match="holds no state"):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The driver of GCS controllers at an emulated one over TCP: what it needs, what it commands, and what goes wrong."""
+"""The driver of GCS controllers with an emulated one over TCP: its requirements, its commands, and faults."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_units_and_scales_are_converted(stand):
     stand.say("SPA 1 0x07000601 MM")
     device = stand.open(open_loop_scale=0.5, voltage_tolerance=100.0)
     device.write([20.0])
-    # a unit of SVA is told to be half a volt
+    # a unit of SVA is declared as half a volt
     until(lambda: stand.controller.axes["1"].plant.voltage == 40.0)
     until(lambda: device.read()[0] > 25.0e-6)
     device.close()
@@ -101,7 +101,7 @@ def test_at_the_beginning_and_for_safety_it_does_not_jump(stand):
 
 @pytest.fixture
 def driver(stand):
-    """The driver itself, for what is beyond a sample."""
+    """The driver itself, for tests of more than one sample."""
     driver = driving.GcsDriver()
     driver.open(stand.given(safe_voltage=10.0), RATE)
     yield driver
@@ -113,10 +113,10 @@ def test_the_controller_plays_and_records_by_itself(stand, driver):
     wanted = 30.0 - 20.0 * np.cos(2.0 * np.pi * k / 100.0)
     played = driver.play(wanted, 2.2 * CYCLE)
     assert played.time == pytest.approx(2.0 * CYCLE * k) and played.voltage == pytest.approx(wanted, abs=1e-3)
-    # µm and a lag of the stage; the loop is open by its hysteresis
+    # µm and a lag of the stage; the rest is the width of its hysteresis loop
     assert np.ptp(played.position) > 20.0e-6
     assert np.corrcoef(played.voltage[10:], played.position[10:])[0, 1] > 0.9
-    # what came before and after is no jump
+    # the change before and after is not a jump
     driver.read()
     driver.make_safe()
     assert stand.controller.axes["1"].open_value == 10.0
@@ -175,7 +175,7 @@ def test_what_it_cannot_work_with_is_named_and_nothing_is_commanded(stand, befor
         DriverError, match=rf"driver gcs: cannot be opened: controller at 127.0.0.1:{stand.port} .*{said}"
     ):
         stand.open(**changes).close()
-    # what it has no range for is said before a voltage goes out
+    # a missing range is reported before any voltage is put out
     assert not any(line.startswith("SVA ") and float(line.split()[2]) != 0.0 for line in stand.heard)
 
 
@@ -244,7 +244,7 @@ def test_what_goes_wrong_in_motion_stops_the_axis_until_it_is_started(stand, hap
     until(lambda: not any(name in stand.faults for name in ("error", "busy", "silent", "cut")))
     heard = len(stand.heard)
     step(plant, row, 20.0, 3)
-    assert len(stand.heard) == heard, "it went on by itself"
+    assert len(stand.heard) == heard, "the driver continued without ~/start"
     plant.start()
     step(plant, row, 20.0, 60)
     axis = stand.controller.axes["1"]
@@ -282,12 +282,12 @@ def test_a_range_of_voltages_is_two_numbers_in_order():
         GcsParameters(voltage_range=(3.0, 1.0)).validated()
 
 
-#: What may go wrong with a single line, or with two.
+#: Faults of a single line, or of two lines.
 WRONG_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
 
 
 def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
-    """Read while the stage moves; a reading is where the stage was between asking and answer, or an error."""
+    """Read while the stage moves; each reading is a position between request and answer, or an error."""
     errors, voltage = 0, 0.0
     for _ in range(readings):
         voltage = 5.0 - voltage
@@ -298,7 +298,7 @@ def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
         except DriverError:
             errors += 1
             continue
-        assert any(abs(measured - place) < 1e-12 for place in stand.places()[len(before) :]), "of another time"
+        assert any(abs(measured - place) < 1e-12 for place in stand.places()[len(before) :]), "an old reading"
     return errors
 
 
@@ -308,12 +308,12 @@ def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
 def test_a_line_that_is_wrong_or_too_many_gives_an_error_and_never_another_reading(stand, happens, lines, looks):
     stand.number_readings()
     device = stand.open(check_period=0.001 if looks == "each time" else 60.0)
-    # whatever line it happens to: those of the next reading, and of the one after that
+    # for any line of an answer: those of the next reading, and of the following one
     for ask_before in range(3):
         assert_every_reading_is_of_now(stand, device, ask_before)
         stand.faults.add(f"{happens}:0:60:{lines}")
         errors = assert_every_reading_is_of_now(stand, device, 12)
-        assert 1 <= errors <= 2 * lines, "taken for an answer, or not gone on after it"
+        assert 1 <= errors <= 2 * lines, "a faulty line was accepted, or reading did not recover"
         stand.faults.add("none")
     device.close()
 
@@ -357,7 +357,7 @@ def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a
     left = float(re.search(r"cannot be made safe: .*: the output is still at (\S+) V", plant.failure).group(1))
     assert left == axis.open_value == plant.held() == pytest.approx(24.0)
     step(plant, row, 24.0, 3)
-    assert row[at.PLANT_VOLTAGE] == left, "the row says a voltage that is not put out"
+    assert row[at.PLANT_VOLTAGE] == left, "the row must contain the voltage that is put out"
     plant.reset()
     step(plant, row, 24.0, 1)
     assert f"the output is still at {left:g} V" in plant.failure, "a reset does not make it safe"
@@ -367,7 +367,7 @@ def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a
     stand.faults.add("none")
     plant.make_safe()
     assert axis.open_value == 0.0 == plant.held() and "still" not in plant.failure and plant.tripped
-    assert plant.close() == "", "it was safe"
+    assert plant.close() == "", "the device was safe"
 
 
 @pytest.mark.parametrize("happens", WRONG_LINES)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The emulated GCS controller: its commands do what the manuals say, and nothing that comes makes it fall over."""
+"""The emulated GCS controller: its commands follow the manuals, and no input makes it fail."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ words = st.sampled_from(
 def test_whatever_comes_is_answered_or_an_error_and_the_next_question_is_answered(shared, data):
     shared.raw(data)
     shared.now += CYCLE
-    # the end of a line that was begun, and what was wrong with it
+    # the end of an incomplete line, and its error
     shared.raw(b"\n")
     shared.ask("ERR?")
     assert shared.ask("ERR?") == "0"
@@ -129,7 +129,7 @@ def test_open_loop_it_moves_along_the_loop_of_its_stage():
         bench.wait(0.3)
         assert bench.number("VOL? 1") == voltage == bench.number("SVA? 1")
         seen.append(bench.number("POS? 1"))
-    # µm; on the way back it stays above the way up
+    # µm; on the way back the position is above that of the way up
     assert seen[0] == pytest.approx(0.0, abs=0.01) and 70.0 < seen[2] < 80.0
     assert 5.0 < seen[3] - seen[1] < 15.0 and seen[4] > 2.0
 
@@ -154,7 +154,7 @@ def test_with_the_servo_on_it_goes_where_it_is_told_and_says_when_it_is_there():
     held = bench.number("VOL? 1")
     bench.ask("SVO 1 0")
     bench.wait(0.1)
-    assert bench.number("VOL? 1") == pytest.approx(held, abs=0.5), "it let go"
+    assert bench.number("VOL? 1") == pytest.approx(held, abs=0.5), "the position was not held"
 
 
 def test_in_millimetres_it_is_at_the_same_place():
@@ -216,7 +216,7 @@ def test_busy_or_with_a_fault_of_the_hardware_it_refuses():
 
 
 def test_it_knows_what_the_makers_own_tools_ask_for():
-    """What PIPython 2.11 sends in ``pitools.startup`` and ``pitools.writewavepoints``, in bunches of two points."""
+    """The commands of PIPython 2.11 in ``pitools.startup`` and ``pitools.writewavepoints``, two points per command."""
     bench = Bench("E-727")
     asked = {
         "VER?": "FW_DSP: V1.000 of E-727.3CDA (emulated)",
@@ -241,7 +241,7 @@ def test_it_knows_what_the_makers_own_tools_ask_for():
     assert bench.error() == 0 and (bench.ask("WSL? 2"), bench.ask("WGC? 2")) == ("2=2", "2=3")
     for line in ("WAV 2 & PNT 8 1 0.0", "WAV 3 X PNT 2 1 0.0", "WAV 3 X PNT 0 1 0.0"):
         bench.ask(line)
-        assert bench.error() == OUT_OF_RANGE, "points with a gap before them"
+        assert bench.error() == OUT_OF_RANGE, "points after a gap are refused"
     bench.ask("SVO 3 1")
     bench.wait(1.0)
-    assert bench.ask("\x04") == "0x500", "the third axis has its servo on, and is there"
+    assert bench.ask("\x04") == "0x500", "the third axis has its servo on, and is on target"

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""GCS controllers whose SVA is not in volts, and axes that were never referenced."""
+"""GCS controllers whose SVA unit is not a volt, and axes that were never referenced."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def controller():
 
 
 def sent(stand) -> np.ndarray:
-    """Return the values of all SVA that were heard."""
+    """Return the values of all received SVA commands."""
     return np.array([float(line.split()[2]) for line in stand.heard if line.startswith("SVA 1")])
 
 
 def test_where_a_unit_of_sva_is_ten_volts_the_way_to_safe_begins_where_the_output_is(controller):
-    """8 units are 80 V: taken for 8 V, the first step of the way would let the output fall by 70 V."""
+    """8 units are 80 V; interpreted as 8 V, the first step to safe would lower the output by 70 V."""
     controller.say("SVA 1 8")
     controller.heard.clear()
     device = controller.open(open_loop_scale=10.0, voltage_tolerance=1000.0, safe_voltage=20.0)
@@ -56,7 +56,7 @@ def test_where_a_unit_of_sva_is_ten_volts_the_way_to_safe_begins_where_the_outpu
 
 @pytest.mark.parametrize("referenced", [False, True])
 def test_an_axis_that_was_never_referenced_is_refused_before_anything_is_commanded(controller, monkeypatch, referenced):
-    """Its positions count from anywhere."""
+    """The zero of its positions is unknown."""
     answer = Session.answer
 
     def answered(self, line):
@@ -79,7 +79,7 @@ def test_an_axis_that_was_never_referenced_is_refused_before_anything_is_command
 
 
 def test_a_voltage_below_what_is_commanded_is_refused_as_one_above_is(controller):
-    """An output that another program has lowered moves the stage as far as one that it has raised."""
+    """An output lowered by another program moves the stage as far as one raised by another program."""
     for other in ("SVA 1 20", "SVA 1 80"):
         device = controller.open()
         for _ in range(5):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The driver of Linux IIO converters: on a made-up device tree, and at emulated converters with a plant between."""
+"""The driver of Linux IIO converters: on a synthetic device tree, and with emulated converters and a plant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hysteresis_ros.laboratory.emulation.bench import Bench
 from hysteresis_ros.laboratory.emulation.iio import EmulatedConvertersParameters, start
 
 RATE = 100.0
-#: A DAC of 12 bits around zero with scale and offset of its own, an ADC with one scale for all channels.
+#: A 12-bit DAC around zero with its own scale and offset, and an ADC with one scale for all channels.
 DAC = {"name": "ad5592r", "out_voltage3_raw": "2048", "out_voltage3_scale": "2.5", "out_voltage3_offset": "-2048"}
 ADC = {
     "name": "ad7606",
@@ -165,7 +165,7 @@ def test_between_emulated_converters_a_stage_moves_and_what_has_gone_comes_back(
         device = Device(DRIVERS["iio"], running.driver, RATE)
         assert (device.capabilities.minimum, device.capabilities.maximum) == pytest.approx((0.0, 10.0), abs=1e-3)
         device.write([5.0])
-        # 50 V at the actuator, some 36 µm, 3.6 V at the ADC
+        # 50 V at the actuator, about 36 µm, 3.6 V at the ADC
         until(lambda: 3.0 < device.read()[0] < 4.5)
         running.faults.add("cut:0:0.1")
         with pytest.raises(DriverError, match="has lost in_voltage0_raw|is absent"):
@@ -183,7 +183,7 @@ def test_between_emulated_converters_a_stage_moves_and_what_has_gone_comes_back(
 
 
 def tried(device):
-    """Read, or return nothing when it cannot be read yet."""
+    """Read, or return None if the device cannot be read yet."""
     try:
         return device.read()
     except DriverError:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The NV200 amplifier: the emulated one by its protocol, and the driver through the makers' package where that is."""
+"""The NV200 amplifier: the protocol of the emulated one, and the driver with the manufacturer's package."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CYCLE = 5.0e-4
 
 
 class Line:
-    """An amplifier without a link and with a clock of the test."""
+    """An amplifier without a link, with a clock controlled by the test."""
 
     def __init__(self):
         self.now = 0.0
@@ -65,7 +65,7 @@ words = st.sampled_from(
 def test_whatever_comes_is_answered_and_the_next_question_too(shared, data):
     answers = shared.session.feed(data)
     assert answers.count(b"\x13") == answers.count(b"\x11") <= data.count(b"\r") + 1
-    shared.session.feed(b"\xf0\r")  # the end of a line that was begun, and of what belongs to telnet
+    shared.session.feed(b"\xf0\r")  # the end of an incomplete line, and of telnet commands
     assert shared.ask("cl") in ("cl,0", "cl,1")
 
 
@@ -104,11 +104,11 @@ def test_open_and_closed_it_goes_where_it_is_told():
     assert line.number("set") == 50.0 and 30.0 < line.number("meas") < 45.0
     there = line.number("meas")
     line.ask("cl,1", 0.2)
-    assert line.number("meas") == pytest.approx(there, abs=0.1), "it jumped"
+    assert line.number("meas") == pytest.approx(there, abs=0.1), "the output jumped"
     line.ask("set,60", 1.0)
     assert line.number("meas") == pytest.approx(60.0, abs=0.02) and int(line.number("stat")) & 8
     line.ask("cl,0", 0.2)
-    assert line.number("meas") == pytest.approx(60.0, abs=0.5), "it let go"
+    assert line.number("meas") == pytest.approx(60.0, abs=0.5), "the voltage was not held"
     line.faults.add("busy:0:1")
     assert line.ask("set,3") == "error,1"
 
@@ -156,7 +156,7 @@ def test_the_makers_package_moves_the_emulated_amplifier(running):
     device = opened(running, actuator="emu")
     can = device.capabilities
     assert (can.minimum, can.maximum) == (-30.0, 130.0)
-    assert can.highest_rate > 0.5  # measured, on a machine that may be busy
+    assert can.highest_rate > 0.5  # measured, on a possibly busy machine
     device.write([50.0])
     until(lambda: 30.0e-6 < device.read()[0] < 45.0e-6)
     device.make_safe()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drivers are loaded only from where nobody else can put other code; what is ordinary stays possible."""
+"""Drivers are loaded only from places to which no other user can write; usual installations remain possible."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.library import FOLDERS, loaded, require_trusted
 from hysteresis_ros.hardware.registry import driver_of
 
-#: A user who is neither root nor anybody here, and one with a name.
+#: A user id that is neither root nor the current user, and one with a name.
 STRANGER = 54321
 DRIVER = """
 from hysteresis_ros.hardware.driver import HardwareDriver
@@ -37,7 +37,7 @@ DRIVER = HardwareDriver(name="mine", title=TITLE, parameters=SIMULATED.parameter
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A folder of one's own in /tmp, which everybody may write, with a driver in it."""
+    """A private folder in /tmp, to which all users can write, with a driver in it."""
     monkeypatch.delenv(FOLDERS, raising=False)
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder).resolve() / "lab" / "mine.py"
@@ -79,7 +79,7 @@ def test_a_sticky_folder_keeps_what_is_in_it_only_for_its_owner(place, monkeypat
 
 
 def owned(monkeypatch, path, uid: int, gid: int | None = None) -> None:
-    """Let a path belong to somebody else, also where nobody may give files away."""
+    """Make a path appear to belong to another user, also where a change of the owner is not permitted."""
     real = pathlib.Path.lstat
 
     def lstat(self):
@@ -102,7 +102,7 @@ def test_what_belongs_to_somebody_else_is_refused_by_name(place, monkeypatch, le
 def test_root_this_user_and_the_owner_of_the_package_are_trusted(place, monkeypatch):
     owned(monkeypatch, place, 0)
     assert require_trusted(place)
-    # a container whose user is root, with a checkout of somebody outside
+    # a container whose user is root, with a checkout of another user from outside
     real = pathlib.Path.stat
     source = pathlib.Path(trusted.__file__)
     monkeypatch.setattr(
@@ -122,9 +122,9 @@ def test_a_group_may_write_that_has_no_other_members(place, monkeypatch):
     groups = {70000: [me.pw_name], 70001: [], 70002: [me.pw_name, "mallory"]}
     monkeypatch.setattr(trusted.grp, "getgrgid", lambda gid: SimpleNamespace(gr_mem=groups[gid]))
     owned(monkeypatch, place.parent, os.geteuid(), 70000)
-    assert require_trusted(place), "a group of one's own, as many systems have it"
+    assert require_trusted(place), "a private group of the user is allowed"
     owned(monkeypatch, place.parent, os.geteuid(), 79999)
-    assert require_trusted(place), "a group that nobody here is in"
+    assert require_trusted(place), "a group without members is allowed"
     for group in (70001, 70002):
         owned(monkeypatch, place.parent, os.geteuid(), group)
         said = refusal(place)
@@ -137,7 +137,7 @@ def test_links_are_followed_and_their_folders_looked_at(place, tmp_path):
     link = aside / "link.py"
     link.symlink_to("../lab/mine.py")
     assert require_trusted(link) == place
-    aside.chmod(0o777)  # whoever may write here may let the link lead elsewhere
+    aside.chmod(0o777)  # a user who may write here could redirect the link
     assert f"chmod o-w {aside}" in refusal(link)
     assert require_trusted(place) == place
     aside.chmod(0o755)
@@ -180,7 +180,7 @@ def test_bytecode_that_somebody_left_is_not_used(place):
     source, found = place.read_text(), place.stat()
     place.write_text(source.replace("'one'", "'two'"))
     os.utime(place, ns=(found.st_atime_ns, found.st_mtime_ns))
-    py_compile.compile(str(place))  # of the same size and time as what comes now
+    py_compile.compile(str(place))  # with the size and time of the following version
     place.write_text(source)
     os.utime(place, ns=(found.st_atime_ns, found.st_mtime_ns))
     assert driver_of(str(place)).title == "one"

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What several tests of identification share, first of all excited responses."""
+"""Common functions of the tests of excited responses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ B, A = scipy.signal.bilinear(*scipy.signal.zpk2tf([], POLES, abs(POLES[0]) ** 2)
 
 
 def plant(u, noise, seed):
-    """Return the answer of the plant, with white noise."""
+    """Return the response of the plant, with white noise."""
     return scipy.signal.lfilter(B, A, u) + noise * np.random.default_rng(seed).standard_normal(u.size)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files as loggers, scopes and spreadsheets write them: read, or doubted in one line with the figure."""
+"""Files of loggers, scopes and spreadsheets: read, or questioned in one line with the figure."""
 
 from __future__ import annotations
 
@@ -182,11 +182,11 @@ def test_units_that_make_no_sense_are_asked_about(changes, words):
     reading = read_data(IdentificationData(columns["time"], columns["voltage"], 1e-6 * columns["micrometres"]))
     asked = [item.message for item in reading.report.findings if item.check == "unit"]
     if changes.get("micrometres") is not None and changes["micrometres"][0] < 1.0:
-        assert asked == []  # 43 nm at 3.6 V: as a small stack has it
+        assert asked == []  # 43 nm at 3.6 V: plausible for a small stack
     else:
         assert any(words in text for text in asked), asked
     if changes.get("voltage") is not None and changes["voltage"][0] < 1.0:
-        assert any("12 mm/V" in text for text in asked), "a gain that no actuator has"
+        assert any("12 mm/V" in text for text in asked), "no actuator has this gain"
 
 
 def test_too_few_samples_a_cycle_are_warned_of():

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""W1 and W6: ARX models by least squares, with zeros inside the unit circle on request."""
+"""W1 and W6: ARX models by least squares, on request with zeros inside the unit circle."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bands of frequency responses counted: stated variance beside the scatter of many recordings, with few averages."""
+"""Coverage of bands of frequency responses: stated variance and scatter of many recordings, with few averages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from excited_support import RATE, plant, truth
 from hysteresis_ros.identification.excitations import Experiment, excitation
 from hysteresis_ros.identification.frequency_response import analyse, multisine_response, welch_response
 
-#: A gain without memory: no window leaks, and what scatters is the noise alone.
+#: A gain without memory: windows do not leak, and the scatter is caused by noise alone.
 GAIN, NOISE = 2.0, 0.7
 
 
@@ -29,7 +29,7 @@ def noisy(random, shape):
 
 
 def counted(responses, probability=0.95):
-    """Return scatter over stated variance, and the share of responses within their bands."""
+    """Return the ratio of scatter to stated variance, and the fraction of responses within their bands."""
     errors = np.array([np.abs(one.response[:, 0, 0] - GAIN) for one in responses])
     variances = [one.noise_variance if one.total_variance is None else one.total_variance for one in responses]
     inside = np.array([one.radius(probability)[:, 0, 0] for one in responses]) > errors
@@ -39,7 +39,7 @@ def counted(responses, probability=0.95):
 @pytest.mark.slow
 @pytest.mark.parametrize("window", ["hann", "boxcar"])
 def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
-    """Segments that share half of their samples are worth less than as many apart: a third less without a window."""
+    """Overlapping segments have more variance than as many separate ones: a third more without a window."""
     random = np.random.default_rng(5)
     found = [welch_response(*noisy(random, 64 * 16 + 64), 1.0, segment=128, window=window) for _ in range(400)]
     ratio, inside = counted(found)
@@ -70,13 +70,13 @@ def test_of_two_periods_the_band_has_the_one_degree_of_freedom_of_their_differen
 
 
 def test_of_one_realisation_the_band_holds_the_distortion_that_its_free_lines_show():
-    """With 3 c σ² of a cubic c the best linear approximation is known (Bussgang, for a Gaussian input)."""
+    """For a cubic c the variance is 3 c σ²; the best linear approximation is known (Bussgang, for Gaussian input)."""
     inside = []
     for seed in range(30):
         u, plan = excitation(Experiment(period=0.4, realisations=1, periods=6, seed=10 * seed + 1), RATE)
         found = analyse(plan, 1.0 / RATE, u, plant(u + 0.5 * u**3, 1e-4, seed)).response
         best = truth(found.frequency) * (1.0 + 1.5 * np.mean(u**2))
         inside.append(np.mean(np.abs(found.single - best) < found.radius()[:, 0, 0]))
-        # the noise alone is a thousandth of it
+        # the noise alone is a thousandth of this
         assert np.median(found.total_variance) > 100.0 * np.median(found.noise_variance)
     assert 0.85 < np.mean(inside) < 0.99, np.mean(inside)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The oscillator's parameters come back from its noisy output, whichever way the input runs between the samples."""
+"""The oscillator's parameters are recovered from its noisy output, for any input between the samples."""
 
 import numpy as np
 import pytest

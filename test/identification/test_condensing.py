@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Long recordings: what is left out says nothing new, and what is found is what all samples would say."""
+"""Long recordings: omitted samples contain no new information, and the result is that of all samples."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ def test_a_sine_is_condensed_to_what_carries_information():
     data = reduced(recording(sine(), sine() + noise))
     assert FEWEST_REDUCED // 2 < len(data) <= 2 * FEWEST_REDUCED and data.factor == 3
     assert data.sample_time == pytest.approx(data.factor / RATE)
-    # every sample is the mean of those it stands for, at their middle
+    # every sample is the mean of the samples that it represents, at their middle
     first = slice(0, data.factor)
     assert data.time[0] == pytest.approx(TIME[first].mean()) and data.input[0] == pytest.approx(sine()[first].mean())
     assert np.ptp(data.input) == pytest.approx(3.6, rel=1e-3)
-    # averages hold less noise than samples
+    # averages contain less noise than samples
     held = np.std(data.output - 1e-5 * data.input)
     assert held == pytest.approx(1e-8 / np.sqrt(data.factor), rel=0.1)
     assert f"averaged over {data.factor}" in data.notes[-1] and "--all-samples" in data.notes[-1]
@@ -72,7 +72,7 @@ def test_the_stretch_that_reaches_both_ends_is_taken():
 
 
 def test_a_sweep_is_taken_whole_and_so_is_what_is_judged():
-    """Every part of a sweep shows another frequency: no stretch of it stands for the rest."""
+    """Every part of a sweep has another frequency, so no part represents the others."""
     sweep = 1.8 + 1.8 * scipy.signal.chirp(TIME, 1.0, TIME[-1], 40.0)
     data = reduced(recording(sweep))
     assert len(data) * data.factor > 0.99 * SIZE
@@ -89,7 +89,7 @@ def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
     found = identify(read_data(data), "proportional", linear="lag")
     assert found.data.factor > 1
     assert found.plant.sample_time == pytest.approx(1 / RATE)
-    # the file is for the rate of the recording: there the lag is the one that was put in, less half a sample of holding
+    # the file has the sample rate of the recording: its lag is the true one minus half a sample of hold
     decay = found.plant.dynamics.A[0]
     assert -1 / RATE / np.log(decay) == pytest.approx(lag - 0.5 / RATE, rel=0.01)
     found.save(tmp_path / "axis.yaml")

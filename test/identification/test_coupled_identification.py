@@ -8,7 +8,7 @@
 # specific language governing permissions and limitations under the License.
 
 
-"""Several inputs and outputs: response matrix with covariances, subspace method, modes refined, plays found again."""
+"""Several inputs and outputs: response matrix with covariances, subspace method, refined modes, recovered plays."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def plant(order=4, seed=2) -> LinearModel:
             [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
         )
     B, C = random.standard_normal((order, 2)), 1e-6 * random.standard_normal((2, order))
-    # a basis in which nothing is sparse
+    # a basis with dense matrices
     T = random.standard_normal((order, order)) + 2.0 * np.eye(order)
     return LinearModel(
         T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), 1e-7 * random.standard_normal((2, 2)), SAMPLE_TIME
@@ -84,7 +84,7 @@ def test_without_noise_the_matrix_is_that_of_the_plant():
 
 
 def test_bands_cover_the_truth_and_noise_is_apart_from_distortion():
-    """Correlated noise of the sensors is found with its covariance; a cubic output is distortion, not noise."""
+    """The covariance of the sensors' correlated noise is found; a cubic output is distortion, not noise."""
     model, random = plant(), np.random.default_rng(5)
     u = multisines(8, periods=4)
     clean = steady(model, u)
@@ -147,7 +147,7 @@ def test_the_subspace_method_finds_the_poles_exactly_on_any_lines():
 
 
 def test_one_input_and_output_give_the_entry_of_the_matrix():
-    """The scalar response of a plant with one input is found the same way, and has the poles of the matrix."""
+    """The scalar response of a plant with one input is found in the same way, and has the poles of the matrix."""
     model = plant(4)
     data = exact(model)
     single = FrequencyResponse(data.frequency, data.response[:, :1, :1], SAMPLE_TIME)
@@ -169,7 +169,7 @@ def test_a_model_of_noise_is_stable():
 
 def test_modes_are_blocks_and_change_nothing():
     model = plant(6)
-    # two real poles beside the modes
+    # two real poles and the modes
     real = np.zeros((8, 8))
     real[:6, :6], real[6, 6], real[7, 7] = model.A, 0.5, -0.3
     random = np.random.default_rng(0)
@@ -201,7 +201,7 @@ def test_refinement_on_the_response_finds_the_plant_from_a_detuned_model():
 
 
 def hysteretic(radii=(0.2, 0.6)) -> ModalStructure:
-    """The plant with plays that feel the motion of the structure."""
+    """The plant with plays that depend on the motion of the structure."""
     linear = ModalStructure.linear(modal(plant(4)), 1e-6)
     motion = 0.05 * np.random.default_rng(4).standard_normal((2, 4))
     return replace(
@@ -258,7 +258,7 @@ def test_gauss_newton_finds_the_plays_of_a_structure_in_its_own_recording():
 
 
 def test_a_wrong_sign_of_the_plays_cannot_explain_the_recording():
-    """What pushes the wrong way leaves an error that the right sign does not have."""
+    """A force with the wrong sign leaves an error that the right sign does not leave."""
     truth = hysteretic()
     data = recorded(truth)
     wrong = replace(truth, B_w=-truth.B_w)
@@ -279,7 +279,7 @@ def test_linear_dynamics_in_time_are_the_case_without_plays():
 
 
 def test_the_best_point_of_the_held_out_realisations_is_kept():
-    """With noise in the training data the search ends where the held-out error begins to rise."""
+    """With noise in the training data the search ends when the held-out error begins to rise."""
     truth = hysteretic()
     data, held = recorded(truth), recorded(truth, realisations=2)
     noisy = replace(data, y=data.y + 3e-7 * np.random.default_rng(0).standard_normal(data.y.shape))
@@ -293,7 +293,7 @@ def test_the_best_point_of_the_held_out_realisations_is_kept():
 
 
 def measured(structure: ModalStructure, levels=(0.5, 1.5), realisations=4, noise=2e-8) -> StructureData:
-    """Return two periods in steady state of each of some realisations at each level, with noise of the sensors."""
+    """Return two periods in steady state of several realisations at each level, with noise of the sensors."""
     random = np.random.default_rng(8)
     u = np.concatenate([multisines(realisations, 2, 10 + seed, level) for seed, level in enumerate(levels)])
     block = Structure(structure.parameters(), SAMPLE_TIME)

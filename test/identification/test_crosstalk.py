@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Recordings whose output something else moves too: other axes of a stage, vibration."""
+"""Recordings whose output has other sources too: other axes of a stage, vibration."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 STEP = 1.0 / 6400.0
 MODES = (Mode(925.0, 0.011, 0.8, 0.2), Mode(2330.0, 0.02, -0.1, -0.2))
 PART = LinearPart(modes=MODES, hold=STEP)
-#: What another axis, driven as much, does here: the first resonance is common to both.
+#: Effect of another axis that is driven equally: both have the first resonance in common.
 OTHER = LinearPart(modes=(Mode(925.0, 0.011, 0.6, -0.3), Mode(1320.0, 0.01, 0.5, 0.1)), hold=STEP)
 SAMPLES = 16384
 
 
 def driven(gain: float = 2e-6, other: float = 3e-6, seed: int = 0) -> IdentificationData:
-    """One axis of two, both under noise; gains in m/V."""
+    """One axis of two, both excited by noise; gains in m/V."""
     voltage, neighbour = np.random.default_rng(seed).standard_normal((2, SAMPLES)) * 0.1
     own, foreign = PART.apply(voltage, STEP), OTHER.apply(neighbour, STEP)
     return IdentificationData(np.arange(SAMPLES) * STEP, voltage, gain * own + other * foreign)
@@ -97,16 +97,16 @@ def test_what_else_moves_the_output_is_warned_of_with_its_share():
     part = np.var(alone.output) / np.var(data.output)
     assert found.foreign == pytest.approx(1.0 - part, abs=0.12)
     assert any("other sources (inputs, vibration, noise) also move the output" in text for text in found.warnings)
-    assert quiet.foreign < 0.12  # what leaks from a sharp resonance
+    assert quiet.foreign < 0.12  # leakage from a sharp resonance
     assert not any("something else" in text for text in quiet.warnings)
 
 
 def test_a_fast_steering_mirror_is_fitted_by_default():
-    """One pair of three that are driven together; the paper's linear model of all three leaves 0.114 µm of 1.5."""
+    """One input and output of three driven together; the paper's linear model of all three leaves 0.114 of 1.5 µm."""
     train, test = (_mirror(kind) for kind in ("train", "test"))
     found = identify(train, "proportional")
     error = (test.output - predict(found.plant, test.input, STEP, measured=test.output))[100:]
-    # a model of 2 poles leaves 1.23, of 3 poles 1.19, no smooth response to this input below 1.15
+    # a model of 2 poles leaves 1.23, of 3 poles 1.19; no smooth response to this input leaves less than 1.15
     assert np.sqrt(np.mean(error**2)) < 1.18e-6
     assert sorted(mode.frequency for mode in found.plant.linear_part.modes) == pytest.approx([925.0, 2330.0], rel=0.01)
     assert found.response.foreign > 0.4

@@ -43,7 +43,7 @@ def decaying():
 
 
 def test_operator_is_the_duhem_equation():
-    """Against the closed form for f = v and g = b: rising w = v - (1 - b)/α + C exp(-α v), falling mirrored."""
+    """Compared with the closed form for f = v, g = b: rising w = v - (1 - b)/α + C exp(-α v), falling mirrored."""
     grid, b = np.linspace(-1.0, 1.0, 81), 0.7
     for alpha in (0.5, 3.0, 80.0):
         operator = LoopOperator(grid, alpha, -1.0)
@@ -57,7 +57,7 @@ def test_operator_is_the_duhem_equation():
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", ["network", "spline"])
 def test_paper_w(shape):
-    """Major loop to 1e-4 of full range, also behind the inverse; α from one decaying loop beats 80 by 5 on another."""
+    """Major loop to 1e-4 of full range, also after the inverse; α from one decaying loop is 5 times better than 80."""
     found = paper_w(shape, size=None if shape == "spline" else 12)
     assert 0.1 < found.opening < 0.2
     for result in (found.identified, found.inverse, found.published):
@@ -92,7 +92,7 @@ def test_units_do_not_matter():
 
 
 def test_noise_does_not_spoil_the_loop():
-    """σ = 0.2 % of the range; the branches come back to the averaged noise, and networks do not follow it."""
+    """σ = 0.2 % of the range; the branches follow the averaged noise, and networks do not follow single samples."""
     y = truth(MAJOR)
     noisy = y + 2e-3 * np.ptp(y) * np.random.default_rng(0).standard_normal(y.size)
     result = identify_duhem(MAJOR, noisy, alpha=3.0, shape="spline")
@@ -118,7 +118,7 @@ def test_inverse_takes_metres_and_gives_volt():
 
 @pytest.mark.parametrize("lag", [0.0, 3.4, 12.0])
 def test_lag_is_told_from_hysteresis(lag):
-    """The reversals of a hysteretic output are those of its input, whatever the phase of its first harmonic."""
+    """The reversals of a hysteretic output coincide with those of its input, for any phase of the first harmonic."""
     k = np.arange(2400)
     v = np.sin(2.0 * np.pi * k / 600.0)
     y = truth(np.sin(2.0 * np.pi * (k - lag) / 600.0))
@@ -126,7 +126,7 @@ def test_lag_is_told_from_hysteresis(lag):
 
 
 def test_frequencies_coincide_after_preparation():
-    """W2: shift by the lag, normalise; amplitudes must not be mixed."""
+    """W2: shift by the lag, and normalise; different amplitudes must not be mixed."""
     recordings = []
     for period, gain, lag in ((600, 1.0, 2.0), (300, 0.8, 2.0)):
         k = np.arange(3 * period)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Which dynamics are found behind a hysteresis: lag told from delay, resonances where they are and only there."""
+"""Dynamics found after a hysteresis: lag distinguished from delay, and resonances only where they exist."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def multisine(rate: float = RATE, length: float = 8.0, amplitude: float = 50.0, 
 
 
 def cycles(rate: float = RATE, length: float = 16.0, corners: bool = True, frequency: float = 1.0) -> np.ndarray:
-    """Triangles or sines of 100 V from 0 V, decaying after two."""
+    """Triangles or sines of 100 V from 0 V; the amplitude decays after two cycles."""
     time = np.arange(int(length * rate)) / rate
     place = (time * frequency) % 1.0
     wave = 2.0 * np.abs(2.0 * place - 1.0) - 1.0 if corners else np.cos(2.0 * np.pi * place)
@@ -71,7 +71,7 @@ def test_the_block_of_a_node_is_the_continuous_part_under_a_held_input(part):
     found = np.convolve(held[::fine], part.impulse(300, STEP))[:300]
     np.testing.assert_allclose(found, truth[::fine], atol=1e-9)
     assert part.dynamics(STEP).state_space.dc_gain == pytest.approx(1.0, abs=1e-9)
-    # the response the search works with is that of the block
+    # the response used in the search is that of the block
     frequencies = np.array([3.0, 90.0, 200.0, 430.0])
     block = part.dynamics(STEP).state_space.held().response(np.exp(2j * np.pi * frequencies * STEP))[:, 0, 0]
     np.testing.assert_allclose(part_response(part, frequencies), block, rtol=1e-9)
@@ -131,7 +131,7 @@ def test_lag_and_delay_behind_a_hysteresis_are_told_apart_by_triangles(rate, lag
     plant = ForeignPlant(rate, lag=lag, delay=delay)
     part = fit_prandtl_ishlinskii(voltage, plant.record(voltage), 1.0 / rate, zone_count=0).linear_part
     assert (part.lag > 0.0, part.delay > 0.0) == (lag > 0.0, delay > 0.0)
-    # lines between the samples: the half sample of holding, or the whole one of reading, is in the lag
+    # lines between the samples: half a sample of hold, or one sample of reading, is part of the lag
     assert 0.95 * (lag + delay) < part.group_delay < 1.1 * (lag + delay) + 1.0 / rate
 
 
@@ -147,7 +147,7 @@ def test_the_resonance_behind_a_foreign_hysteresis_comes_into_the_file(tmp_path)
     found.save(tmp_path / "axis.yaml")
     again = validate(tmp_path / "axis.yaml", data, inverse=False)
     np.testing.assert_allclose(again.predicted, found.predicted, atol=1e-12)
-    # at another rate the same continuous part runs
+    # at another rate the same continuous system runs
     other = validate(tmp_path / "axis.yaml", recording(plant, multisine(seed=1)[:4000]), inverse=False, skip=1000)
     assert other.figures["rmse_percent_of_stroke"] < 1.5
 

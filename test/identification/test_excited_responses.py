@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Frequency responses lie inside their bands as often as stated; noise and odd and even distortion are told apart."""
+"""Frequency responses lie inside their bands as often as stated; noise, odd and even distortion are distinguished."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from hysteresis_ros.errors import ConfigurationError, IdentificationError
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation, uniform
 from hysteresis_ros.identification.frequency_response import analyse, plan_of_recording
 
-#: One kind each; how many seeds; which of its lines are counted, because those of noise hang together with their
-#: neighbours; and by how much more often than stated the band of one realisation may hold it: distortion that is not
-#: there is estimated as zero or more.
+#: One case each; number of seeds; which lines are counted, because neighbouring lines of a noise excitation are
+#: correlated; and by how much more often than stated the band of one realisation may contain the response, because
+#: absent distortion is estimated as zero or more.
 KINDS = {
     "one realisation": (Experiment(period=0.4, realisations=1, periods=6), 60, 1, 0.06),
     "realisations": (Experiment(period=0.2, realisations=3, periods=3), 150, 1, 0.0),
@@ -45,8 +45,8 @@ def test_a_known_response_lies_inside_its_band_as_often_as_stated(kind):
         for probability in inside:
             inside[probability] += np.count_nonzero(error < found.radius(probability)[::apart, 0, 0])
     for probability, number in inside.items():
-        # four standard deviations of the count: wrong in one of 16 000 such tests; and a percent, because the number of
-        # independent averages of overlapping segments is an estimate itself
+        # four standard deviations of the count (exceeded in one of 16 000 such tests) and one per cent, because the number
+        # of independent averages of overlapping segments is itself an estimate
         slack = 4.0 * np.sqrt(probability * (1.0 - probability) / count) + 0.01
         assert -slack < number / count - probability < slack + more, (probability, number / count)
     assert count > 800
@@ -73,7 +73,7 @@ def play(u, radii=(0.02, 0.1, 0.3)):
     return found
 
 
-#: What is nonlinear, and which distortion it makes.
+#: The nonlinear element, and the distortion that it causes.
 NONLINEAR = {
     "cubic": (lambda u: u + 0.2 * u**3, "odd"),
     "quadratic": (lambda u: u + 0.1 * u**2, "even"),
@@ -92,7 +92,7 @@ def test_distortion_is_odd_or_even_as_the_plant_is_and_noise_is_noise(kind, nonl
     found = analyse(plan, 1.0 / RATE, u, plant(law(u), sigma, 3))
     low = found.response.frequency < 40.0
     levels = {name: np.sqrt(np.mean(getattr(found.distortion, name)[low] ** 2)) for name in ("noise", "odd", "even")}
-    # of a line: the noise of its periods together over the input there
+    # for one line: the noise averaged over the periods, over the input there
     size = np.sqrt(np.mean(u**2) * 2.0 / (len(plan.lines) if kind != "stepped" else 1)) / 2.0
     samples = plan.samples[0] if kind != "stepped" else np.array(plan.samples)[low]
     assert levels["noise"] == pytest.approx(np.sqrt(np.mean(sigma**2 / samples / plan.periods)) / size, rel=0.35)
@@ -100,12 +100,12 @@ def test_distortion_is_odd_or_even_as_the_plant_is_and_noise_is_noise(kind, nonl
         if name == expected:
             assert levels[name] > 10.0 * levels["noise"], levels
         else:
-            # of an operator that is exact, a thousandth: not all is settled after two periods
+            # a thousandth of the distortion of the exact operator: after two periods it has not settled completely
             assert levels[name] < 2.0 * levels["noise"] + 1e-3 * max(levels.values()), levels
 
 
 def test_the_band_holds_the_distortion_of_the_realisations():
-    # with 3 c σ² of a cubic c the best linear approximation is known (Bussgang, for a Gaussian input)
+    # for a cubic c the variance is 3 c σ², and the best linear approximation is known (Bussgang, for a Gaussian input)
     inside = []
     for seed in range(20):
         u, plan = excitation(Experiment(period=0.4, realisations=6, seed=10 * seed + 1), RATE)
@@ -120,7 +120,7 @@ def test_the_band_holds_the_distortion_of_the_realisations():
 
 def closed_loop(reference, noise, gain=0.05):
     """Return input and output of an integral controller around the plant, with noise at the output."""
-    # y = P u + v, u = C (r - y): the whole as polynomials
+    # y = P u + v, u = C (r - y): the closed loop as polynomials
     controller = np.array([0.0, gain]), np.array([1.0, -1.0])
     over = np.polymul(controller[0], B)
     under = np.polymul(controller[1], A)
@@ -157,7 +157,7 @@ def test_excitations_are_what_they_say():
     np.testing.assert_array_equal(excited, lines)
     left = np.setdiff1d(np.arange(5, 100, 2), lines)
     np.testing.assert_array_equal((left - 7) // 8, np.arange(11), err_msg="one of every four odd lines is left out")
-    assert np.abs(np.corrcoef(table[0, 0], table[1, 0])[0, 1]) < 0.5, "realisations have phases of their own"
+    assert np.abs(np.corrcoef(table[0, 0], table[1, 0])[0, 1]) < 0.5, "each realisation has different phases"
     steps, plan = excitation(Experiment("stepped", low=10.0, high=400.0, points=6), RATE)
     frequencies = np.array(plan.lines) / np.array(plan.samples) * RATE
     np.testing.assert_allclose(frequencies, np.geomspace(10.0, 400.0, 6), rtol=0.01)
@@ -224,12 +224,12 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
     levels = analyse(
         plan_of_recording(every, 1.0 / RATE), 1.0 / RATE, every, plant(every + every**3, 1e-3, 1)
     ).distortion
-    assert np.isnan(levels.odd).all() and np.isnan(levels.even).all(), "even lines are excited: nothing can be told"
+    assert np.isnan(levels.odd).all() and np.isnan(levels.even).all(), "even lines are excited: no distortion"
     noise, _ = excitation(Experiment("noise", duration=10.0), RATE)
     assert plan_of_recording(noise, 1.0 / RATE).kind == "noise"
     assert plan_of_recording(noise, 1.0 / RATE, 0.5).samples == (500, noise.size)
     late = np.concatenate([before, u])
-    late[1500:1505] = late[1500]  # held, because the next ones were late
+    late[1500:1505] = late[1500]  # held, because the next samples were late
     assert plan_of_recording(late, 1.0 / RATE).samples == (400,)
     assert plan_of_recording(u, 1.0 / RATE, 0.2, "noise").samples == (200, u.size)
     for asked, said in (((7.0, "multisine"), "must contain at least two"), ((None, "multisine"), "is not periodic")):

@@ -83,7 +83,7 @@ def test_order_three_and_635_hz_come_back_from_one_percent_noise(seed, known):
     assert fit.model.dc_gain == pytest.approx(2.05e-6, rel=0.01)
     assert any("non-minimum-phase" in text for text in fit.warnings)
     if known:
-        assert fit.misfit[2] == pytest.approx(1.0, abs=0.1), "the misfit is the noise"
+        assert fit.misfit[2] == pytest.approx(1.0, abs=0.1), "the misfit equals the noise"
 
 
 def test_an_exact_response_is_fitted_exactly():
@@ -100,7 +100,7 @@ def test_welch_tells_its_own_uncertainty():
     y = KIM.simulate(u)
     y += 0.1 * y.std() * random.standard_normal(y.size)
     estimate = welch_response(u, y, 1 / RATE, segment=4096)
-    low = estimate.band(1.0, 500.0)  # beside the resonance the windows leak less than the noise is
+    low = estimate.band(1.0, 500.0)  # away from the resonance, the leakage of the windows is below the noise
     error = np.abs(low.response - KIM.frequency_response(low.frequency)) ** 2
     assert np.mean(error) / np.mean(low.total_variance) == pytest.approx(1.0, abs=0.35)
     fit = identify_matrix_fraction(welch_response(u, y, 1 / RATE, segment=8192).band(135.0, 1135.0))
@@ -161,7 +161,7 @@ def test_several_inputs_and_outputs_are_realised_together():
 
 def test_a_balanced_model_cut_short_loses_cancelling_pairs_and_nothing_else():
     A = np.block([[KIM.A, np.zeros((3, 1))], [np.zeros((1, 3)), np.array([[0.7]])]])
-    B, C = np.vstack([KIM.B, [[1.0]]]), np.hstack([KIM.C, [[1e-14]]])  # a pole at 0.7 and, almost upon it, a zero
+    B, C = np.vstack([KIM.B, [[1.0]]]), np.hstack([KIM.C, [[1e-14]]])  # a pole at 0.7, a zero nearly there
     model = LinearModel(A, B, C, KIM.D, 1 / RATE)
     balanced, values = balanced_realisation(model)
     assert np.count_nonzero(values > 1e-6 * values[0]) == 3
@@ -223,4 +223,4 @@ def test_measured_mirror_response_predicts_new_phases():
     predicted[..., lines] = np.einsum("fij,rpjf->rpif", estimate.response, spectrum[..., lines])
     rmse = np.sqrt(np.mean((y_test - np.fft.irfft(predicted, N, axis=3)) ** 2))
     assert rmse < 0.09e-6
-    assert np.median(estimate.total_variance) > 2.0 * np.median(estimate.noise_variance), "hysteresis is no noise"
+    assert np.median(estimate.total_variance) > 2.0 * np.median(estimate.noise_variance), "hysteresis is not noise"

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plays with thresholds that grow with the rate and with envelopes, from recordings; and only where they are."""
+"""Plays from recordings: thresholds that grow with the rate, and envelopes, are found only where they exist."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayHysteresis, GeneralisedPlayParameters
 
 T = 2e-3
-#: Density that falls, plays up to half the range; thresholds widen by 6 V at the highest speed of 10 Hz.
+#: Decreasing density, plays up to half the range; thresholds widen by 6 V at the highest speed of 10 Hz.
 RADII = 4.0 * np.arange(1, 13)
 PLAIN = GeneralisedPlayParameters(
     radii=tuple(RADII), weights=tuple(6e-9 * np.exp(-RADII / 30.0)), slope=80e-9, memory=8e-3
@@ -39,7 +39,7 @@ ENVELOPES = replace(PLAIN, rising_bend=0.3, falling_bend=-0.2)
 
 
 def drive(frequency: float, cycles: float) -> np.ndarray:
-    """Decaying loops from 0 V on."""
+    """Decaying loops, beginning at 0 V."""
     phase = 2.0 * np.pi * np.arange(int(cycles / (frequency * T))) * frequency * T
     return 50.0 * np.exp(-0.1 * phase / (2.0 * np.pi)) * (1.0 - np.cos(phase))
 
@@ -99,7 +99,7 @@ def usual(truth, noise=3e-9, **request):
 
 @pytest.mark.slow
 def test_the_usual_model_is_the_one_that_predicts_blocks_held_out():
-    """Thresholds that grow are taken where speeds differ, plain plays stay plain, an option is of the first model."""
+    """Rate-dependent thresholds are selected if speeds differ, plain plays stay plain, options extend the first model."""
     found = usual(RATED)
     assert found.figures["model"] == found.plant.hysteresis.type == "generalised_play"
     assert found.parameters.rate == pytest.approx(RATED.rate, rel=0.15)

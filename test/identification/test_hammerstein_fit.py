@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hysteresis, creep, lag and delay are told apart on synthetic recordings whose truth is known."""
+"""Hysteresis, creep, lag and delay are distinguished in synthetic recordings with a known truth."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_discrete_lag_and_delay_keep_unit_gain_and_total_delay(delay):
     part = LinearPart(lag=0.02, delay=delay)
     model = part.dynamics(SAMPLE_TIME).state_space
     assert model.dc_gain == pytest.approx(1.0, abs=1e-12)
-    # the centroid of the impulse response is the sum of lag and delay, read one sample after the input was put on
+    # the centroid of the impulse response is the sum of lag and delay; the output is read one sample after the input
     x, response = model.B[:, 0], []
     for _ in range(400):
         response.append(model.C[0] @ x)
@@ -95,7 +95,7 @@ def test_lag_and_creep_are_told_from_hysteresis():
     assert fit.linear_part.lag + fit.linear_part.delay == pytest.approx(truth.lag, abs=1.5e-3)
     assert fit.linear_part.creep_rate == pytest.approx(truth.creep_rate, rel=0.1)
     assert fit.rmse < 1e-3 * fit.stroke
-    # what counts: amplitudes that were not recorded
+    # the relevant test: amplitudes that were not recorded
     other = decaying()
     error = fit.simulate(other) - record(stack(), truth, other)
     assert np.std(error[200:]) < 4e-3 * fit.stroke

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The choice between structures on parts held out: one that is better by chance in one part is not taken."""
+"""The choice between structures on held-out parts: a structure that is better by chance in one part is not selected."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import pytest
 from hysteresis_ros.identification.hammerstein import PARTS, STRETCHES_OF_A_PART, held_out, survivor
 
 COUNT = 20 * PARTS * STRETCHES_OF_A_PART
-#: Which part each sample belongs to: stretches are dealt out in turn.
+#: Part to which each sample belongs: segments are assigned in turn.
 PART = np.repeat(np.arange(PARTS * STRETCHES_OF_A_PART), COUNT // (PARTS * STRETCHES_OF_A_PART)) % PARTS
 
 
 @dataclass(frozen=True)
 class Data:
-    """What is fitted: a displacement of zero, all of it counted."""
+    """Fitted data: a displacement of zero, in which all samples count."""
 
     kept: np.ndarray
     displacement: np.ndarray
@@ -34,7 +34,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Fit:
-    """A structure of which the error on each sample is known; that of seen samples is smaller by ``seen``."""
+    """A structure with a known error on each sample; on samples used in the fit it is smaller by ``seen``."""
 
     errors: np.ndarray
     seen: float = 1.0
@@ -48,7 +48,7 @@ class Fit:
 
 
 def by_part(*sizes) -> Fit:
-    """Return a structure of these RMS errors on the parts."""
+    """Return a structure with these RMS errors on the parts."""
     return Fit(np.array(sizes)[PART])
 
 
@@ -61,9 +61,9 @@ SIMPLE = by_part(*(1.0,) * PARTS)
         # better in every part, by more than 3 %
         ((0.9, 0.9, 0.9, 0.9, 0.9), True),
         ((0.8, 0.85, 0.95, 0.9, 0.9), True),
-        # by less
+        # by less than 3 %
         ((0.98, 0.98, 0.98, 0.98, 0.98), False),
-        # much better in one part and worse in all others: 6 % less in all, and nobody can be sure
+        # much better in one part and worse in all others: 6 % less in total, but not significant
         ((0.0, 1.05, 1.05, 1.05, 1.05), False),
         ((1.05, 1.05, 0.0, 1.05, 1.05), False),
         # worse
@@ -78,14 +78,14 @@ def test_more_freedom_is_taken_where_it_is_better_by_more_than_the_parts_differ(
 
 
 def test_errors_are_those_on_samples_that_the_fit_had_not_seen():
-    """One that follows what it has seen ten times better is no better for it."""
+    """A structure that fits its training samples ten times better is not preferred for that."""
     flexible = Fit(SIMPLE.errors, seen=0.1)
     np.testing.assert_allclose(np.abs(held_out(flexible)), 1.0, rtol=1e-12)
     assert survivor([SIMPLE, flexible])[0] is SIMPLE
 
 
 def test_by_chance_a_structure_that_is_no_better_is_seldom_taken():
-    """Of errors of equal size less than 1 in 50 passes: 3 % are more than chance makes of 400 samples."""
+    """If errors are of equal size, fewer than 1 in 50 pass: 3 % is more than the chance variation of 400 samples."""
     random = np.random.default_rng(1)
     taken = 0
     for _ in range(200):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The identification's view of recordings: columns with units become SI, and bad data is named before any fit."""
+"""Recordings as data for identification: columns with units become SI, and bad data are named before any fit."""
 
 from __future__ import annotations
 

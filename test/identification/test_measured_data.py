@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Measured and benchmark recordings: fitted on their training files, judged on files the fit has not seen."""
+"""Measured and benchmark recordings: fitted on their training files, evaluated on held-out files."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
-SKIPPED = 400  # samples of both piezo recordings that their README leaves out
+SKIPPED = 400  # samples at the beginning of both piezo recordings that their README excludes
 
 
 def table(name):
@@ -40,7 +40,7 @@ def test_piezo_stack_major_loops_predict_other_amplitudes(fitter, train, test):
     fit = fitter(voltage, displacement, 0.005, skip=SKIPPED)
     assert fit.rmse < train
     assert 0.012 < fit.linear_part.lag + fit.linear_part.delay < 0.019  # amplifier and sensor
-    assert 0.01 < fit.linear_part.creep_rate < 0.02  # what data sheets of such stacks say, a decade
+    assert 0.01 < fit.linear_part.creep_rate < 0.02  # creep per decade, as in data sheets of such stacks
     voltage, displacement = stack_recording("test_1Hz_variable_amplitude")
     error = (displacement - fit.simulate(voltage))[SKIPPED:]
     assert np.std(error) < test

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The past, drift and outliers of models that have no terms of their own for them."""
+"""Initial state, drift and outliers, for models without own terms for them."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_what_is_far_off_is_put_where_the_fit_expects_it():
     found = cleaned(recording, truth)
     assert found.outliers == 2 and found.drift == pytest.approx(0.5, rel=1e-3)
     np.testing.assert_allclose(found.data.output, truth + 0.1, atol=1e-3)
-    # what is far off for long is no outlier, and where many are the model is wrong
+    # a long deviation is not an outlier, and many outliers mean that the model is wrong
     spoilt[500:530] += 7.0
     assert cleaned(IdentificationData(TIME, CYCLES, spoilt), truth).outliers in range(2, 24)
     spoilt[::7] += 7.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Kim's procedure (K2, K3): coefficients come back, other loops stay near, bad recordings are refused."""
+"""Kim's procedure (K2, K3): coefficients are recovered, other loops are predicted, bad recordings are refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def displaced(voltage, parameters=STACK):
 
 
 def assert_same(found, wanted, tolerance):
-    """Compare coefficients by what they contribute at 120 V."""
+    """Compare coefficients by their contributions at 120 V."""
     for name in NAMES:
         power = {"D": 0, "1": 1, "2": 2}.get(name[-1], 0)
         volts = 120.0 ** (power + np.arange(3.0))
@@ -77,7 +77,7 @@ def test_one_decreasing_triangle_says_what_it_assumes():
 
 def test_history_before_the_recording():
     whole = triangles([120.0, 60.0, 120.0], 60)
-    start = 120  # back at 0 V, the stack has seen 120 V
+    start = 120  # back at 0 V, after the stack has been at 120 V
     result = identify_polynomial(whole[start:], displaced(whole)[start:], history=(120.0,))
     assert result.rms < 1e-12
 
@@ -90,7 +90,7 @@ def test_sensor_offset_goes_to_the_constant_terms():
 
 
 def test_corners_meet_for_every_peak():
-    """D_r = D_f and x_r(V_max) = x_f(V_max) = x_v(V_max), also where the loops are of another kind."""
+    """D_r = D_f and x_r(V_max) = x_f(V_max) = x_v(V_max), also for loops of another class."""
     p = paper_k(noise=0.0).model.parameters
     for v_max in np.linspace(6.0, 120.0, 7):
         curves = {}
@@ -102,7 +102,7 @@ def test_corners_meet_for_every_peak():
 
 
 def test_paper_k_error_and_preload():
-    """Modelling error within 0.125 µm on a decreasing triangle of 12 µm (paper's figure 6); 5.88 N comes back."""
+    """Modelling error within 0.125 µm on a decreasing triangle of 12 µm (paper's figure 6); 5.88 N is recovered."""
     found = paper_k()
     assert 11.9e-6 < found.stroke < 12.2e-6
     assert found.maximum < 0.125e-6

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a recording knows of the frequency response, what it says of the rest, and what designs make of it."""
+"""The part of the frequency response that a recording determines, its bounds elsewhere, and the use in designs."""
 
 from __future__ import annotations
 
@@ -62,18 +62,18 @@ def recording(part: LinearPart, voltage, noise: float = 2e-9) -> IdentificationD
 
 def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     whole = check_response(chain(MODE), recording(MODE, multisine(16000)), 1000)
-    # a mode above all content is still possible; it costs integral control nothing, so nothing is said
+    # a mode above the content is possible, but it does not affect integral control, so there is no message
     assert 0.4 < whole.uncertainty.known_to * STEP < 0.5 and whole.fit_for_feedback and whole.warnings == ()
     assert np.max(whole.uncertainty.at([2.0, 20.0, 280.0, 600.0])) < 0.05
     half = check_response(chain(MODE), recording(MODE, multisine(16000, 100)), 1000)
     assert half.uncertainty.known_to == pytest.approx(100.0, rel=0.2)
     assert half.uncertainty.at([90.0])[0] < 0.1
     assert half.uncertainty.at([1.01 * UNSEEN * half.uncertainty.known_to])[0] == UNKNOWN
-    # one just above would have shown by more than what was seen
+    # a mode just above the content would have changed the response there by more than was observed
     known, near = half.uncertainty.height([90.0, 1.2 * half.uncertainty.known_to])
     assert known == 0.0 and 0.0 < near < 0.2 * UNKNOWN
     assert "dynamics above" in half.warnings[0] and "are unknown" in half.warnings[0]
-    # nobody has looked there: that is said and limits designs, but the recording shows nothing against the model
+    # there is no content in this band: designs are limited with a message, but nothing contradicts the model
     assert half.fit_for_feedback and half.certain < 0.5 * half.believed
 
 
@@ -83,7 +83,7 @@ def test_a_resonance_that_the_model_lacks_rings_and_is_named():
     assert not missed.fit_for_feedback and missed.unfit_at == pytest.approx(280.0, rel=0.15)
     assert f"the residual rings at {missed.ringing[0]:.4g} Hz" in missed.warnings
     assert missed.certain < 0.5 * missed.believed and "known only to" in missed.reason
-    # the loop that the model alone would allow is unstable on the plant, the one that is certain is not
+    # the loop that the model alone would permit is unstable on the plant; the loop within the certain band is stable
     for crossover, stable in ((missed.believed, False), (missed.certain, True)):
         plant, controller = plant_state_space(MODE.dynamics(STEP)), integral_controller(crossover, STEP)
         column, row = controller.B[:, 1:], controller.C
@@ -99,7 +99,7 @@ def test_the_certain_crossover_shrinks_with_the_uncertainty():
         for size, known in ((0.0, np.inf), (0.4, np.inf), (0.4, 30.0), (0.4, 3.0), (0.4, 0.0))
     ]
     assert fastest[0] >= fastest[1] > fastest[2] > fastest[3] > fastest[4] == 0.0
-    # M_s of 2 with nothing uncertain: an integrator and a lag, known to the sample
+    # M_s of 2 without uncertainty: an integrator and an exactly known lag
     peak = EXACT.borne_by(integral_controller(fastest[0], STEP), plant, STEP)
     assert 0.5 <= peak.nominal < 0.56
 
@@ -161,7 +161,7 @@ def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(s
     refused = design(folder, "axis.yaml", "--controller", "pid", "--bandwidth", "60")
     assert refused.exit_code == 2 and "is not accurate enough for this feedback at" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
-    # without what the identification wrote nothing is kept back
+    # without the entry of the identification, designs are not limited
     text = (folder / "axis.yaml").read_text(encoding="utf-8")
     (folder / "bare.yaml").write_text(text[: text.index("/identification:")], encoding="utf-8")
     assert "slowed down" not in design(folder, "bare.yaml", "--controller", "pid").stdout

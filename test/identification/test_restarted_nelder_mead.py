@@ -73,7 +73,7 @@ def test_useless_starts_are_refused():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_paper_b_all_four_within_one_percent(seed):
-    """400 samples with 10 nm noise, from the paper's initial guess; β + γ < 0 is told."""
+    """400 samples with 10 nm noise, from the paper's initial guess; β + γ < 0 is reported."""
     found = paper_b(seed=seed)
     assert max(abs(error) for error in found.errors.values()) < 0.01, found.errors
     assert found.model.converged
@@ -88,7 +88,7 @@ def test_paper_b_all_four_within_one_percent(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 def test_a_bounded_element_without_a_guess(exponent):
-    """In other units and from the ranges alone; offset of the sensor removed."""
+    """In other units and from the ranges alone; the sensor's offset is removed."""
     saturation = 0.8e-6 ** (1.0 - exponent)
     truth = BoucWenParameters(1.2e-7, 2e-8, 0.02 * saturation, 0.008 * saturation, exponent)
     voltage = triangles([60.0, 100.0, 40.0], 60)

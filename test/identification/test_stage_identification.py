@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage from its recording: periods found, a response without periods, a plant of another class in a loop."""
+"""A stage from its recording: periods are found; a response without periods; a loop with another class of plant."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def recorded(u, model=None, noise=2e-9, seed=3) -> StageReading:
 
 
 def excitation(period=500, runs=4, repeats=3) -> np.ndarray:
-    """Return realisations of orthogonal multisines one after the other, between rests, shape (N, 2) [V]."""
+    """Return consecutive realisations of orthogonal multisines with rests between them, shape (N, 2) [V]."""
     table = 5.0 * orthogonal_multisines(2, period, np.arange(1, 241), runs)
     played = np.concatenate([np.tile(one, (repeats, 1)) for one in table])
     return np.concatenate([np.zeros((137, 2)), played, np.zeros((80, 2))])
@@ -102,7 +102,7 @@ def test_periods_and_realisations_are_found_in_one_recording():
     assert find_period(u) == 500
     data = realisations(recorded(u))
     assert data.u.shape == (4, 1000, 2)
-    # the first period of each realisation runs in
+    # in the first period of each realisation the stage settles
     np.testing.assert_array_equal(data.u[1], u[137 + 1500 + 500 : 137 + 3000])
     assert realisations(recorded(u), StageColumns(settle=2)).u.shape == (4, 500, 2)
     assert realisations(recorded(np.random.default_rng(0).standard_normal((4000, 2)))) is None
@@ -121,7 +121,7 @@ def test_a_drift_from_period_to_period_is_no_response():
 
 
 def test_the_local_polynomial_bands_contain_the_truth_in_95_of_100_lines():
-    """Counted over seeds, for each entry, with noise that the sensors share and inputs that never repeat."""
+    """Counted over seeds, for each entry, with correlated noise of the sensors and inputs that never repeat."""
     model, inside, ratio = plant(), [], []
     mixing = np.array([[1.0, 0.0], [0.8, 0.6]])
     for seed in range(10):
@@ -140,7 +140,7 @@ def test_the_local_polynomial_bands_contain_the_truth_in_95_of_100_lines():
 
 
 def test_a_transient_does_not_bias_the_local_polynomial_response():
-    """The transient of what was before is smooth in frequency; a plain quotient of spectra has it as error."""
+    """The initial transient is smooth in frequency; a plain quotient of spectra contains it as an error."""
     model, random = plant(), np.random.default_rng(1)
     u = random.standard_normal((2, 3000, 2))
     y = np.array([model.simulate(one) for one in u])[:, 1000:]
@@ -179,7 +179,7 @@ def test_a_linear_stage_is_found_again(linear, which):
     found = linear[which]
     stage = found.parameters.stage
     assert (stage.type, found.figures["order"]) == ("hammerstein", 4)
-    # a sample in the plant, and one until a voltage has changed the velocities
+    # one sample in the plant, and one until a voltage has changed the velocities
     assert found.figures["delay_samples"] in (1, 2)
     np.testing.assert_allclose(found.figures["gain_m_per_v"], 0.4e-6 * CROSSTALK, atol=0.4e-8)
     turns = np.abs(np.angle(stage.structure.linear.poles)) / (2.0 * np.pi * STEP)
@@ -264,7 +264,7 @@ def test_files_of_a_stage_are_refused_by_name(tmp_path):
 def truth(tmp_path_factory):
     """A scanner whose hysteresis acts inside its structure, a class that the identified model does not have.
 
-    Its plays lag behind the motion and soften the modes with the level.
+    The plays lag behind the motion, and larger amplitudes soften the modes.
     """
     structure = internal_structure()
     structure = replace(structure, C_z=tuple(-value for value in structure.C_z))
@@ -297,7 +297,7 @@ def test_one_axis_after_the_other_goes_through_its_range(truth):
 
 
 def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(truth):
-    """Recorded, identified by the command, closed on the true plant: hysteresis and cross-talk of 5 % are gone."""
+    """Recorded, identified by the command, controlled on the true plant: hysteresis and 5 % cross-talk are removed."""
     closed, figures = truth.with_name("closed.yaml"), truth.with_name("figures.json")
     words = ("--loops", truth.with_name("decaying.npz"), "--into", truth, "-o", closed, "--json", figures)
     said = hysteresis("identify", truth.with_name("multisine.npz"), *words)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The past before a recording, outliers, and structures that have to predict what they were not fitted to."""
+"""The initial state of a recording, outliers, and structures that must predict held-out parts."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def data(voltage, displacement):
 
 
 def test_the_past_is_wiped_out_only_where_a_rise_and_a_fall_come_after():
-    assert wiped_out(loops(100.0, TIME[:200])) is None  # one branch would be left
+    assert wiped_out(loops(100.0, TIME[:200])) is None  # only one branch would remain
     assert wiped_out(GROWING) is None
     assert wiped_out(loops(100.0)) == pytest.approx(100, abs=15)
     assert wiped_out(DECAYING) == pytest.approx(100, abs=25)
@@ -130,7 +130,7 @@ def test_outliers_are_counted_and_leave_the_fit_alone():
     spoilt = y.copy()
     spoilt[40::89] += 3e-6
     clean, robust = (fit_prandtl_ishlinskii(loops(100.0), x, T, linear=("lag",)) for x in (y, spoilt))
-    assert clean.numbers.get("outliers", 0) == 0 and robust.numbers["outliers"] == 8  # the first one comes too early
+    assert clean.numbers.get("outliers", 0) == 0 and robust.numbers["outliers"] == 8  # the first is too early
     assert robust.linear_part.lag == pytest.approx(clean.linear_part.lag, abs=2e-4)
     error = robust.simulate(DECAYING) - clean.simulate(DECAYING)
     assert np.std(error) < 0.01e-6

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Validation: figures by their definitions, and bounds that hold as often as they say."""
+"""Validation: figures by their definitions, and bounds that hold as often as stated."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_what_is_left_in_a_residual_is_found():
     result = validate(y + e + lagged, y, u)
     assert not result.cross_correlation.passed
     cross = result.cross_correlation
-    assert cross.lags[np.argmax(np.abs(cross.correlation))] == 4, "the input four samples earlier"
+    assert cross.lags[np.argmax(np.abs(cross.correlation))] == 4, "correlated with the input four samples earlier"
     assert any("depends on the input" in text for text in result.warnings)
     assert any("not white" in text for text in validate(y + coloured(random, 0.5, 1000), y).warnings)
     assert validate(y + e, y, u).warnings == ()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identify and validate as functions: from arrays to a parameter file, and what a wrong call gets."""
+"""Identification and validation as functions: from arrays to a parameter file, and messages for wrong calls."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_from_arrays_to_a_file_that_predicts_other_arrays(tmp_path):
     np.testing.assert_allclose(found.predicted, loops().output, atol=5e-8)
     found.save(tmp_path / "axis.yaml")
     assert (tmp_path / "axis.yaml").read_text(encoding="utf-8") == found.text
-    # no file moves a stage without limits
+    # no written file moves a stage without limits
     assert all(f"      {name}: " in found.text for name in ("slew_rate", "maximum_velocity", "maximum_jerk"))
     other = validate(tmp_path / "axis.yaml", loops(80.0), skip=50)
     assert other.figures["rmse_m"] < 1.5e-8 and other.figures["inverse_rmse_v"] < 0.2
