@@ -9,7 +9,7 @@
 
 """Measured and benchmark recordings, which are not part of the project.
 
-They are looked for in the folder that HYSTERESIS_DATA names, else beside the repository in ../shared/data.
+The recordings are in the folder HYSTERESIS_DATA, or else in ../shared/data beside the repository.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", pathlib.Path(__file__).res
 
 
 def measured_data(name: str) -> pathlib.Path:
-    """Return the path of a file or folder of the data; where it is not there the test is skipped with a word."""
+    """Return the path of a file or folder of the data; if it does not exist, the test is skipped with a message."""
     path = DATA / name
     if not path.exists():
         pytest.skip(f"no {name} in {DATA}; name the folder of the recordings in HYSTERESIS_DATA")

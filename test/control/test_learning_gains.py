@@ -51,7 +51,7 @@ def test_learning_that_begins_anew_begins_with_the_whole_gain(how):
 
 
 def test_a_hole_in_the_errors_is_weighed_by_the_sizes_of_the_taps_that_meet_it():
-    """Taps that cancel also count: a missing error matters little at a small tap and costs the sample at a large one."""
+    """Taps that cancel also count: a missing error matters little at a small tap; at a large one the sample is lost."""
     hole = 2 * N + 17
     m, _ = followed(learning(error_filter=(0.5, 0.04, -0.5), lead=1), (0.0, 0.9), 5, bad={hole})
     # the large taps belong to the samples before and after it

@@ -145,15 +145,13 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
         plant.home()
     plant.halt()
     run(plant, [60.0])
-    with pytest.raises(
-        ParameterError, match="home is the position at safe_voltage"
-    ):  # stopped, not yet at safe_voltage
+    with pytest.raises(ParameterError, match="home is the position at safe_voltage"):  # stopped, but not safe yet
         plant.home()
     run(plant, [60.0] * 400)
     plant.start()
     run(plant, [5.0] * 10)
     assert plant.held() == 5.0
-    with pytest.raises(ParameterError, match="stop the axis"):  # at safe_voltage, not stopped
+    with pytest.raises(ParameterError, match="stop the axis"):  # safe, but not stopped: it may still move
         plant.home()
     assert not plant.sensor.homing
     plant.halt()

@@ -45,8 +45,8 @@ def test_a_known_response_lies_inside_its_band_as_often_as_stated(kind):
         for probability in inside:
             inside[probability] += np.count_nonzero(error < found.radius(probability)[::apart, 0, 0])
     for probability, number in inside.items():
-        # four standard deviations of the count (exceeded in one of 16 000 such tests) and one per cent, because the number
-        # of independent averages of overlapping segments is itself an estimate
+        # four standard deviations of the count (exceeded in one of 16 000 such tests) and one per cent: the number of
+        # independent averages of overlapping segments is itself an estimate
         slack = 4.0 * np.sqrt(probability * (1.0 - probability) / count) + 0.01
         assert -slack < number / count - probability < slack + more, (probability, number / count)
     assert count > 800

@@ -99,7 +99,7 @@ def usual(truth, noise=3e-9, **request):
 
 @pytest.mark.slow
 def test_the_usual_model_is_the_one_that_predicts_blocks_held_out():
-    """Rate-dependent thresholds are selected if speeds differ, plain plays stay plain, options extend the first model."""
+    """Rate-dependent thresholds are found if speeds differ, plain plays stay plain; options extend the first model."""
     found = usual(RATED)
     assert found.figures["model"] == found.plant.hysteresis.type == "generalised_play"
     assert found.parameters.rate == pytest.approx(RATED.rate, rel=0.15)

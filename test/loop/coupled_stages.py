@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Stages for tests: made of the axes of xy_scanner, of a single axis, and of modes that are written down here."""
+"""Stages for tests: with the axes of xy_scanner, with a single axis, and with modes defined here."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros.models.structure import StructureParameters
 #: Sample time of xy_scanner [s].
 SAMPLE_TIME = 1e-4
 
-#: A stage whose actuators are driven open loop and linearly: 1 V moves its actuator by 0.4 µm, without creep and noise.
+#: A stage with linear open-loop actuators: 1 V moves an actuator by 0.4 µm, without creep and noise.
 LINEAR = {
     "plant_simulator": {
         "hysteresis__type": "proportional",
@@ -66,21 +66,21 @@ def stage(name: str = "xy_scanner", **overrides) -> Stage:
 
 
 def linear_stage(nodes: dict | None = None, **overrides) -> Stage:
-    """Return xy_scanner driven open loop and linearly, with further values of its section ``stage``.
+    """Return xy_scanner with linear open-loop actuators, and other values of its section ``stage``.
 
-    Those of ``nodes`` are for plant and compensator alike.
+    Values of ``nodes`` apply to plant and compensator alike.
     """
     return stage(**_with(LINEAR, nodes), **({"stage": overrides} if overrides else {}))
 
 
 def _with(given: dict, nodes: dict | None) -> dict:
-    """Return parameters by node with further ones of plant and compensator."""
+    """Return parameters by node, with the given ones of plant and compensator added."""
     alike = ("plant_simulator", "hysteresis_compensator")
     return given | {name: given[name] | (nodes or {}) for name in alike}
 
 
 def modes(frequencies, dampings) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and the inputs of modes, displacement and velocity over their angular frequencies [Hz], held inputs."""
+    """Return A and inputs of modes for held inputs; states: displacement, and velocity over frequency [rad/s]."""
     count = len(frequencies)
     A, B = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, count))
     for i, (frequency, damping) in enumerate(zip(frequencies, dampings, strict=True)):
@@ -92,16 +92,16 @@ def modes(frequencies, dampings) -> tuple[np.ndarray, np.ndarray]:
 
 
 def internal_structure(stiffening: float = 0.04, coupling: float = 0.05) -> StructureParameters:
-    """Return two modes at 700 and 800 Hz whose actuators have hysteresis that acts on the modes and is moved by them.
+    """Return two modes at 700 and 800 Hz with hysteresis that acts on the modes and is driven by them.
 
-    The input is in volts, 0.4 µm each; small motions are linear, larger ones meet a force that the plays add.
+    The input is in volts, 0.4 µm each; small motions are linear, in larger ones the plays add a force.
     """
     A, B = modes((700.0, 800.0), (0.01, 0.01))
     gain = np.array([[1.0, coupling], [coupling, 1.0]])
     C = np.zeros((2, 4))
     C[:, ::2] = 0.4e-6 * gain
     motion = np.zeros((2, 4))
-    motion[0, 0] = motion[1, 2] = -0.5  # V of the play for the displacement that 1 V makes
+    motion[0, 0] = motion[1, 2] = -0.5  # V of the play for the displacement of 1 V
     return StructureParameters(
         inputs=2,
         outputs=2,
@@ -122,14 +122,14 @@ def as_values(structure: StructureParameters) -> dict:
 
 
 def internal_stage(structure: StructureParameters | None = None, nodes: dict | None = None, **overrides) -> Stage:
-    """Return a stage with hysteresis inside its structure, driven open loop; its actuators pass volts on."""
+    """Return an open-loop stage with hysteresis inside its structure; its actuators pass their voltages on."""
     values = {**as_values(structure or internal_structure()), "type": "internal", "decoupling": []}
     plant = {**LINEAR["plant_simulator"], "hysteresis__proportional__gain": 1.0}
     return stage(**_with({**LINEAR, "plant_simulator": plant}, nodes), stage=values | overrides)
 
 
 def driven(one: Stage, voltages) -> np.ndarray:
-    """Return the displacements [m], shape (N, n), of a stage under voltages [V], shape (N, n), put out open loop.
+    """Return the displacements [m], shape (N, n), of a stage under open-loop voltages [V], shape (N, n).
 
     Row k is measured before the voltage of sample k is put out.
     """

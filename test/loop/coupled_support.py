@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Two axes whose actuators move each other: one tick over the parts of both, from the kernels of one."""
+"""Two axes whose actuators move each other: one tick over the parts of both, with the kernels of one axis."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ class Pair(NamedTuple):
 
 
 def coupled_ticks(laws, pair, coupling, rows, setpoints, found):
-    """Make ``found.shape[1]`` samples of both axes; what each moves, moves the other by a part of it.
+    """Run ``found.shape[1]`` samples of both axes; each moves the other axis by a fraction of its displacement.
 
     Parameters
     ----------
     laws : Laws
-        Of both axes.
+        Laws of both axes.
     pair : Pair
     coupling : ndarray, shape (1,)
-        Part of one's displacement that is added to the other one's measurement.
+        Fraction of one displacement that is added to the measurement of the other axis.
     rows : ndarray, shape (2, row length)
     setpoints : ndarray, shape (2, N)
         [m]
@@ -82,7 +82,7 @@ def coupled_run(samples, coupling, faults=((), ())):
     faults : tuple of tuple of str
         Faults of each axis.
     """
-    # the controllers estimate a constant disturbance, which is what the other axis is to each
+    # the controllers estimate a constant disturbance, because each axis is a disturbance of the other
     controller = {"kalman__gain": "riccati", "kalman__L": [], "kalman__disturbance": "constant"}
     axes = [axis(**HOLD, motion_controller=controller) for _ in range(2)]
     for one, texts in zip(axes, faults, strict=True):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What tests of the fused loop share: what it made, and its offline twin."""
+"""Common functions of the tests of the fused loop: its results, and its offline twin."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hysteresis_ros.loop import pacing
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop
 
-#: Real time that is easy to hold, also interpreted: 150 samples a second.
+#: A rate that is easy to keep in real time, also interpreted: 150 samples per second.
 SLOWLY = 0.05
 #: The same for the stage of 20 kHz.
 STAGE_SLOWLY = 0.0075
-#: Nothing trips, however busy the machine is.
+#: Without trips, however busy the machine is.
 ANY_LATE = {"plant_simulator": {"late_limit": -1}, **HOLD}
 
 
@@ -38,18 +38,18 @@ def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
 
 
 def delay(loop, samples):
-    """Let the clock of a running loop be later by some samples."""
+    """Delay the clock of a running loop by some samples."""
     loop._state[pacing.ORIGIN] -= samples * loop._state[pacing.PERIOD] // pacing.FEMTO
 
 
 def named(loop: FusedLoop, table) -> dict[str, np.ndarray]:
-    """Return the signals of a table by their names."""
+    """Return the signals of a table by name."""
     names = (signal.name for signal in loop.axis.kind.row)
     return {name: np.ascontiguousarray(values) for name, values in zip(names, table, strict=True)}
 
 
 def whole(loop: FusedLoop, *taken) -> dict[str, np.ndarray]:
-    """Return everything that a loop has made, from pieces of it that follow one another."""
+    """Return all samples of a loop, from consecutive pieces."""
     taken = [*taken, loop.take()]
     assert not loop.failure and not any(piece.lost for piece in taken)
     first = taken[0].first
@@ -61,7 +61,7 @@ def whole(loop: FusedLoop, *taken) -> dict[str, np.ndarray]:
 
 
 def assert_twin(loop: FusedLoop, made: dict[str, np.ndarray], parameters) -> dict[str, np.ndarray]:
-    """Refuse a run that is not, bit for bit, that of its offline twin; return the twin's."""
+    """Refuse a run that differs in any bit from that of its offline twin; return the twin's run."""
     asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.kind.motor else {}
     twin = Axis(parameters).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
     assert_same_bits(made, twin)

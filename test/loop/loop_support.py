@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What tests of the loop share: axes of the shipped configurations with some parameters changed, and their steps."""
+"""Common functions of the tests of the loop: axes of the shipped configurations with changed parameters, and steps."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.reach import single_axis
 
-#: A reference that stays where the setpoint is, for kim2009.
+#: A constant reference at the setpoint, for kim2009.
 HOLD = {"reference_generator": {"waveform__type": "hold"}}
 
 
 def parameters(name="kim2009", **overrides):
     """Return the parameters of an axis; ``overrides`` by node, with double underscores for dots."""
     configuration = load_configuration(name)
-    if name == "kim2009":  # as for a device: the file allows a simulated plant more
+    if name == "kim2009":  # as for a device: the file allows more late samples in a simulation
         configuration = configuration.override("plant_simulator", late_limit=0)
     for node, values in overrides.items():
         configuration = configuration.override("" if node == "every" else node, **values)
@@ -37,7 +37,7 @@ def axis(name="kim2009", **overrides):
 
 
 def steps(values) -> np.ndarray:
-    """Return how far a signal moves from each sample to the next."""
+    """Return the change of a signal from each sample to the next."""
     return np.abs(np.diff(values))
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An inverse that adapts in the loop: the same bits however it runs, frozen when it must be, and saved to a file."""
+"""An adapting inverse in the loop: the same bits in every way of running, frozen when required, saved to a file."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _identified():
 
 
 def test_an_axis_without_feedback_keeps_its_place_or_goes_where_it_is_measured():
-    """The model's offset is wrong by 1 µm, and the plant's gain drifts: the mean of the displacement."""
+    """The model's offset is wrong by 1 µm, and the plant's gain drifts: tested on the mean of the displacement."""
     means = []
     for settings in ({"adaptation__type": "none"}, {}, {"adaptation__offset": "measured"}):
         axis = Axis(adapting(settings | {"hysteresis__prandtl_ishlinskii__offset": 1e-6}))
@@ -69,7 +69,7 @@ def test_an_axis_without_feedback_keeps_its_place_or_goes_where_it_is_measured()
     assert abs(measured[1]) < 0.1e-6
 
 
-@pytest.mark.skipif(not COMPILED, reason="Numba is not installed: there is only one form")
+@pytest.mark.skipif(not COMPILED, reason="Numba is not installed: kernels exist in one form only")
 def test_interpreted_it_makes_the_same_bits(tmp_path):
     slow = {"adaptation__slow": 0.05}
     there = interpreted("adapting_support", f"adapted_run(adaptation={slow})", tmp_path)
@@ -100,7 +100,7 @@ def test_fused_it_is_its_twin_whatever_is_asked_of_it():
     loop.leave()
     made = assert_twin(loop, whole(loop), given)
     assert {states.ADAPTING, states.FROZEN, states.WAITING} <= set(made["adaptation"])
-    # how many samples it adapts in is the machine's affair: in each of them the gain moves
+    # the number of samples with adaptation depends on the machine; in each of them the gain changes
     moved = np.diff(made["adapted_gain"])[made["adaptation"][1:] == states.ADAPTING]
     assert moved.size > 20 and np.count_nonzero(moved) > 0.9 * moved.size
 
@@ -154,7 +154,7 @@ def test_the_saved_file_is_a_model_from_which_an_axis_goes_on():
     np.testing.assert_array_equal(factors(again), factors(axis))
     kept = axis.compensator.adaptation.weighted
     assert again.parameters.hysteresis_compensator.hysteresis.chosen.weights == kept.chosen.weights
-    # the bounds stay those of the identified weights, however often it is saved and loaded
+    # the bounds remain those of the identified weights, however often the weights are saved and loaded
     np.testing.assert_allclose(again.compensator.adaptation.settings.nominal[:20], _identified(), rtol=1e-15)
     made = run(again, 1000)
     assert made["adapted_gain"][0] == pytest.approx(axis.compensator.adaptation.gain, rel=1e-12)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Many axes in one call: each has the bits that it has alone, for any number of axes, threads and samples at once."""
+"""Many axes in one call: each has the bits of a single axis, for any number of axes, threads and samples per call."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from hysteresis_ros.signals import ACTUATOR
 
 #: All signals of an axis.
 ALL = [signal.name for signal in ACTUATOR.row]
-#: Axes of the arrays in which most tests compare, and samples of their runs.
+#: Number of axes in most tests, and of samples in their runs.
 AXES, SAMPLES = 24, 60
 
 
 def differing(one, count):
-    """Return the parameters of axes that differ in noise, offset and resolution of their sensors."""
+    """Return the parameters of axes with different noise, offset and resolution of their sensors."""
     each = {
         "plant_simulator.sensor.seed": np.arange(1, count + 1),
         "plant_simulator.sensor.offset": np.linspace(-1e-8, 1e-8, count),
@@ -48,7 +48,7 @@ def differing(one, count):
 
 
 def setpoints_within(one, count, samples):
-    """Return setpoints that jump within the range of an axis, others for each axis, shape (count, samples)."""
+    """Return setpoints that jump within the range of an axis, different for each axis, shape (count, samples)."""
     low, high = one.generator.minimum, one.generator.maximum
     jumps = np.random.default_rng(3).uniform(low, high, (count, -(-samples // 20)))
     return np.repeat(jumps, 20, axis=1)[:, :samples]
@@ -119,7 +119,7 @@ def test_plants_and_controllers_that_differ_in_any_value_too():
 
 @pytest.fixture(scope="module")
 def alone():
-    """Parameters of axes, their setpoints, and the signals of each of them alone."""
+    """Parameters of axes, their setpoints, and the signals of each axis run alone."""
     one = parameters(**HOLD)
     each, wanted = differing(one, AXES), setpoints_within(one, AXES, SAMPLES)
     return each, wanted, [Axis(axis).run(row) for axis, row in zip(each, wanted, strict=True)]
@@ -154,13 +154,13 @@ def test_a_step_gives_the_voltages_of_its_sample(alone):
         np.testing.assert_array_equal(voltages, [one["voltage"][k] for one in expected])
     kept = voltages.copy()
     array.step(0.0)
-    np.testing.assert_array_equal(voltages, kept)  # what a step gave does not change with the next one
+    np.testing.assert_array_equal(voltages, kept)  # the next step must not change the results of the previous one
     assert not np.array_equal(array["voltage"], kept)
 
 
 def test_an_axis_of_a_run_is_the_recording_of_that_axis():
     offsets = [0.0, 2e-8, -1e-8]
-    # an amplifier with less range than the compensator: the actuator receives another voltage than was asked for
+    # an amplifier with a smaller range than the compensator: the actuator receives a different voltage
     config = hr.load("kim2009").override("plant_simulator", limits__maximum=40.0)
     wanted = np.full(60, 9e-6)
     run = hr.simulate(config, axes=3, setpoints=wanted, each={"plant_simulator.sensor.offset": offsets}, threads=2)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A loop that is closed through rendered frames, offline: what it sees, how late, and what it does without."""
+"""A loop closed through rendered frames, offline: measurement, delay, and frames that are not available."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.watch import STALE
 
-#: Frames of a size that takes no time, in which a pixel is 0.5 µm as in the file.
+#: Small frames that take little time; a pixel is 0.5 µm as in the file.
 SMALL = {"width": 128, "height": 48, "zero": 40.0}
 
 
@@ -44,7 +44,7 @@ def test_what_is_seen_is_where_the_tip_was_so_many_frames_before(delay):
     true = made["displacement"][: 120 - delay]
     assert np.ptp(true) > 1.0e-6
     assert np.sqrt(np.mean((made["measured"][delay:] - true) ** 2)) < 0.03 * 0.5e-6
-    # before the first frame arrives the tip is where it stood
+    # before the first frame arrives, the tip is at its initial position
     assert np.abs(made["measured"][:delay] - true[0]).max(initial=0.0) < 0.1 * 0.5e-6
 
 

@@ -36,7 +36,7 @@ def test_both_reach_their_setpoints_though_each_moves_the_other(run):
         assert measured[-1] == pytest.approx(setpoint, abs=2e-8)
         assert np.max(np.abs(measured[-200:] - setpoint)) < 2e-8
     alone = coupled_run(1500, 0.0)
-    # less voltage than alone: the other one does a part of it
+    # less voltage than for a single axis, because the other actuator contributes
     assert np.all(run[2:4, -1] < alone[2:4, -1] - 2.0)
     assert not run[4:].any()
 

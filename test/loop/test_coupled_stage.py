@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage in the loop: one axis has the bits of the single axis, and coupled axes do what their structure says."""
+"""A stage in the loop: one axis has the bits of the single axis, and coupled axes follow their structure."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def columns(run) -> np.ndarray:
 
 
 def whole_run(samples: int, **overrides) -> np.ndarray:
-    """Return what :func:`columns` gives of a run of xy_scanner."""
+    """Return :func:`columns` of a run of xy_scanner."""
     one = stage(**overrides)
     return columns(one.run(one.default_setpoints(samples)))
 
 
 def internal_run(samples: int) -> np.ndarray:
-    """Return what :func:`columns` gives of a stage with hysteresis inside its structure."""
+    """Return :func:`columns` of a stage with hysteresis inside its structure."""
     one = internal_stage()
     time = np.arange(samples)
     setpoints = {"x": 20.0 * (1.0 - np.cos(2e-3 * time)), "y": 9.0 * (1.0 - np.cos(5e-3 * time))}
@@ -67,12 +67,12 @@ def internal_run(samples: int) -> np.ndarray:
 
 
 def adapting_run(samples: int) -> np.ndarray:
-    """Return what :func:`columns` gives of a stage of whose axes one adapts: the parts of its axes have two classes."""
+    """Return :func:`columns` of a stage with one adapting axis: the parts of its axes have two classes."""
     return whole_run(samples, x__hysteresis_compensator=adapting())
 
 
 def adapting() -> dict:
-    """Return parameters with which the compensator of x adapts."""
+    """Return parameters with which the compensator of x is adapted."""
     model = configured().node("motion_controller", "x")
     names = ("A", "B", "C", "sample_time", "delay")
     dynamics = {f"adaptation__dynamics__{name}": model[f"model.dynamics.{name}"] for name in names}
@@ -80,7 +80,7 @@ def adapting() -> dict:
 
 
 def single(dynamics: dict) -> Configuration:
-    """Return x of xy_scanner alone, with dynamics of its own."""
+    """Return the axis x of xy_scanner alone, with given dynamics."""
     own = configured()
     entries = tuple((name, values) for name, values in own.entries if name != "/stage" and not name.startswith("/y/"))
     alone = replace(own, entries=entries)
@@ -94,7 +94,7 @@ def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay):
     alone = Axis(
         AxisParameters.from_configuration(single({**dynamics, "delay": delay, "sample_time": SAMPLE_TIME}), "/x")
     )
-    # the delay is a part of the structure here, as it is a part of the axis' linear dynamics there
+    # the delay is part of the structure here, and part of the axis' linear dynamics there
     model = LinearParameters(**dynamics, delay=delay, sample_time=SAMPLE_TIME).state_space
     values = {f"structure__{name}": tuple(getattr(model, name).ravel()) for name in ("A", "B", "C", "D")} | {
         "structure__inputs": 1,
@@ -189,7 +189,7 @@ def test_the_decoupling_takes_the_cross_talk_away_at_rest():
         assert found[name]["displacement"][-1] == pytest.approx(setpoint, rel=1e-6)
         assert found[name]["command"][-1] == pytest.approx(setpoint, rel=1e-12)
         assert found[name]["applied"][-1] == pytest.approx(setpoint, rel=1e-12)
-    # the actuators get what the matrix says: 1.0016 and -0.04006 of the commands
+    # the actuators receive the commands times the matrix: 1.0016 and -0.04006
     matrix = one.parameters.stage.matrix("decoupling")
     voltages = matrix @ [20e-6, 5e-6] / 0.4e-6
     np.testing.assert_allclose([found[name]["voltage"][-1] for name in "xy"], voltages, rtol=1e-12)
@@ -198,7 +198,7 @@ def test_the_decoupling_takes_the_cross_talk_away_at_rest():
 def test_a_command_that_an_actuator_cannot_achieve_comes_back_through_the_decoupling():
     one = linear_stage()
     found = one.run({"x": np.full(50, 20e-6), "y": np.zeros(50)})
-    # y would need -0.8 µm of its actuator, whose range ends at 0: what x gets moves y by 4 % of it
+    # y would need -0.8 µm of its actuator, whose range ends at 0: the actuator of x moves y by 4 %
     matrix = one.parameters.stage.matrix("decoupling")
     achieved = np.linalg.inv(matrix) @ [(matrix @ [20e-6, 0.0])[0], 0.0]
     np.testing.assert_allclose([found[name]["applied"][-1] for name in "xy"], achieved, rtol=1e-9)
@@ -267,7 +267,7 @@ def test_frequency_response_of_the_running_stage_is_that_of_its_structure():
 
 
 def blown(one: Stage, volts: float, place: int = 0) -> float:
-    """Return the frequency [Hz] at which an axis rings after a short pulse about 30 V of both actuators."""
+    """Return the frequency [Hz] at which an axis rings after a short pulse, with both actuators at 30 V."""
     voltages = np.full((6096, 2), 30.0)
     voltages[:2000] *= 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2000)))[:, None]
     still = driven(one, voltages)
@@ -290,7 +290,7 @@ def test_modes_shift_with_the_level_when_the_hysteresis_is_inside_the_structure(
     for volts in (0.02, 10.0, 60.0):
         one.reset()
         found.append(blown(one, volts))
-    # plays of radius above 0 do not move in small motions; large ones take the stage towards the sliding plays
+    # plays with a radius above 0 do not move in small motions; with large ones the stage approaches the sliding plays
     assert found[0] == pytest.approx(low, rel=2e-3)
     assert low < found[1] < found[2] < high
     assert found[2] - found[0] > 5.0
@@ -316,7 +316,7 @@ def test_hysteresis_inside_the_structure_remembers_its_return_points():
     x = driven(one, np.column_stack([np.concatenate(legs)] * 2))[:, 0]
     ends = x[np.arange(1, 7) * 3000 - 1]
     stroke = np.ptp(x)
-    # the inner loop closes at its reversal point, and what came before it goes on as if it had not been
+    # the inner loop closes at its reversal point, and the earlier curve continues as if there had been no inner loop
     assert ends[3] == pytest.approx(ends[1], abs=1e-4 * stroke)
     assert ends[5] == pytest.approx(ends[1], abs=1e-4 * stroke)
     assert ends[4] == pytest.approx(ends[0], abs=1e-4 * stroke)
@@ -339,7 +339,7 @@ def test_readings_become_degrees_of_freedom():
 def test_the_allowed_travel_is_that_of_the_degrees_of_freedom():
     one = linear_stage(decoupling=[]).parameters
     axes = tuple(replace(axis, plant_simulator=replace(axis.plant_simulator, overtravel=1e-6)) for axis in one.axes)
-    # 40 µm of its own actuator and 4 % of those of the other
+    # 40 µm of its own actuator, and 4 % of the other actuator
     np.testing.assert_allclose(replace(one, axes=axes).travel(), [[-1e-6, 42.6e-6]] * 2, rtol=1e-9)
 
 
@@ -401,7 +401,7 @@ def test_decoupling_takes_most_of_the_coupling_error_away_and_noise_is_none():
     assert (error.scanning, error.held) == ("x", "y")
     assert error.scanned == pytest.approx(16e-6, rel=0.01)
     assert coupling_errors(without, 0.2)[0].rms > 5.0 * error.rms
-    # 5 nm of noise, and less than 1 nm of coupling is found
+    # there are 5 nm of noise; the coupling found is less than 1 nm
     assert error.rms < 1e-9
     assert coupling_errors(quiet, 0.2)[0].rms == pytest.approx(error.rms, rel=0.3)
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis with damping behind its law: the same offline, fused and with changes; what limits cut off; no jumps."""
+"""An axis with damping after its law: the same offline, fused and with changes; effect of limits; no jumps."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_changes_of_damping_neither_jump_nor_leave_anything_behind():
     assert_same_bits({name: values[:200] for name, values in whole_run.items()}, plain)
     assert np.any(whole_run["command"][201:300] != plain["command"][201:300])
     for sample in (200, 700):
-        # the first command after a change is the one before it, bit for bit
+        # the first command after a change equals the last one before it, bit for bit
         assert whole_run["command"][sample] == whole_run["command"][sample - 1]
     made.reset()
     assert not np.any(made.controller.damping.x)
@@ -88,7 +88,7 @@ def test_a_law_behind_limits_hears_what_was_carried_out_of_its_own_output_and_do
     assert held["saturated"][-1] == 1.0 and held["applied"][-1] < held["command"][-1]
     carried = inner_loop.as_output(between.p, between.x, held["applied"][-1])
     assert x[header.APPLIED] == carried < between.x[inner_loop.OUTPUT]
-    # the law's output stays where the limit is, within what a sample moves it
+    # the law's output stays at the limit, within its change in one sample
     assert between.x[inner_loop.OUTPUT] - carried < 2e-6
     free = made.run(np.full(1200, 2e-6))
     assert abs(np.mean(free["displacement"][60:120]) - 2e-6) < 1e-6
@@ -103,7 +103,7 @@ def test_it_starts_at_rest_wherever_the_axis_is_when_it_is_started():
     made.apply(Change(0, "motion_controller", "start"))
     made.run(np.full(1, 6e-6))
     p, x = made.controller.damping.p, made.controller.damping.x
-    rest = p[inner_loop.MATRICES + 3]  # of its single state, behind A, B and C
+    rest = p[inner_loop.MATRICES + 3]  # of its single state, after A, B and C
     assert (
         x[inner_loop.STATE] == pytest.approx(rest * x[inner_loop.FILTERED], rel=1e-9)
         and 1e-6 < x[inner_loop.FILTERED] < 5e-6

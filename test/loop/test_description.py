@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The URDF of an axis: one prismatic joint, by the name in joint_states and with the limits of the configuration."""
+"""The URDF of an axis: one prismatic joint with its name in joint_states and the limits of the configuration."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Faults on purpose: each does what its description says, is refused where it means nothing, repeats bit for bit."""
+"""Injected faults: each follows its description, is refused where it has no meaning, and repeats bit for bit."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def run(fault, **more):
 
 
 def same_before(table, plain):
-    """Refuse a fault that acts before it begins."""
+    """Refuse a fault that has an effect before it begins."""
     assert_same_bits({name: values[:FIRST] for name, values in table.items()}, plain)
 
 
 def seen_as(table, expected):
-    """Refuse a controller that takes anything else for the measurement than expected in the window, or besides."""
+    """Refuse a controller whose measurement differs from the expected one, in the window of the fault or outside."""
     measured = table["measured"].copy()
     measured[WINDOW] = expected
     np.testing.assert_array_equal(table["seen"], measured)
@@ -112,7 +112,7 @@ def disorder(fault):
     _, table, plain = run(fault)
     same_before(table, plain)
     expected = table["measured"][WINDOW].copy()
-    expected[1::2] = math.nan  # the one before with its old stamp: not used
+    expected[1::2] = math.nan  # the previous measurement with its old stamp is not used
     seen_as(table, expected)
 
 
@@ -126,7 +126,7 @@ def unanswered(fault):
     np.testing.assert_array_equal(np.flatnonzero(table["controller_mode"] == watch.FOLLOWING), following)
     offset = made.controller.parameters.model.preload.offset
     assert offset < -1e-6
-    assert made.controller.parameters.safe_slew_rate == 1.0  # a step of it is more than the displacement moves
+    assert made.controller.parameters.safe_slew_rate == 1.0  # its step is larger than the motion of the plant
     np.testing.assert_allclose(table["command"][following], table["seen"][following] - offset, atol=1e-15)
 
 
@@ -165,7 +165,7 @@ def lost_grip(fault):
     zeros = np.zeros(400)
     before, table = plain.run(zeros), weak.run(zeros)
     changed = np.flatnonzero(table["front_force"] != before["front_force"])
-    # sample k is measured before its fault acts on what follows
+    # the measurement of sample k is taken before its fault affects the following samples
     np.testing.assert_array_equal(changed, np.arange(201, 301))
     assert np.median(table["front_force"][201:301] / before["front_force"][201:301]) == pytest.approx(0.4, rel=0.05)
     np.testing.assert_allclose(table["rear_force"], before["rear_force"], rtol=0.05)
@@ -176,7 +176,7 @@ def lost_force(fault):
     made.inject((f"{fault}:0.005:0.01",))
     table = made.run(np.full(400, 4e-6))
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(table["force"])), np.arange(100, 300))
-    # whose damping does not need it does not notice
+    # a controller whose damping does not need the force is not affected
     plain = axis("stage700").run(np.full(400, 4e-6))
     assert_same_bits({name: values for name, values in table.items() if name != "force"}, plain)
 

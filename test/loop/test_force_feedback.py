@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Integral force feedback in the loop: what it damps, the delay it bears, a force that is lost or was never there."""
+"""Integral force feedback in the loop: its damping, its delay margin, and a force that is lost or missing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.signals import ACTUATOR
 SETPOINTS = np.repeat([2e-6, 6e-6], 800)
 
 
-#: Bare steps: the approach of the file leaves nothing that rings.
+#: Steps without the file's approach, which would leave no vibration.
 BARE = {f"approach__maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")}
 
 
@@ -38,7 +38,7 @@ def stage(plant=None, **controller):
 def test_it_damps_what_the_same_law_alone_leaves_ringing():
     made = stage().run(SETPOINTS)
     assert np.abs(made["displacement"][-200:] - 6e-6).max() < 1e-9
-    # the force at rest is that of the flexure less what its sensor loses at 1 Hz in 80 ms; the law does not need it
+    # the force at rest is that of the flexure minus the sensor's loss at 1 Hz in 80 ms; the law does not need it
     assert 0.6 < made["force"][-1] / (2.5e6 * 6e-6) < 0.8 and np.all(np.isfinite(made["force"]))
     bare = stage(damping__type="none").run(SETPOINTS)
     assert np.abs(bare["displacement"][-200:] - 6e-6).max() > 5e-8
@@ -46,7 +46,7 @@ def test_it_damps_what_the_same_law_alone_leaves_ringing():
 
 @pytest.mark.parametrize("late, stays", [(4, True), (6, False)])
 def test_both_loops_bear_the_delay_that_their_margin_says_and_no_more(late, stays):
-    # 4.31 samples of delay beyond the one that the model has, at the plant
+    # 4.31 samples of delay at the plant, in addition to the one in the model
     made = stage({"dynamics__delay": (1 + late) * 5e-5}).run(np.full(3000, 4e-6))
     swing = np.ptp(made["displacement"][-300:])
     assert made["tripped"][-1] == 0.0 and swing < 1e-8 if stays else swing > 1e-7 or made["tripped"][-1] != 0.0
@@ -114,7 +114,7 @@ def test_resonances_off_by_ten_per_cent_are_damped_as_well():
     for slowness in (1.0 / 1.1, 1.1):
         omega, step = 2.0 * np.pi * 700.0 / slowness, 5e-5
         decay, turn = np.exp(-0.01 * omega * step), omega * step * np.sqrt(1.0 - 0.01**2)
-        # a mode of 1 % at another frequency, of unit gain at rest, in the form of its poles
+        # a mode with 1 % damping at another frequency and unit gain at rest, in the form of its poles
         c, s = decay * np.cos(turn), decay * np.sin(turn)
         A = np.array([[c, s], [-s, c]])
         C = np.array([1.0, 0.0])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused loop makes the samples of its offline twin, whatever is asked of it and however late it is."""
+"""The fused loop runs the samples of its offline twin, for any requests and any lateness."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_an_emergency_stop_stops_everything_within_a_sample_and_stays():
     assert made["tripped"][at] == HALTED and made["tripped"][at - 1] == 0.0
     assert made["controller_mode"][at] == TRIPPED
     assert made["voltage"][at] < made["voltage"][at - 1] or made["voltage"][at - 1] == 0.0
-    # the plant was started, but nothing else
+    # only the plant was started
     again = loop.changes[4].sample
     assert made["tripped"][again] == 0.0 and made["controller_mode"][again] == STOPPED
     assert made["tripped"][-1] == HALTED
@@ -284,7 +284,7 @@ def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():
     assert_twin(loop, made, given)
     skipped = np.flatnonzero(made["skipped"])
     assert len(skipped) == loop.missed
-    # skipped is what would have begun a period late or more, and nothing else
+    # exactly the samples that would have begun a period late or more are skipped
     begin = np.argmax(second.table[signals.SKIPPED])
     period = int(loop._state[pacing.PERIOD]) / pacing.FEMTO
     due = loop._state[pacing.ORIGIN] + (second.first + np.arange(len(second.times))) * period
@@ -297,7 +297,7 @@ def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():
     np.testing.assert_array_equal(made["plant_mode"][skipped], HOLDING)
     np.testing.assert_array_equal(np.diff(made["late"]), made["skipped"][1:])
     assert loop.lateness().max >= 38 / (3000 * SLOWLY)
-    # the reference goes on as if nothing had happened
+    # the reference continues as if there had been no delay
     np.testing.assert_array_equal(made["reference"], Axis(given).run(made["setpoint"])["reference"])
 
 
@@ -311,7 +311,7 @@ def test_a_reader_has_time_while_very_many_samples_are_skipped(monkeypatch):
     heads = []
     until(lambda: heads.append(loop.sample) or heads[-1] >= 9000, every=1e-4)
     loop.leave()
-    # it paused after each quarter of the ring
+    # the loop paused after each quarter of the ring
     assert any(900 < head < 8900 for head in heads)
     assert loop.missed >= 8990
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused loop as a process: suspended, without Numba, without permissions, and with a thread that fails."""
+"""The fused loop as a process: suspended, without Numba, without permissions, and with a failing thread."""
 
 from __future__ import annotations
 

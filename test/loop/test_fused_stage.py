@@ -33,7 +33,7 @@ from hysteresis_ros.models.block import COMPILED
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
 
-#: Both axes move, and no matrix is the same when its axes are exchanged.
+#: Both axes move, and every matrix changes if its axes are exchanged.
 MOVING = {
     "every": {"time_mode": "fused"},
     "plant_simulator": {"late_limit": -1},
@@ -41,7 +41,7 @@ MOVING = {
     "x__reference_generator": {"waveform__type": "sine", "waveform__frequency": 100.0, "waveform__amplitude": 2e-6},
     "y__reference_generator": {"waveform__type": "sine", "waveform__frequency": 60.0, "waveform__amplitude": 3e-6},
 }
-#: Real-time factor at which a busy machine keeps up.
+#: Real-time factor that a busy machine can keep.
 SLOWLY = 0.05
 
 
@@ -57,7 +57,7 @@ class Running:
         self._pieces: list = [[] for _ in self._readers]
 
     def look(self) -> None:
-        """Read the samples so far."""
+        """Read all samples so far."""
         for reader, pieces in zip(self._readers, self._pieces, strict=True):
             taken = reader.take()
             assert not taken.lost
@@ -116,14 +116,14 @@ def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     made = one.end()
     log = [(place, entry.sample, *entry[1:3]) for place in (0, 1) for entry in loop.changes_of(place)]
     assert sorted(log) == sorted(given)
-    # setpoints of both axes begin with the same sample
+    # setpoints of both axes take effect in the same sample
     for index in range(len(steps)):
         begins = [
             np.flatnonzero(made[axis]["setpoint"] == value)[0]
             for axis, value in zip("xy", (15e-6 + index * 1e-7, 25e-6 - index * 1e-7), strict=True)
         ]
         assert begins[0] == begins[1]
-    # the halt of one plant stops the other one in the next sample, and both go on together
+    # a stop of one plant stops the other one in the next sample, and both continue together
     halted = {axis: np.flatnonzero(made[axis]["tripped"]) for axis in "xy"}
     assert made["y"]["tripped"][halted["y"][0]] == HALTED and made["x"]["tripped"][halted["x"][0]] == PARTNER_LOST
     assert halted["x"][0] - halted["y"][0] == 1 and halted["x"][-1] == halted["y"][-1] < len(made["x"]["tripped"]) - 8

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The learned correction in an axis: what runs are without it, when it learns, and that all runners agree."""
+"""The learned correction in an axis: runs without it, when it learns, and agreement of all runners."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hysteresis_ros.designs.learning import LearningRequest, design_learning
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis, Change
 
-#: Of 30 samples.
+#: Period of 30 samples.
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
 LEARNS = {
     "learning__type": "repetitive",
@@ -45,7 +45,7 @@ def learning_axis(reference=None, **controller):
 
 
 def corrections(made, count):
-    """Run sample by sample and return the correction of each."""
+    """Run sample by sample, and return the correction of each sample."""
     found = np.empty(count)
     for k in range(count):
         made.run([0.0])
@@ -64,7 +64,7 @@ def test_without_a_measurement_it_repeats_itself():
     made.run(np.zeros(8 * N))
     made.inject((f"nan:0.0:{2 * N / 3000}",))
     blind = corrections(made, 5 * N).reshape(5, N)
-    # what was measured before is learned in the first period, and what came after in the fourth
+    # earlier measurements are learned in the first period, later ones in the fourth
     assert np.any(blind[0]) and np.any(blind[3] != blind[2])
     assert np.array_equal(blind[2][:-6], blind[1][:-6])
 
@@ -74,7 +74,7 @@ def test_stopped_it_repeats_itself_in_phase_and_goes_on_without_a_jump():
     made.run(np.zeros(8 * N))
     made.controller.stop()
     stopped = corrections(made, 4 * N).reshape(4, N)
-    # what was measured before it stopped is learned in the period after it
+    # measurements before the stop are learned in the period after it
     assert np.any(stopped[1]) and np.array_equal(stopped[2], stopped[1]) and np.array_equal(stopped[3], stopped[1])
     made.controller.start()
     after = made.run(np.zeros(3 * N))["command"]
@@ -84,7 +84,7 @@ def test_stopped_it_repeats_itself_in_phase_and_goes_on_without_a_jump():
 def test_nothing_is_learned_while_the_command_is_not_carried_out():
     slow = {"limits__slew_rate": 10.0}
     made = axis(reference_generator=TRIANGLE, motion_controller=LEARNS, hysteresis_compensator=slow)
-    # the first samples, of a triangle that begins at zero, are still carried out
+    # the first samples, of a triangle that begins at zero, are still achieved
     assert not np.any(corrections(made, 6 * N).reshape(6, N)[1:, 10:-10])
     assert np.any(corrections(learning_axis(), 6 * N).reshape(6, N)[1:, 10:-10])
 
@@ -144,9 +144,9 @@ PERIOD = 300  # samples of Kim's axis, 0.1 s
 
 
 def learned_with_missed_samples(seed, late_recovery):
-    """Return the RMS error [m] without missed samples after 32 periods in which 0.5 % were missed, and the periods.
+    """Return the RMS error [m] of samples that were not missed, after 32 periods with 0.5 % missed, and the periods.
 
-    After limits nothing is learned for 2 s, which is 20 periods.
+    After saturation nothing is learned for 2 s, which is 20 periods.
     """
     reference = {**TRIANGLE, "waveform__frequency": 10.0}
     plain = parameters(**{**ANY_LATE, "reference_generator": reference})
@@ -170,7 +170,7 @@ def test_where_a_sample_in_200_is_missed_it_learns_from_the_others_however_long_
     missed, line = learned_with_missed_samples(seed, None)
     assert every == "of 32 periods, 32 were learned completely"
     assert missed < 1.5 * whole < 4e-9
-    # where a late sample is remembered as long as limits are, most periods teach nothing
+    # if a late sample blocks learning as long as saturation does, nothing is learned in most periods
     blocked, why = learned_with_missed_samples(seed, 2.0)
     assert blocked > 1.5 * whole
     used, unused = (int(re.search(r", (\d+) not at all", text)[1]) for text in (line, why))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Changes while an axis runs: given to the run they are what somebody does between its pieces, and what a node does."""
+"""Changes of a running axis: in one run they have the same effect as between its pieces, and as in a node."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SETPOINTS = 4e-6 * (np.arange(800) > 30) + 2e-6 * (np.arange(800) > 500)
 
 
 def piece_by_piece(made, setpoints, changes):
-    """Run to each change, apply it, and go on."""
+    """Run to each change, apply it, and continue."""
     tables, first = [], 0
     for change in changes:
         tables.append(made.run(setpoints[first : change.sample]))
@@ -80,7 +80,7 @@ def test_a_change_after_the_end_of_a_run_holds_from_there_on():
 
 @pytest.mark.parametrize("gains", [{}, {"type": "pid", "pid__Ki": 20.0}], ids=str)
 def test_a_change_of_the_preload_in_the_model_fades_and_jumps_nowhere(gains):
-    """1 N is an offset of -2.44 µm; 635 Hz, damped by 0.0018, would ring for long after anything that is quick."""
+    """1 N is an offset of -2.44 µm; 635 Hz with damping 0.0018 would ring for long after any fast change."""
     given = {**HOLD, "motion_controller": {"handover_time": 0.05, **gains}}
     made = axis(**given)
     change = Change(1500, "motion_controller", "retune", {"model.preload.force": 1.0})
@@ -93,7 +93,7 @@ def test_a_change_of_the_preload_in_the_model_fades_and_jumps_nowhere(gains):
     assert np.ptp(table["displacement"][-300:]) < 5e-9
     assert np.max(np.abs(np.diff(table["command"][1498:]))) < 0.02 * abs(offset)
     assert abs(table["command"][1500] - table["command"][1499]) < 1e-9
-    # what the observer says of the measurement is not moved by what the model takes off it
+    # the observer's estimate does not change when the model subtracts the preload
     assert abs(table["estimated"][1500] - table["measured"][1500]) < 2e-8
     plain = axis(**given).run(np.full(1500, 5e-6))
     assert_same_bits({name: values[:1500] for name, values in table.items()}, plain)
@@ -115,7 +115,7 @@ def test_a_plant_that_was_measured_takes_new_parameters_only_for_what_follows():
     plain = axis(**HOLD).run(SETPOINTS)
     assert before["measured"][300] != plain["measured"][300] == after["measured"][300]
     assert after["voltage"][300] == plain["voltage"][300] and after["measured"][301] != plain["measured"][301]
-    # as a node does it: measure, take the parameters, answer
+    # the order of a node: measure, accept the parameters, answer
     made = axis(**HOLD)
     tables = [made.run(SETPOINTS[:300])]
     column, row = np.zeros((signals.ACTUATOR_ROW, 1)), np.zeros(signals.ACTUATOR_ROW)

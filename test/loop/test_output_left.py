@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A fused axis whose plant held its voltage back: what is recorded is what left, and the way back to the path ends."""
+"""A fused axis whose plant limited its voltage: the recorded voltage is the output, and the return to the path ends."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def test_after_samples_that_were_missed_until_the_plant_went_to_safe_the_way_bac
     plain = made("fused", np.zeros(2000))
     held = table["plant_mode"] == STALE
     assert np.flatnonzero(held)[0] == 619 and np.flatnonzero(held)[-1] == 699
-    # the triangle asks for some 6 V/s, the way back has 1
+    # the triangle requires about 6 V/s, the return has 1 V/s
     assert np.ptp(plain["voltage"][700:]) > 1.0 and np.max(np.abs(np.diff(plain["voltage"][700:]))) > 2.5 * 1.0 / RATE
     np.testing.assert_allclose(table["voltage"], table["plant_voltage"], rtol=0.0, atol=1e-9)
-    # what is asked differs from what left in the first sample of the way back at most
+    # requested and output voltage differ at most in the first sample of the return
     assert np.all(table["saturated"][held] == 1.0) and np.sum(table["saturated"][700:]) <= 3
     error = np.abs(table["displacement"] - table["reference"])
     before = np.max(np.abs(plain["displacement"] - plain["reference"])[1600:])
     assert np.max(error[600:800]) > 5e-6
     assert np.max(error[1600:]) < 1.2 * before
-    # the twin makes the same of it
+    # the twin gives the same
     assert_same_bits(table, made("fused", skipped))
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Samples that seldom come: beyond the lower end, skipped on the way to safe, and those on the way back to a path."""
+"""Rare samples: below the lower end of the range, skipped on the way to safe, and during the return to a path."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loop_support import HOLD, axis, steps
 from hysteresis_ros.loop.axis import Change
 
 RATE = 3000.0
-#: Of 30 samples, as in the tests of the learned correction.
+#: Period of 30 samples, as in the tests of the learned correction.
 N = 30
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
 LEARNS = {
@@ -32,7 +32,7 @@ LEARNS = {
 
 
 def test_an_axis_that_rests_is_stopped_by_the_first_measurement_below_its_range():
-    """At rest a noisy sensor leaves the near, lower end by chance, in one of 700 samples, and never the upper one."""
+    """At rest a noisy sensor crosses the near, lower end by chance in one of 700 samples, and never the upper end."""
     given = {"motion_controller": {"type": "open_loop"}, **HOLD}
     quiet = axis(plant_simulator={"overtravel": 0.3e-6, "sensor__noise": 0.0}, **given)
     where = quiet.run(np.zeros(300))["displacement"][-1]
@@ -49,7 +49,7 @@ def test_an_axis_that_rests_is_stopped_by_the_first_measurement_below_its_range(
 
 @pytest.mark.parametrize("stopped", ["hysteresis_compensator", "plant_simulator"])
 def test_on_the_way_to_safe_a_skipped_sample_takes_no_step(stopped):
-    """The amplifier never got the voltage of that sample: the next one would be two steps away from what it has."""
+    """The amplifier did not receive the voltage of that sample, so the next voltage would be two steps away."""
     slow = {"hysteresis_compensator": {"safe_slew_rate": 900.0}, "plant_simulator": {"late_limit": -1}}
     made = axis(**HOLD, **slow)
     made.run(np.full(1500, 8e-6))
@@ -65,7 +65,7 @@ def test_on_the_way_to_safe_a_skipped_sample_takes_no_step(stopped):
 
 
 def test_nothing_is_learned_while_the_axis_returns_to_its_path():
-    """Its error there is the way that is left, a fading exponential, and no part of what repeats."""
+    """The error is then the remaining distance, which decays exponentially and is not periodic."""
     made = axis(reference_generator=TRIANGLE, motion_controller=LEARNS)
     made.run(np.zeros(12 * N))
     made.apply(Change(made.sample, "motion_controller", "stop"))
@@ -73,7 +73,7 @@ def test_nothing_is_learned_while_the_axis_returns_to_its_path():
     assert made.controller.learning.missed == N
     before = made.controller.learning.learned().correction
     made.apply(Change(made.sample, "motion_controller", "start"))
-    # the return fades with the hand-over's time constant: 5 periods
+    # the return decays with the hand-over's time constant: 5 periods
     for _ in range(3):
         made.run(np.zeros(N))
         assert made.controller.learning.missed == N
@@ -81,7 +81,7 @@ def test_nothing_is_learned_while_the_axis_returns_to_its_path():
 
 
 def test_one_skipped_sample_leaves_no_trace_in_the_voltages_after_it():
-    """The inverse answers the present command: nothing fades, as it would after a stop."""
+    """The inverse responds to the current command: nothing fades, unlike after a stop."""
     given = {"reference_generator": TRIANGLE, "motion_controller": {"type": "open_loop"}}
     skipped = np.zeros(6 * N)
     skipped[3 * N + 7] = 1.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What readers of the fused loop get: every sample once, or how many they lost; and how late samples were."""
+"""Readers of the fused loop: each sample once, or the number of lost samples; and the lateness of samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def small_loop(monkeypatch, samples, kept=100):
 
 
 def run(loop):
-    """Make all samples."""
+    """Run all samples."""
     loop.start()
     loop.join()
 
@@ -44,7 +44,7 @@ def test_a_reader_that_is_too_slow_is_told_how_many_samples_it_lost(monkeypatch)
     loop._state[pacing.UNTIL] = 460
     run(loop)
     second = loop.take()
-    # the place of the next sample is not read: a part of it may be there already
+    # the entry of the next sample is not read, because it may be incomplete
     assert (second.first, second.lost, second.table.shape[1]) == (361, 301, 99)
     whole = axis().run(axis().default_setpoints(460))
     for name, values in named(loop, second.table).items():
@@ -104,7 +104,7 @@ def test_the_last_row_is_there_at_any_time(monkeypatch):
 
 
 def noted(lateness):
-    """Return the arrays of a loop that noted these [ns]."""
+    """Return the arrays of a loop with these latenesses [ns]."""
     loop_state, histogram = np.zeros(pacing.STATES, dtype=np.int64), np.zeros(pacing.BINS, dtype=np.int64)
     for late in lateness:
         pacing.note_lateness(loop_state, histogram, late)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The physics of safety: whatever fails, an axis goes to safe at the stated rate and time, and comes back calmly."""
+"""Safety: for any fault an axis moves to safe at the stated rate and time, and recovers without a jump."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from hysteresis_ros.references import inchworm_layout as gait
 
 RATE = 3000.0
 SETPOINT = 8e-6
-#: One step of a converter of 16 bits over 150 V, twice: both ends of a difference are rounded.
+#: Twice the step of a 16-bit converter over 150 V, because both values of a difference are rounded.
 GRID = 2 * 150.0 / (2**16 - 1)
 TIMEOUT = 60  # samples
-#: What 120 V move [m]. An inchworm's command goes from end to end of it in a few samples where most of them are lost,
-#: and its mode at 635 Hz, damped by 0.03, answers a step by up to twice its height.
+#: Displacement of 120 V [m]. If most samples of an inchworm's command are lost, it crosses the range in a few samples,
+#: and its mode at 635 Hz, with damping 0.03, responds to a step with up to twice the height.
 STROKE, OVERSHOOT = 12.3e-6, {"kim2009": 1.2, "inchworm_travel": 1.9}
 QUICK = {
     "motion_controller": {"measurement_timeout": TIMEOUT / RATE, "safe_slew_rate": 1e-4},
@@ -40,7 +40,7 @@ COMMAND_STEP, VOLTAGE_STEP, PLANT_STEP = 1e-4 / RATE, 900.0 / RATE, 600.0 / RATE
 
 
 def settled(name="kim2009", samples=1500, **more):
-    """Return an axis that has stood at the setpoint for a while."""
+    """Return an axis that has been at the setpoint for a while."""
     overrides = {**HOLD, **QUICK} if name == "kim2009" else {}
     for node, values in more.items():
         overrides[node] = {**overrides.get(node, {}), **values}
@@ -50,18 +50,18 @@ def settled(name="kim2009", samples=1500, **more):
 
 
 def after(made, *faults, samples=3000, **more):
-    """Return the run that follows with these faults, their times from now on."""
+    """Return the following run with these faults, whose times count from now."""
     made.inject(faults)
     return made.run(np.full(samples, SETPOINT), **more)
 
 
 def lasting(samples: int) -> float:
-    """Return a duration [s] of so many samples."""
+    """Return a duration [s] of some samples."""
     return samples / RATE
 
 
 def assert_towards(values, first, target, step, tolerance):
-    """Refuse a signal that does not go to its target from sample ``first`` on by exactly a step a sample."""
+    """Refuse a signal that does not move to its target from sample ``first`` on by exactly one step per sample."""
     start = values[first - 1]
     count = math.ceil(abs(target - start) / step)
     away = np.maximum(abs(start - target) - step * np.arange(1, count + 1), 0.0)
@@ -83,7 +83,7 @@ def test_without_measurements_the_command_goes_to_safe_after_exactly_its_timeout
     quiet = 100 + frozen
     held = slice(quiet, quiet + TIMEOUT - 1)
     assert set(table["controller_mode"][held]) == {watch.HOLDING}
-    # what an observer foresees of an axis that stands is that it stands
+    # the observer's prediction for an axis at rest is that it stays at rest
     np.testing.assert_allclose(table["command"][held], table["command"][quiet - 1], rtol=0, atol=0 if law else 1e-8)
     assert set(table["controller_mode"][quiet + TIMEOUT - 1 : 1000]) == {watch.STALE}
     safe = assert_towards(table["command"], quiet + TIMEOUT - 1, 0.0, COMMAND_STEP, 1e-18)
@@ -94,7 +94,7 @@ def test_without_measurements_the_command_goes_to_safe_after_exactly_its_timeout
 
 @pytest.mark.parametrize("fault", ["drop:0.1:0.8:0.3", "drop:0.1:0.8:0.6", "stale:0.1:0.015", "nan:0.11:0.019"])
 def test_an_observer_carries_the_axis_over_measurements_that_are_missing(fault):
-    """With the model exact and no noise nothing is seen of them, on a moving axis either."""
+    """With an exact model and without noise, missing measurements have no effect, even on a moving axis."""
     quiet = {**QUICK, "plant_simulator": {**QUICK["plant_simulator"], "sensor__noise": 0.0}}
     runs = [axis(**quiet) for _ in range(2)]
     runs[1].inject((fault,))
@@ -106,7 +106,7 @@ def test_an_observer_carries_the_axis_over_measurements_that_are_missing(fault):
 
 
 def test_every_second_measurement_serves_a_filter_that_is_slow_enough_and_stops_the_axis_under_the_published_one():
-    """The published gain, at every second sample only, makes the estimate's error grow by 7 % in two samples."""
+    """With the published gain at every second sample, the error of the estimate grows by 7 % in two samples."""
     slow = {"kalman__gain": "riccati", "kalman__q": 0.1, "kalman__L": ()}
     for law, tripped in ((slow, False), ({}, True)):
         made = settled(motion_controller=law)
@@ -158,7 +158,7 @@ def test_on_the_way_back_the_reference_starts_where_the_axis_stands_and_fades_to
     made = settled(plant_simulator=loaded, motion_controller={f"model__{name}": f for name, f in loaded.items()})
     changes = (Change(1600, "motion_controller", "stop"), Change(2500, "motion_controller", "start"))
     table = after(made, samples=1300, changes=changes)
-    given = made.controller.history.samples  # from the start on: applied, reference, fed, measured without preload
+    given = made.controller.history.samples  # achieved command, reference, feedforward, measurement
     assert len(given) == 300
     np.testing.assert_array_equal(given[:, 3], table["seen"][1000:] - made.controller.parameters.model.preload.offset)
     standing = given[0, 3]
@@ -211,7 +211,7 @@ def test_without_voltages_a_plant_that_does_not_trip_goes_to_safe_and_follows_ag
     assert np.max(np.abs(voltage[safe:1000])) < GRID
     assert not table["tripped"].any() and table["late"][-1] == 900.0
     back = 1000 + int(np.argmax(voltage[1000:] == table["voltage"][1000:]))
-    # beside its own step it moves no further than what comes has moved
+    # in addition to its own step it moves no farther than its input has moved
     asked = np.concatenate([[0.0], steps(table["voltage"][1000 : back + 1])])
     assert np.all(steps(voltage[999 : back + 1]) <= PLANT_STEP + asked + GRID)
     np.testing.assert_array_equal(voltage[back:], table["voltage"][back:])
@@ -233,11 +233,11 @@ def test_a_tripped_plant_stops_the_whole_axis_in_one_sample_until_it_is_started(
         assert_towards(table["voltage"], first + 1, 0.0, VOLTAGE_STEP, GRID),
         assert_towards(table["command"], first + 1, 0.0, COMMAND_STEP, 1e-18),
     ]
-    # everything is safe after range over slew rate
+    # all signals are safe after range over slew rate
     assert max(ends) <= first + 1 + max(150.0 / VOLTAGE_STEP, 150.0 / PLANT_STEP, 12e-6 / COMMAND_STEP)
     for name in ("plant_voltage", "voltage", "command"):
         assert np.max(np.abs(table[name][max(ends) : 1200])) < GRID, name
-    # from where it is, and after that no more than the law itself asks for against the ringing
+    # from the current value, and afterwards no more than the law itself requires against the ringing
     assert np.max(steps(table["plant_voltage"][1199:1202])) <= PLANT_STEP + GRID
     assert np.max(steps(table["plant_voltage"][1199:])) < 3.0
     assert np.max(steps(table["command"][1199:])) < 3e-7
@@ -290,7 +290,7 @@ def test_commands_that_nobody_answers_follow_the_displacement_without_running_aw
 
 
 def test_commands_that_are_not_carried_out_end_where_the_displacement_is():
-    """An amplifier is off and its compensator silent: the command waits where the actuator stands."""
+    """An amplifier is off and its compensator silent: the command waits at the actual displacement."""
     made = settled(plant_simulator={"late_limit": -1})
     table = after(made, "unanswered:0:0.5", "lost_voltage:0:0.5", samples=1500)
     assert set(table["controller_mode"][30:]) == {watch.FOLLOWING}
@@ -304,7 +304,7 @@ def test_commands_that_are_not_carried_out_end_where_the_displacement_is():
 
 def test_a_tripped_inchworm_closes_both_clamps_and_walks_on_after_a_start():
     made = axis("inchworm_travel")
-    made.inject(("lost_voltage:0.3:0.06",))  # 600 late ones, allowed are 500
+    made.inject(("lost_voltage:0.3:0.06",))  # 600 late voltages, 500 are allowed
     table = made.run(np.full(12000, 2e-4), changes=(Change(7000, "plant_simulator", "start"),))
     assert np.argmax(table["plant_mode"] == watch.TRIPPED) == 3500
     stopped = slice(3501, 7000)
@@ -347,9 +347,9 @@ def test_without_measurements_a_walking_inchworm_closes_both_clamps_after_its_ti
 
 
 def test_a_plant_started_too_early_opens_no_clamp_before_the_other_one_has_closed():
-    """The sequencer takes a clamp to be closed when it has sent it there; in the plant it is still on its way."""
+    """The sequencer assumes that a clamp is closed once it has commanded it; in the plant it is still moving."""
     made = axis("inchworm_travel")
-    made.inject(("lost_voltage:0.105:0.06",))  # trips with the front clamp open
+    made.inject(("lost_voltage:0.105:0.06",))  # trips while the front clamp is open
     started = Change(1800, "plant_simulator", "start")
     table = made.run(np.full(8000, 2e-4), changes=(started,))
     assert table["tripped"][1799] and not table["tripped"][1800:].any()
@@ -363,7 +363,7 @@ def test_a_plant_started_too_early_opens_no_clamp_before_the_other_one_has_close
 
 def test_a_voltage_that_is_only_rounded_to_the_grid_does_not_count_as_limited_and_one_at_an_end_does():
     table = axis(**HOLD).run(np.where(np.arange(900) < 600, 5e-6, 12e-6))
-    # a voltage on the grid by chance is rare: rounding changes nearly every one
+    # a voltage rarely lies on the grid by chance, so rounding changes nearly every one
     assert not table["saturated"][:600].any()
     narrow = axis(**HOLD, hysteresis_compensator={"limits__maximum": 40.0})
     table = narrow.run(np.full(600, 5e-6))
@@ -373,7 +373,7 @@ def test_a_voltage_that_is_only_rounded_to_the_grid_does_not_count_as_limited_an
 
 @pytest.mark.parametrize(("gains", "lie"), [({}, 6e-5), ({"type": "pid", "pid__Ki": 20.0}, 1e-2)], ids=str)
 def test_no_command_leaves_its_range_and_nothing_else_changes_by_that(gains, lie):
-    """A sensor that lies asks for commands far beyond the stroke; anti-windup comes back from there alike."""
+    """A wrong sensor causes commands far beyond the stroke; anti-windup returns from there in the same way."""
     wide = {"command_minimum": -1.0, "command_maximum": 1.0}
     fault = f"offset:{lasting(100)}:{lasting(300)}:{lie}"
     bounded, free = (settled(motion_controller=gains | more) for more in ({}, wide))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The table of signals: places, names and units; what stands in states, topics and recordings follows from it."""
+"""The table of signals: indices, names and units; and consistency of states, topics and recordings with it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_what_only_a_motor_has_stands_behind_what_every_axis_has():
     assert motor == sorted(motor)
     assert signals.ACTUATOR_ROW == motor.index(True) == len(signals.ACTUATOR.row)
     assert signals.MOTOR_ROW == len(signals.SIGNALS) == len(signals.INCHWORM.row)
-    # of an actuator's axis only the first of what people ask for is in the row
+    # the row of an actuator's axis contains only the first request
     assert signals.ASKED[0] < signals.ACTUATOR_ROW <= min(signals.ASKED[1:])
     assert {signals.SIGNALS[place].name for place in signals.ASKED} == {
         signal.name for signal in signals.SIGNALS if signal.writer == signals.USER
@@ -115,7 +115,7 @@ def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, na
     given = parameters(name, every={"faults": ["stale:0.01:0.01", "late_voltage:0.0:1.0:0.3"]})
     run = simulate(given, duration=300 / given.plant_simulator.sample_rate)
     row = tuple(signal.name for signal in given.kind.row)
-    assert tuple(run.signals) == (*row, signals.ASKED_VOLTAGE)  # a late voltage is not what left
+    assert tuple(run.signals) == (*row, signals.ASKED_VOLTAGE)  # a late voltage is not what was put out
     (write_recording if kind == "bag" else save_run)(run, tmp_path / kind)
     back = load_run(tmp_path / kind, further=True)
     assert set(run.signals) <= set(back.signals)
@@ -125,7 +125,7 @@ def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, na
 
 @pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
 def test_a_run_fills_every_place_of_the_row(name):
-    """Whatever stood in a row before, a sample overwrites: nothing depends on what a runner left there."""
+    """A sample overwrites every entry of the row, so nothing depends on earlier contents."""
     one, other = axis(name), axis(name)
     size = len(one.kind.row)
     columns = np.zeros((size, 1))

@@ -107,7 +107,7 @@ def test_the_time_ahead_settles_at_a_high_quantile_of_the_wake_up_times(longest)
 def test_the_time_ahead_leaves_a_part_of_the_core_to_the_system():
     state = state_with(MOST_AHEAD=12_000, WAKE=50_000, BUSY=4_000 * 10, HEAD=10)
     pacing.note_wake(state, 60_000)
-    assert state[pacing.AHEAD] == 8_000  # less what a sample computes
+    assert state[pacing.AHEAD] == 8_000  # minus the computing time of a sample
     state[pacing.BUSY] = 20_000 * 10
     pacing.note_wake(state, 60_000)
     assert state[pacing.AHEAD] == 0

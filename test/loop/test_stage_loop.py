@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop of a stage: that of its axes where they do not couple, and as stable as the stage that runs."""
+"""The loop of a stage: that of its axes if they do not couple, and with the stability of the running stage."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def read(**overrides) -> StageParameters:
 
 
 def alone() -> dict:
-    """Return values of a stage whose axes do not couple: each actuator moves its mode, each sensor shows its own."""
+    """Return values of an uncoupled stage: each actuator moves its own mode, each sensor measures its own mode."""
     B, C = np.reshape(MODEL["structure.B"], (4, 2)).copy(), np.zeros((2, 4))
     B[:2, 1] = B[2:, 0] = 0.0
     C[0, 0] = C[1, 2] = 1.0

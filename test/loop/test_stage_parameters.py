@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a file of a stage may say, and what is refused with which words."""
+"""Allowed contents of a stage's file, and the messages for refused ones."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage that follows a scan: its path, what its axes cannot follow, and what is known between the samples."""
+"""A stage that follows a scan: its path, limits of its axes, and displacements between the samples."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_the_frame_rate_that_a_refusal_names_is_the_largest_of_the_limits():
 
 
 def slow_loop(frame_rate: float, **overrides) -> StageParameters:
-    """Return a stage of integrators of 20/(2 π) = 3.2 Hz that follows a Lissajous scan of 2 and 2.5 frame rates."""
+    """Return a stage of integrators of 20/(2 π) = 3.2 Hz, for a Lissajous scan of 2 and 2.5 times the frame rate."""
     gains = {"type": "pid", "damping__type": "none", "pid__Kp": 0.0, "pid__Ki": 20.0, "pid__Kd": 0.0}
     values = ("width=2um", "depth=2um", "lines=5", f"frame_rate={frame_rate!r}Hz")
     return following("lissajous", values, motion_controller=gains | overrides)
@@ -133,7 +133,7 @@ def test_a_scan_beyond_what_actuators_and_samples_can_do_is_refused():
         r"bandwidth \S+ Hz is \S+ times its limit 5000 Hz; allowed: ≤ \S+ Hz",
         refused(("width=1nm", "depth=1nm", "lines=5", "frame_rate=3kHz"), "lissajous"),
     )
-    # beyond the modes the actuators have to push against the mass of the stage
+    # above the modes the actuators have to accelerate the mass of the stage
     values = ("width=10um", "depth=10um", "lines=5", "frame_rate={}Hz")
     limits = {"approach__maximum_velocity": 0.0, "approach__maximum_acceleration": 0.0, "approach__maximum_jerk": 0.0}
     fast = following("lissajous", (*values[:3], values[3].format(800)), reference_generator=limits)
@@ -171,7 +171,7 @@ def test_a_scan_comes_back_from_its_words(kind):
 
 
 def fine(rate: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and B of modes at 700 and 800 Hz for a grid that is so many times finer than the samples."""
+    """Return A and B of modes at 700 and 800 Hz on a grid ``rate`` times finer than the samples."""
     A, B = np.zeros((4, 4)), np.zeros((4, 2))
     for i, frequency in enumerate((700.0, 800.0)):
         w, own = 2.0 * np.pi * frequency, slice(2 * i, 2 * i + 2)
@@ -202,7 +202,7 @@ def test_between_the_samples_is_what_a_finer_grid_gives():
         x = A @ x + B @ u
     np.testing.assert_allclose(found, np.array(expected).T, atol=1e-15)
     assert time == pytest.approx(np.arange(time.size) * SAMPLE_TIME / 5, abs=1e-12)
-    # rectangular interpolation would not do: the modes ring
+    # rectangular interpolation is not sufficient, because the modes ring
     assert np.max(np.abs(np.diff(found[:, :200]))) > 1e-8
 
 
@@ -216,7 +216,7 @@ def test_the_scan_of_a_run_is_judged_between_samples_against_the_path_itself():
     figures = hr.report(run)
     assert figures["scan"] == scan_figures(judged) and {"x", "y"} <= figures.keys()
     assert hr.scan_run(run, 0.15).time[0] == pytest.approx(0.15)
-    # of a run that was not simulated only the samples are known: an error of 10 nm across the plane is found as it is
+    # for a measured run only the samples are known: an error of 10 nm across the plane is found at the samples
     shifted = {f"{name}/displacement": run[f"{name}/reference"] - 10e-9 for name in "xy"}
     other = replace(run, signals=run.signals | shifted, metadata=run.metadata | {"source": "bag"})
     assert scan_figures(hr.scan_run(other))["rms_error_m"] == pytest.approx(np.sqrt(2.0) * 10e-9, rel=1e-6)
@@ -234,7 +234,7 @@ def test_a_stage_with_hysteresis_inside_is_judged_at_its_samples():
 
 
 def test_the_reference_is_one_of_the_stage_and_not_of_a_copy():
-    """A stage that is reset begins its scan anew."""
+    """A reset stage begins its scan again."""
     stage = Stage(following())
     first = stage.run(stage.default_setpoints(300))["x"]["reference"].copy()
     stage.reset()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Whatever is done to an axis, in whatever order: range, slew, clamps and modes keep their invariants."""
+"""Actions on an axis in any order: range, slew rate, clamps and modes keep their invariants."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ fault = st.tuples(
 
 
 class Tick(RuleBasedStateMachine):
-    """An axis under anything that people, partners and sensors may do to it."""
+    """An axis under any actions of users, partners and sensors."""
 
     @initialize(kind=st.sampled_from(KINDS))
     def begin(self, kind):
@@ -50,17 +50,17 @@ class Tick(RuleBasedStateMachine):
 
     @rule(count=st.integers(1, 60), setpoint=st.integers(0, len(SETPOINTS) - 1))
     def run(self, count, setpoint):
-        """Some samples with a setpoint that may make no sense."""
+        """Some samples with a possibly invalid setpoint."""
         self.checked.run(count, (MOTOR_SETPOINTS if self.motor else SETPOINTS)[setpoint])
 
     @rule(count=st.integers(1, 60), request=st.sampled_from(REQUESTS), speed=st.sampled_from(SPEEDS))
     def ask(self, count, request, speed):
-        """A request to the sequencer of a motor; nothing to an actuator."""
+        """A request to the sequencer of a motor; no effect on an actuator."""
         self.checked.run(count, None, request, speed)
 
     @rule(faults=st.lists(fault, min_size=1, max_size=3))
     def fail(self, faults):
-        """Faults from now on, and some samples with them."""
+        """Faults from now on, and some samples with these faults."""
         rate = self.checked.axis.sample_rate
         texts = [text_of(*given, rate) for given in faults if self.motor or not FAULTS[given[0]].motor]
         self.checked.axis.inject(tuple(texts))
@@ -68,7 +68,7 @@ class Tick(RuleBasedStateMachine):
 
     @rule(skipped=st.lists(st.booleans(), min_size=1, max_size=30))
     def miss(self, skipped):
-        """Samples whose time was missed."""
+        """Missed samples."""
         self.checked.run(len(skipped), skipped=skipped)
 
     @rule()
@@ -79,7 +79,7 @@ class Tick(RuleBasedStateMachine):
 
     @rule(node=st.sampled_from(STOPPABLE))
     def stop(self, node):
-        """A part is told to stop; a sequencer is asked through its request."""
+        """Stop a part; a sequencer is stopped by its request."""
         if node in self.checked.axis.by_node:
             self.checked.apply(node, "stop")
             self.checked.run(9)
@@ -88,31 +88,31 @@ class Tick(RuleBasedStateMachine):
         node=st.sampled_from(["motion_controller", "hysteresis_compensator", "reference_generator", "plant_simulator"])
     )
     def start(self, node):
-        """A part is told to start, which may not have stopped."""
+        """Start a part that may not have been stopped."""
         if node in self.checked.axis.by_node:
             self.checked.apply(node, "start")
             self.checked.run(9)
 
     @rule(number=st.integers(0, len(RETUNES + ACTUATOR_RETUNES) - 1))
     def retune(self, number):
-        """New parameters while it runs."""
+        """New parameters of the running axis."""
         if number < len(RETUNES) or not self.motor:
             self.checked.apply(*with_action((RETUNES + ACTUATOR_RETUNES)[number]))
             self.checked.run(9)
 
     @rule(number=st.integers(0, len(REFUSED) - 1))
     def retune_wrongly(self, number):
-        """New parameters that make no sense change nothing at all."""
+        """Invalid new parameters change nothing."""
         self.checked.refuse(*REFUSED[number])
 
     @rule()
     def reset(self):
-        """Back to the beginning."""
+        """Reset to the initial state."""
         self.checked.reset()
 
     @invariant()
     def parts_know_what_they_do(self):
-        """What a part says of itself is what its arrays say."""
+        """The reported state of a part agrees with its arrays."""
         plant = self.checked.axis.plant
         assert plant.late >= 0 and np.isfinite([plant.held(number) for number in range(3)]).all()
 

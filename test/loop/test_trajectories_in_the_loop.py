@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Trajectories of an axis that runs: taken whole at a sample, logged, and repeated bit for bit."""
+"""Trajectories on a running axis: accepted completely at one sample, logged, and repeated bit for bit."""
 
 from __future__ import annotations
 

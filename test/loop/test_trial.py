@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a machine holds: the criterion, the cost of a sample, and the refusal of what is too fast."""
+"""Rates that a machine can keep: the criterion, the cost of a sample, and the refusal of too fast axes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_rate_is_held_when_samples_begin_within_half_a_period_and_few_are_skip
     assert done(missed=4).is_held and not done(missed=5).is_held
 
 
-@pytest.mark.skipif(not COMPILED, reason="the refusal without Numba is the loop's own")
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop itself refuses the axis")
 def test_a_rate_that_no_machine_holds_is_refused_by_name_with_the_figure_and_the_option(monkeypatch):
     monkeypatch.setattr(trials, "tick_cost", lambda parameters: 2.0e-3)
     with pytest.raises(ConfigurationError) as refused:

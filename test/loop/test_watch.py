@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Watching over inputs, sample by sample: guards, held voltages, trips; closed forms, properties, both forms alike."""
+"""Monitoring of inputs, sample by sample: guards, held voltages, trips; closed forms, properties, and both forms."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ finite = st.floats(-1e3, 1e3)
 
 
 def accepted(values, stamps=None, **parameters):
-    """Return what a guard lets through of these values, and whether the input is stale after each."""
+    """Return the values that a guard accepts, and whether the input is stale after each value."""
     return run_guard(guard(**parameters), np.array(values, dtype=float), stamps)
 
 
@@ -62,16 +62,16 @@ def test_before_the_first_good_value_nothing_is_stale_however_long_it_takes():
 @pytest.mark.parametrize("timeout", [1, 2, 7])
 def test_an_input_is_stale_after_exactly_its_timeout_in_samples(timeout):
     got, stale, _ = accepted([1.0, 2.0] + [NAN] * 10 + [3.0, NAN], timeout=timeout)
-    # counted from the first bad sample, which is number 2: that one is the first without a value
+    # counted from the first bad sample, number 2, which is the first without a value
     np.testing.assert_array_equal(np.flatnonzero(stale), [*range(1 + timeout, 12), *([13] if timeout == 1 else [])])
     assert got[12] == 3.0
 
 
 def test_values_that_do_not_follow_the_last_one_are_not_used_until_the_input_is_stale():
-    # equal and older stamps are refused; a gap ahead is fine
+    # equal and older stamps are refused; a gap forward is accepted
     got, *_ = accepted([1.0, 2.0, 3.0, 4.0, 5.0], stamps=[0.0, 0.0, 5.0, 4.0, 6.0], timeout=10)
     np.testing.assert_array_equal(got, [1.0, NAN, 3.0, NAN, 5.0])
-    # a clock that was set back is believed after the time-out, and counts from there on
+    # a clock that was set back is accepted after the time-out, and the time counts from there
     got, stale, _ = accepted(range(1, 8), stamps=[100, 1, 2, 3, 4, 5, 5], timeout=3)
     np.testing.assert_array_equal(got, [1.0, NAN, NAN, NAN, 5.0, 6.0, NAN])
     np.testing.assert_array_equal(np.flatnonzero(stale), [3])
@@ -137,7 +137,7 @@ def test_what_a_guard_lets_through_is_what_came_and_its_age_counts_what_it_did_n
         expected.append(age >= timeout)
     np.testing.assert_array_equal(stale, expected)
     if spike and not frozen:
-        # nobody can keep the guard from a value for longer than it takes to confirm one
+        # no sequence can delay the acceptance of a value longer than its confirmation takes
         run = longest = 0
         for k, used in enumerate(good):
             run = 0 if used or not np.isfinite(values[k]) or not good[:k].any() else run + 1
@@ -170,7 +170,7 @@ def test_towards_goes_no_further_than_a_step_and_never_past_the_target(value, ta
 
 
 def held(voltages, stopped=None, **parameters):
-    """Return what is put out for these voltages."""
+    """Return the output for these voltages."""
     given = np.array(voltages, dtype=float)
     stops = np.zeros(len(given)) if stopped is None else np.array(stopped, dtype=float)
     return run_hold(hold(**parameters), given, stops)
@@ -192,13 +192,13 @@ def test_silence_of_exactly_the_timeout_slews_to_safe_and_back_without_a_jump(ti
     down = np.maximum(10.0 - 1.5 * np.clip(np.arange(13) - timeout + 1, 0, None), 2.0)
     np.testing.assert_allclose(out[:13], down)
     np.testing.assert_allclose(out[13:25], np.minimum(out[12] + 1.5 * np.arange(1, 13), 9.0))
-    # once it has caught up it follows whatever comes, at once
+    # once the output has reached the input, it follows any change at once
     np.testing.assert_array_equal(out[25:], [20.0, -20.0])
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.02])
 def test_the_way_back_to_a_path_that_is_faster_than_the_step_ends_and_nears_it_in_every_sample(missing):
-    # 5 Hz over 107 V at 2 kHz are 1070 V/s; the way back has 150 V/s
+    # 5 Hz over 107 V at 2 kHz are 1070 V/s; the return has 150 V/s
     rate, step = 2000.0, 150.0 / 2000.0
     k = np.arange(6000)
     path = 10.0 + 107.0 * np.abs(2.0 * ((5.0 * k / rate + 0.4) % 1.0) - 1.0)
@@ -212,11 +212,11 @@ def test_the_way_back_to_a_path_that_is_faster_than_the_step_ends_and_nears_it_i
     away = np.abs(out - given_)[first:]
     ended = int(np.argmax(away == 0.0))
     assert away[0] > 15.0
-    # it ends no later than the step alone would take for the difference that was there at first
+    # the return ends no later than the initial difference divided by the step
     assert 0 < ended <= math.ceil(away[0] / step)
     assert np.all(np.diff(away[: ended + 1]) <= -min(step, away[ended - 1]) + 1e-9)
     assert np.all(away[ended:] == 0.0) and np.all(follows[first + ended :])
-    # beside the step it moves no further than the path, and never beyond both ends
+    # in addition to the step, the output moves no farther than the path, and never beyond both ends
     moved = np.abs(np.diff(out[first:], prepend=out[first - 1]))
     asked = np.abs(np.diff(given_[first:], prepend=given_[first]))
     assert np.all(moved <= step + asked + 1e-9)
@@ -235,7 +235,7 @@ def test_stopped_it_goes_to_safe_in_the_same_sample_though_voltages_come():
 
 
 def test_a_clamp_is_never_opened_for_safety_but_follows_what_is_asked():
-    # the safe voltage 5 is below what is put out: it stays; above it, it rises
+    # the safe voltage 5 is below the output, which stays; above the output, it rises
     out, _ = held([9.0, NAN, NAN, NAN, NAN, 3.0] + [3.0] * 8, timeout=2, safe=5.0, step=1.0, keep=True)
     np.testing.assert_allclose(out, [9, 9, 9, 9, 9, 8, 7, 6, 5, 4, 3, 3, 3, 3])
     out, _ = held([1.0, NAN, NAN, NAN, NAN, NAN, NAN], timeout=2, safe=4.0, step=1.0, keep=True)
@@ -247,7 +247,7 @@ def test_below_the_least_voltage_it_waits_and_slews_down_when_it_may():
     x = watch.hold_state(10.0)
     out = []
     for k in range(10):
-        # the other clamp is not closed yet: no lower than what is put out
+        # the other clamp is not closed yet: not below the output
         least = x[watch.HELD] if k < 3 else -INF
         out.append(watch.hold_voltage(p, x, 1.0, 0.0, least))
     np.testing.assert_allclose(out, [10, 10, 10, 8, 6, 4, 2, 1, 1, 1])
@@ -301,7 +301,7 @@ def test_whatever_comes_it_either_follows_or_moves_by_no_more_than_a_step(given_
 
 
 def tripped(late, limit, rate):
-    """Return after which samples the plant has stopped the axis, and the state in the end."""
+    """Return the samples after which the plant has stopped the axis, and the final state."""
     return run_trip(trip(limit, limit / rate), late)
 
 
@@ -319,13 +319,13 @@ def test_a_trip_lasts_though_everything_is_forgiven_by_then():
 
 def test_late_ones_that_come_together_within_a_second_trip_and_spread_ones_do_not():
     rate, limit = 1000, 20
-    # one in ten is five times what a second forgives: 100 a second
+    # one in ten is five times the allowed rate of 100 per second
     stopped, _ = tripped(([1] + [0] * 9) * 100, limit, rate)
     first = int(np.argmax(stopped))
-    # level after n of them, one each ten samples: n - (n - 1) · 10 · limit/rate > limit
+    # level after n late ones, one every ten samples: n - (n - 1) · 10 · limit/rate > limit
     expected = math.floor((limit - 0.2) / 0.8) + 1
     assert stopped.any() and first == 10 * (expected - 1)
-    # one in fifty is what a second forgives: for ever
+    # one in fifty equals the allowed rate, for any time
     assert not tripped(([1] + [0] * 49) * 2000, limit, rate)[0].any()
 
 

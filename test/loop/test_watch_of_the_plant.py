@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a plant counts and keeps: late voltages, why it has stopped, and the voltage before the first one."""
+"""Counters and states of a plant: late voltages, the reason for a trip, and the voltage before the first one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_jump_is_measured_from_the_last_good_value_downwards_as_upwards():
 
 
 def test_every_skipped_sample_is_a_late_voltage_that_the_plant_holds():
-    """The voltage of that sample was never sent, whatever the row says of it."""
+    """The voltage of that sample was never sent, whatever the row contains."""
     sine = {
         "waveform__type": "sine",
         "waveform__frequency": 50.0,
@@ -56,7 +56,7 @@ def test_before_the_first_voltage_nothing_is_late_and_afterwards_every_one_that_
     table = made.run(np.zeros(20), skipped=np.concatenate([np.ones(10), np.zeros(5), np.ones(5)]))
     np.testing.assert_array_equal(table["late"], [0] * 15 + [1, 2, 3, 4, 5])
     assert made.plant.late == 5
-    # where somebody waits for them, or one came too late and is put out all the same, it counts as well
+    # if a partner waits, or a voltage came too late but was put out, it counts, too
     made.plant.count_late()
     assert made.plant.late == 6
     other = axis(**HOLD, plant_simulator={"late_limit": -1})
@@ -88,12 +88,12 @@ def test_an_emergency_stop_is_the_reason_until_a_start_and_a_start_forgets_what_
     made.run(np.zeros(1))
     made.apply(Change(made.sample, "plant_simulator", "start"))
     table = made.run(np.zeros(8), skipped=np.array([0.0] + [1.0] * 7))
-    # 6 before the start and 7 after it: each less than 8
+    # 6 before the start and 7 after it: each fewer than 8
     assert not table["tripped"].any() and not made.plant.tripped
 
 
 def motor_rows(plant, given) -> np.ndarray:
-    """Return the rows of a motor's plant that is given voltages of extender, front and rear clamp, NaN: none comes."""
+    """Return rows of a motor's plant under voltages of extender, front and rear clamp; NaN: no voltage arrives."""
     laws = Laws(*plant.kernels, *(plant.kernels[0],) * (len(Laws._fields) - len(plant.kernels)))
     rows, row = [], np.zeros(signals.MOTOR_ROW)
     for extender, front, rear in given:
@@ -119,7 +119,7 @@ def test_clamps_that_hold_a_slider_keep_their_voltage_where_it_is_higher_than_sa
     plant = motor.plant
     safe, front_safe, rear_safe = plant.safe_voltages
     front, rear = front_safe + 8.0, rear_safe + 5.0
-    # so long that each is where it was sent
+    # long enough for each to reach its commanded voltage
     rows = motor_rows(plant, [(safe + 20.0, front, rear)] * 3000 + [(NAN,) * 3] * 3000)
     before, after = rows[2999], rows[-1]
     assert before[signals.FRONT_PLANT_VOLTAGE] == pytest.approx(front, abs=0.01)
@@ -129,7 +129,7 @@ def test_clamps_that_hold_a_slider_keep_their_voltage_where_it_is_higher_than_sa
 
 
 def test_after_a_stop_the_feedforward_begins_at_rest_where_the_axis_stands():
-    """What it remembers of the path before the stop is no part of the way back."""
+    """Its memory of the path before the stop has no effect on the return."""
     made = axis(motion_controller={"feedforward__type": "inverse_dynamics", "feedforward__preview": 6}, **HOLD)
     made.run(np.full(1500, 8e-6))
     made.apply(Change(made.sample, "motion_controller", "stop"))
@@ -165,7 +165,7 @@ def test_a_compensator_that_is_stopped_stays_so_when_the_axis_begins_again():
 
 
 def test_faults_that_are_injected_later_leave_commands_alone_until_they_begin():
-    """Their samples count from now on; a command is no older than the last one because of that."""
+    """Their samples count from now; the age of the last command does not change."""
     made = axis(**HOLD)
     made.run(np.full(500, 8e-6))
     made.inject(("lost_command:0.01:0.002",))

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis that is held to the invariants of the tick at every sample, and actions that anybody might do to it.
+"""An axis whose invariants are checked at every sample, and random actions on it.
 
-``python test/loop/tick_support.py COUNT SEED LENGTH`` runs that many random sequences of them.
+``python test/loop/tick_support.py COUNT SEED LENGTH`` runs this number of random sequences.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hysteresis_ros.loop.faults import FAULTS
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STALE, STOPPED, TRIPPED
 from hysteresis_ros.references import inchworm_layout as gait
 
-#: Time-outs of few samples, so that short sequences meet them.
+#: Short time-outs, so that short sequences reach them.
 SHORT = {
     "motion_controller": {"measurement_timeout": 0.003, "safe_slew_rate": 1e-3},
     "hysteresis_compensator": {"command_timeout": 0.004, "safe_slew_rate": 2e4},
@@ -74,7 +74,7 @@ REFUSED = (
 
 
 class CheckedAxis:
-    """An axis and what it did last; :meth:`run` looks at every sample.
+    """An axis and its last state; :meth:`run` checks every sample.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class CheckedAxis:
         self.setpoint = 0.0
 
     def run(self, count, setpoint=None, request=0.0, speed=np.nan, skipped=None):
-        """Make ``count`` samples, of which some may be skipped, and look at them."""
+        """Run ``count`` samples, some of which may be skipped, and check them."""
         self.setpoint = self.setpoint if setpoint is None else setpoint
         asked = {}
         if self.motor:
@@ -110,7 +110,7 @@ class CheckedAxis:
         return table
 
     def look_at(self, table):
-        """Refuse what must never happen, whatever was done."""
+        """Refuse forbidden states, for any actions."""
         parts = self.axis.by_node
         plant, compensator = parts["plant_simulator"].parameters, parts["hysteresis_compensator"].parameters
         controller, rate = parts["motion_controller"].parameters, self.axis.sample_rate
@@ -142,7 +142,7 @@ class CheckedAxis:
             moves(table, "command", "controller_mode", (HOLDING,), 0.0, 0.0)
         moves(table, "voltage", "compensator_mode", safe, compensator.safe_slew_rate / rate, grid(compensator.limits))
         moves(table, "voltage", "compensator_mode", tuple(range(6)), rise, grid(compensator.limits))
-        # an amplifier of its own slew rate may still be on its way to the voltage from which safety goes on
+        # an amplifier with its own slew rate may still be moving to the voltage from which the return to safe begins
         slews = limit_step(plant.limits, rate) if plant.limits.slew_rate else plant.safe_slew_rate / rate
         moves(table, "plant_voltage", "plant_mode", (STALE, TRIPPED), slews, grid(plant.limits))
         moves(table, "plant_voltage", "plant_mode", tuple(range(6)), limit_step(plant.limits, rate), grid(plant.limits))
@@ -171,10 +171,10 @@ class CheckedAxis:
         values = values or {}
         self.axis.apply(Change(self.axis.sample, node, action, values))
         if "limits.maximum" in values:
-            self.last = None  # a new range holds at once, whatever the slew rate
+            self.last = None  # a new range applies at once, whatever the slew rate
 
     def refuse(self, node, values):
-        """Ask for what must be refused and must change nothing."""
+        """Send parameters that must be refused and must change nothing."""
         part = self.axis.by_node[node]
         before = part.parameters
         states = [np.copy(array) for array in arrays_of(part.arrays)]
@@ -188,7 +188,7 @@ class CheckedAxis:
             raise AssertionError(f"{node} took {values}")
 
     def reset(self):
-        """Begin again; a fault or a trip does not last, a stop by hand does."""
+        """Reset; faults and trips are cleared, a stop by hand is not."""
         self.axis.reset()
         self.last = None
 
@@ -199,17 +199,17 @@ def arrays_of(arrays):
 
 
 def within(values, limits):
-    """Refuse voltages beyond the limits."""
+    """Refuse voltages outside the limits."""
     assert np.all((values >= limits.minimum - 1e-9) & (values <= limits.maximum + 1e-9))
 
 
 def legal(values, *modes):
-    """Refuse modes that a part does not have."""
+    """Refuse modes that a part cannot have."""
     assert np.isin(values, modes).all(), set(values)
 
 
 def grid(limits):
-    """Return what rounding to the converter's grid may add to a difference [V]."""
+    """Return the contribution of rounding to a difference of voltages [V]."""
     return (limits.maximum - limits.minimum) / (2**limits.bits - 1) if limits.bits else 0.0
 
 
@@ -219,22 +219,22 @@ def limit_step(limits, rate):
 
 
 def moves(table, signal, mode, modes, step, rounding):
-    """Refuse a signal that moves by more than a step in samples with these modes."""
+    """Refuse a signal that changes by more than a step in samples with these modes."""
     there = np.isin(table[mode][1:], modes)
     moved = np.abs(np.diff(table[signal]))[there]
-    # the last place of the signal itself, too
+    # and the rounding of the signal itself
     slack = 1e-9 * step + rounding + 4e-16 * np.max(np.abs(table[signal]), initial=0.0)
     assert np.all(moved <= step + slack), (signal, float(np.max(moved)), step)
 
 
 def fault_text(random, motor, rate):
-    """Return a random fault that an axis can have."""
+    """Return a random fault that is possible for an axis."""
     name = random.choice([name for name, kind in FAULTS.items() if motor or not kind.motor])
     return text_of(name, random.integers(0, 20), random.integers(1, 60), random.random(), rate)
 
 
 def text_of(name, first, count, part, rate):
-    """Return a fault as it is written, ``part`` (0 … 1) saying where in its range its value lies."""
+    """Return a fault as text; ``part`` (0 … 1) selects its value within the range."""
     text = f"{name}:{first / rate:.9f}:{count / rate:.9f}"
     kind = FAULTS[name]
     if kind.value is None:
@@ -246,7 +246,7 @@ def text_of(name, first, count, part, rate):
 
 
 def random_sequence(checked, random, length=8):
-    """Do ``length`` things to an axis, each followed by some samples."""
+    """Execute ``length`` actions on an axis, each followed by some samples."""
     axis, motor = checked.axis, checked.motor
     retunes = RETUNES + (() if motor else ACTUATOR_RETUNES)
     startable = ["motion_controller", "hysteresis_compensator"] + ([] if motor else ["reference_generator"])
@@ -277,12 +277,12 @@ def random_sequence(checked, random, length=8):
         checked.run(count, setpoint, request, speed, skipped)
 
 
-#: Kinds of axes that the sequences are done to.
+#: Kinds of axes for the sequences.
 KINDS = (("kim2009", SHORT), ("kim2009", SLOW_AMPLIFIER), ("inchworm_travel", SHORT))
 
 
 def sequences(count, seed=1, length=8, renewed=200):
-    """Do ``count`` random sequences; every so many begin with a new axis. Return how many samples were looked at."""
+    """Execute random sequences, with a new axis after every ``renewed`` ones; return the number of checked samples."""
     samples = 0
     random = np.random.default_rng(seed)
     for first in range(0, count, renewed):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs of the kernels that watch over inputs."""
+"""Runs of the kernels that monitor inputs."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from hysteresis_ros.loop.watch import FOLLOWS, GUARD_STATES, accept, hold_state,
 
 
 def guard(timeout=1000, spike=0.0, confirm=3, frozen=0) -> np.ndarray:
-    """Return parameters of a guard, the time-out in samples."""
+    """Return parameters of a guard; the time-out is in samples."""
     return np.array([timeout, spike, confirm, frozen], dtype=float)
 
 
 def hold(safe=0.0, step=1.0, timeout=1000, keep=False, start=0.0) -> tuple[np.ndarray, float]:
-    """Return parameters of a held voltage, and what is put out before any comes."""
+    """Return parameters of a held voltage, and the output before the first voltage."""
     return np.array([safe, step, timeout, keep], dtype=float), start
 
 
 def run_guard(p, values, stamps=None):
-    """Return what a guard lets through, whether the input is stale after each value, and the state in the end."""
+    """Return the accepted values, whether the input is stale after each value, and the final state."""
     x = np.zeros(GUARD_STATES)
     stamps = np.arange(len(values)) if stamps is None else stamps
     got, stale = np.empty(len(values)), np.empty(len(values), dtype=bool)
@@ -39,7 +39,7 @@ def run_guard(p, values, stamps=None):
 
 
 def run_hold(given, voltages, stopped, least=-np.inf):
-    """Return what is put out, and whether it follows what comes after each sample."""
+    """Return the output, and whether it follows its input after each sample."""
     p, start = given
     x = hold_state(start)
     out, follows = np.empty(len(voltages)), np.empty(len(voltages))
@@ -57,7 +57,7 @@ def trip(limit, forgiven, lowest=-np.inf, highest=np.inf):
 
 
 def run_trip(p, late, measured=None):
-    """Return why the plant has stopped the axis after each sample, and the state in the end."""
+    """Return the reason for a stop by the plant after each sample, and the final state."""
     measured = np.zeros(len(late)) if measured is None else measured
     x = np.zeros(plant.TRIP_STATES)
     stopped = np.empty(len(late))
@@ -67,12 +67,12 @@ def run_trip(p, late, measured=None):
     return stopped, x
 
 
-#: Faults that act on a measurement, one after the other, with draws by chance among them.
+#: Consecutive faults of a measurement, some of them random.
 FAULTS = ("drop:0.01:0.04:0.5", "disorder:0.06:0.03", "late:0.1:0.03:2", "spike:0.14:0.03:5")
 
 
 def run_receive(p, values, missing, given=FAULTS, rate=1000.0):
-    """Return what a part receives of a measurement, in one call, and the states in the end."""
+    """Return the measurement that a part receives, computed in one call, and the final states."""
     faults_p = faults.fault_parameters(given, (faults.MEASUREMENT,), rate)
     x, faults_x = np.zeros(GUARD_STATES), faults.fault_state(faults_p)
     got = [
@@ -83,7 +83,7 @@ def run_receive(p, values, missing, given=FAULTS, rate=1000.0):
 
 
 def run_put_out(trip_p, hold_p, voltages, measured):
-    """Return what a plant puts out, in one call, what it does, and the states in the end."""
+    """Return the output of a plant and its modes, computed in one call, and the final states."""
     trip_x, hold_x = np.zeros(plant.TRIP_STATES), hold_state(0.0)
     out, modes = np.empty(len(voltages)), np.empty(len(voltages))
     for k, voltage in enumerate(voltages):
@@ -93,7 +93,7 @@ def run_put_out(trip_p, hold_p, voltages, measured):
 
 
 def same_in_both_forms() -> np.ndarray:
-    """Return everything that guards, held voltages and trips make of random inputs, in one array."""
+    """Return all results of guards, held voltages and trips for random inputs, in one array."""
     random = np.random.default_rng(5)
     found = []
     for _ in range(20):

@@ -32,7 +32,7 @@ PARAMETERS = ActuatorParameters(
 
 
 def run(actuator, voltages):
-    """Measured displacement and applied voltage of each sample."""
+    """Return measured displacement and achieved voltage of each sample."""
     return np.array([(actuator.measure(), actuator.advance(v)) for v in voltages])
 
 

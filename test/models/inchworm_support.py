@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An inchworm motor of the tests: its parameters, the voltages of a cycle, and a run of it."""
+"""An inchworm motor for tests: its parameters, the voltages of a cycle, and a run."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SETTLED = 10 * HOLD
 
 
 def motor(force=0.0, hysteresis=STACK, wear=1.0, noise=0.0, initial_voltage=GRIP, slider=None, **extender):
-    """Return parameters of a motor whose clamps each hold 7.5 N at 100 V."""
+    """Return parameters of a motor whose clamps hold 7.5 N each at 100 V."""
 
     def clamp(seed):
         return ClampParameters(
@@ -68,7 +68,7 @@ def motor(force=0.0, hysteresis=STACK, wear=1.0, noise=0.0, initial_voltage=GRIP
 
 
 def phase(extender, front, rear, count=HOLD):
-    """Voltages of one process, shape (count, 3)."""
+    """Voltages of one phase, shape (count, 3)."""
     return np.column_stack([np.broadcast_to(extender, count), np.full(count, front), np.full(count, rear)])
 
 
@@ -76,7 +76,7 @@ RISE = TOP * (1.0 - np.cos(np.linspace(0.0, np.pi, HOLD))) / 2.0
 
 
 def cycle(forward=True):
-    """The six processes of K10, then a rest with both clamps closed."""
+    """The six phases of K10, then a rest with both clamps closed."""
     there, back = ((GRIP, 0.0), (0.0, GRIP)) if forward else ((0.0, GRIP), (GRIP, 0.0))
     processes = [
         phase(0.0, *there),  # release one clamp, the other holds
@@ -92,7 +92,7 @@ def cycle(forward=True):
 
 
 def drive(laws, ps, xs, voltages, table):
-    """Drive the motor and note position, tip, measured position, dissipated energy."""
+    """Drive the motor, and store position, tip, measured position and dissipated energy."""
     for k in range(voltages.shape[0]):
         inchworm_measure(ps, xs)
         inchworm_advance(laws, ps, xs, voltages[k, 0], voltages[k, 1], voltages[k, 2])

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One of each rate independent hysteresis model, of the stroke of a stack, and paths to take them along."""
+"""One of each rate-independent hysteresis model, with the stroke of a stack, and paths for them."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The whole plant: order of its parts, preload, state, and the same numbers compiled and interpreted."""
+"""The complete plant: order of its parts, preload, state, and equal numbers compiled and interpreted."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hysteresis_ros.models.sensor import SensorParameters
 
 
 def test_preload_offset_is_the_stated_stiffness():
-    """5.88 N on 0.41 N/µm press the stack together by 14.3 µm (K3)."""
+    """5.88 N on 0.41 N/µm compress the stack by 14.3 µm (K3)."""
     assert PARAMETERS.preload.offset == pytest.approx(-14.34e-6, abs=0.01e-6)
     quadratic = PreloadParameters(force=2.0, A1=1e-6, B1=-2e-6, B2=0.25e-6)
     assert quadratic.offset == pytest.approx(-2e-6)

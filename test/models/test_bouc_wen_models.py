@@ -33,7 +33,7 @@ def oscillator(sample_time=1.0 / 750.0, **changes):
 
 
 def test_paper_s_actuator_reaches_the_published_displacement_at_150_volt():
-    """17.19 µm (data sheet 17.4 ± 2.0 µm), with h and not V in the second term of the equation."""
+    """17.19 µm (data sheet 17.4 ± 2.0 µm), with h instead of V in the second term of the equation."""
     assert BoucWenHysteresis(PAPER, 1e-3).step(150.0) == pytest.approx(17.19e-6, abs=0.01e-6)
 
 
@@ -119,7 +119,7 @@ def test_oscillator_without_hysteresis_is_linear():
 
 
 def test_oscillator_is_the_whole_plant_of_an_actuator():
-    """Held voltages move it exactly as held forces; there are no dynamics behind it."""
+    """Held voltages act exactly like held forces; there are no dynamics after the oscillator."""
     block = oscillator(force_per_input=3.0)
     plant = Actuator(
         ActuatorParameters(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Calibration of sensor and amplifier: closed forms, what cannot be inverted, where a relative sensor counts from."""
+"""Calibration of sensor and amplifier: closed forms, non-invertible curves, and the zero of a relative sensor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hysteresis_ros.models.calibration import (
     SensorCalibrationParameters,
 )
 
-#: A gauge of 16 bits whose middle is 50 µm, mounted so that it counts backwards, with a bend of 2 %.
+#: A 16-bit gauge with its middle at 50 µm, inverted sign and a nonlinearity of 2 %.
 GAUGE = {
     "sensor.unit": "count",
     "sensor.scale": 1.5e-9,
@@ -58,7 +58,7 @@ def test_a_reading_becomes_a_displacement_by_the_formula(count):
 
 @given(st.floats(-20.0, 120.0))
 def test_an_amplifier_puts_out_the_voltage_that_was_wanted(voltage):
-    # told v, it puts out 1 V - 15 V/V · u, where v = u + 0.01 u² is what its bend asks for
+    # for v it outputs 1 V - 15 V/V · u, where v = u + 0.01 u² corrects its nonlinearity
     values = {"scale": 15.0, "sign": -1, "offset": 1.0, "polynomial": [0.0, 1.0, 0.01]}
     amplifier = AmplifierCalibration(AmplifierCalibrationParameters.from_mapping(values))
     told = amplifier.value(voltage)
@@ -79,7 +79,7 @@ def test_readings_beyond_the_range_are_no_measurements_and_are_named():
 def test_a_relative_sensor_counts_from_the_mean_of_the_readings_at_home(start, later):
     block, absolute = sensor(reference="relative", home=3e-6, homing_samples=2), sensor()
     assert math.isnan(block.step(start - 10.0)) and block.homing
-    assert math.isnan(block.step(math.nan)) and block.homing, "what is no reading was counted"
+    assert math.isnan(block.step(math.nan)) and block.homing, "an invalid reading was counted"
     assert math.isnan(block.step(start + 10.0)) and not block.homing
     home = 0.5 * (absolute.step(start - 10.0) + absolute.step(start + 10.0))
     assert block.step(later) == pytest.approx(absolute.step(later) - home + 3e-6, abs=1e-17)

@@ -82,7 +82,7 @@ def test_holding_force_is_never_more_than_any_cycle_gives(voltage):
 
 
 def test_first_order_lag():
-    """63 % of a step after one time constant, and the stated settling time to the sample."""
+    """63 % of a step after one time constant, and the stated settling time exact to the sample."""
     clamp = Clamp(replace(PARAMETERS, lag=LagParameters(first_order=FirstOrderParameters(time_constant=5e-4))), STEP)
     x = []
     for _ in range(100):
@@ -101,7 +101,7 @@ def test_second_order_lag_is_the_exact_discretisation(frequency, damping):
     lag = second_order(frequency, damping).discrete(STEP)
     omega = 2.0 * np.pi * frequency
     A, B = zero_order_hold([[0.0, omega], [-omega, -2.0 * damping * omega]], [0.0, omega], STEP)
-    # the general matrix exponential squares repeatedly and loses digits with a large norm
+    # the general matrix exponential squares repeatedly and loses digits if the norm is large
     tolerance = 1e-12 * (1.0 + damping * omega * STEP)
     np.testing.assert_allclose(lag.A, A.ravel(), atol=tolerance)
     np.testing.assert_allclose(lag.B, B.ravel(), atol=tolerance)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Contacts that give way before they slide and push as they close, and a step that no sample rate shows in."""
+"""Contacts that deform before they slide and push as they close, and a step independent of the sample rate."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def slider(front=(0.0, 0.0), rear=(0.0, 0.0), contacts=None, step=STEP, **parame
 
 
 def forces(random, count):
-    """Return free displacements and friction limits of both contacts, shape (count, 3), that now and then open."""
+    """Return free displacements and friction limits of both contacts, shape (count, 3), which sometimes open."""
     walk = np.cumsum(random.normal(0.0, 3e-7, count))
     limits = 6.0 * random.random((count // 50 + 1, 2)) * (random.random((count // 50 + 1, 2)) > 0.3)
     return np.column_stack([walk, np.repeat(limits, 50, axis=0)[:count]])
 
 
 def walk(made, table, kernel=None):
-    """Return the positions under such a table."""
+    """Return the positions for such a table."""
     found = []
     for u, front, rear in table:
         made.x[friction.FRONT_STATIC : friction.REAR_KINETIC + 1] = front, 0.8 * front, rear, 0.8 * rear
@@ -57,7 +57,7 @@ def walk(made, table, kernel=None):
 
 def test_stiff_contacts_do_what_rigid_ones_do():
     table = forces(np.random.default_rng(2), 1500)
-    table[:, 1:] = np.maximum(table[:, 1:], 2.0)  # rigid limits change at once, others within the sample
+    table[:, 1:] = np.maximum(table[:, 1:], 2.0)  # rigid limits change at once, the others within the sample
     table[:, 1:] = table[0, 1:]
     stiff = slider(contacts=Contacts(1e-14, 1e-14), external_force=-1.0)
     rigid = Slider(SliderParameters(mass=MASS, minimum=-1.0, maximum=1.0, external_force=-1.0), STEP, STIFFNESS)
@@ -84,7 +84,7 @@ def test_a_contact_gives_way_by_its_compliance_and_comes_back(side, load):
 @pytest.mark.parametrize("damping", [0.02, 0.1])
 @pytest.mark.parametrize("side", ["front", "rear"])
 def test_a_disturbed_slider_rings_down_as_its_damping_says(side, damping):
-    """m q'' + 2 ζ ω m q' + k q = 0: the peaks fall by exp(−ζ ω T), ω √(1 − ζ²) T = 2π."""
+    """m q'' + 2 ζ ω m q' + k q = 0: the peaks decay by exp(−ζ ω T), ω √(1 − ζ²) T = 2π."""
     made = slider(**{side: (6.0, 5.0)}, damping=damping, step=1e-7)
     stiffness = 1.0 / (COMPLIANCE + (1.0 / STIFFNESS if side == "front" else 0.0))
     omega = np.sqrt(stiffness / MASS)
@@ -110,7 +110,7 @@ def test_stick_limit_is_the_static_force_and_sliding_that_of_the_kinetic(side):
 @pytest.mark.parametrize("side", ["front", "rear"])
 @pytest.mark.parametrize("kick", [3e-9, -2e-9])
 def test_a_closing_clamp_kicks_the_slider_by_its_normal_force(side, kick):
-    """20 N at μ_s = 0.3: the contact moves by 20 N κ from the first touch on, and the slider with it."""
+    """20 N at μ_s = 0.3: from the first touch on, the contact moves by 20 N κ, and the slider with it."""
     kicks = {f"{side}_kick": kick / 0.3}
     made = slider(contacts=Contacts(COMPLIANCE, COMPLIANCE, **kicks), damping=0.3)
     place = friction.FRONT_STATIC if side == "front" else friction.REAR_STATIC
@@ -141,7 +141,7 @@ def test_same_bits_compiled_and_interpreted():
 
 
 def motor(load, rate, **changes):
-    """Return the motor of the other tests with compliant contacts."""
+    """Return the motor of the other tests, with compliant contacts."""
     parameters = inchworm.motor(-load)
     given = {"compliance": COMPLIANCE, "kick": 0.0, "damping": 0.03, "substeps": 0} | changes
     clamp = {name: given[name] for name in ("compliance", "kick")}
@@ -156,7 +156,7 @@ def motor(load, rate, **changes):
 
 
 def lost(load, rate, **changes):
-    """Return how far a cycle falls short of stroke, elastic loss and the contacts' compliance [m]."""
+    """Return by how much a cycle is shorter than stroke, elastic loss and the contacts' compliance give [m]."""
     made, hold = motor(load, rate, **changes), round(0.025 * rate)
     times = np.minimum(np.arange(8 * hold) * inchworm.HOLD // hold, 8 * inchworm.HOLD - 1)
     voltages = inchworm.cycle()[times]
@@ -171,7 +171,7 @@ RIGID = {"compliance": 0.0, "damping": 0.0, "substeps": 1}
 
 
 def test_what_a_motor_holds_no_longer_depends_on_the_sample_rate():
-    """Rigid contacts hold 4.4 N at 10 kHz and slip at 40 kHz: only the step damps. Converged steps leave it to ζ."""
+    """Rigid contacts hold 4.4 N at 10 kHz and slip at 40 kHz, because only the step damps them; here ζ does."""
     assert abs(lost(4.4, 1e4, **RIGID)) < 1e-9 and lost(4.4, 4e4, **RIGID) > 1e-6
     for rate in (5e3, 1e4, 4e4):
         assert abs(lost(3.8, rate)) < 3e-8 and lost(4.1, rate) > 1e-6

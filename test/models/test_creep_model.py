@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: the logarithmic law, first-order operators exactly, no operators at all, creep inside an actuator."""
+"""Creep: the logarithmic law, exact first-order operators, no operators, and creep inside an actuator."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def actuator(creep):
 
 @pytest.mark.skipif(not COMPILED, reason="a million samples in plain Python")
 def test_step_follows_the_logarithmic_law():
-    """1 + γ lg(t/0.1 s) over four decades, within 2 % of what has crept by then."""
+    """1 + γ lg(t/0.1 s) over four decades, within 2 % of the creep until then."""
     block = Creep(LOGARITHMIC, 1e-3)
     y = block.simulate(np.full(1_000_001, 1.0))
     for time in (0.1, 1.0, 10.0, 100.0, 1000.0):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A delay beside the dynamics, in parts of a sample: shifted answers, the group delay of a ramp, what is refused."""
+"""A delay with the dynamics, in fractions of a sample: shifted responses, the delay of a ramp, what is refused."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def test_a_slow_lag_answers_like_the_continuous_one():
     found = LinearDynamics(model, T).simulate(np.ones(99))
     assert np.max(np.abs(found - expected)) < 5e-4
     without = LinearDynamics(replace(model, delay=T), T).simulate(np.ones(99))
-    assert np.max(np.abs(without - expected)) > 1e-2, "a third of a sample matters"
+    assert np.max(np.abs(without - expected)) > 1e-2, "a third of a sample has an effect"
 
 
 def test_of_a_whole_plant_only_the_displacement_comes_later():
-    """A rate-independent hysteresis and a delay commute: what the voltage asks for comes later, otherwise the same."""
+    """A rate-independent hysteresis and a delay commute: the response is the same, but later."""
     axis = load_configuration("picma_stage").override("motion_controller", type="open_loop")
     axis = axis.override("plant_simulator", **{"creep.type": "none"})
     prompt = simulate(single_axis(axis), duration=2.0, describe=False)

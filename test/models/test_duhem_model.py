@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Duhem: f and g from branches (W3) give the major loop back; the inverse equation (W4); warnings; what is refused."""
+"""Duhem: f and g from branches (W3) reproduce the major loop; the inverse equation (W4); warnings; what is refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def falling(v):
 
 
 def from_branches(alpha, up=rising, down=falling, **changes):
-    """W3 with the correct signs."""
+    """Return the model by W3 with the correct signs."""
     (a, a_slope), (d, d_slope) = up(V), down(V)
     f = 0.5 * (a + d) + (a_slope - d_slope) / (2.0 * alpha)
     g = 0.5 * (a_slope + d_slope) + 0.5 * alpha * (a - d)
@@ -52,7 +52,7 @@ def test_major_loop_comes_back(alpha):
 
 
 def test_inverse_equation_returns_the_voltage():
-    """W4: the branches of the inverse are those of the loop with axes exchanged, the rising one above the other."""
+    """W4: the branches of the inverse are those of the loop with exchanged axes, the rising one above the other."""
     alpha = 3.0
     v = np.linspace(-1.0, 1.0, 4001)
 
@@ -85,7 +85,7 @@ def test_not_a_knot_spline_reproduces_cubics():
 
 
 def test_units_do_not_matter():
-    """The same normalised numbers in volt and metre give the same loop."""
+    """The same normalised numbers in volts and metres give the same loop."""
     plain = from_branches(3.0)
     changes = dict(alpha=3.0 / 60.0, input_low=0.0, input_high=120.0, output_low=0.0, output_high=12e-6)
     scaled = dataclasses.replace(plain, **changes, input_start=0.0, output_start=0.0)

@@ -60,7 +60,7 @@ def test_the_force_is_what_moves_the_mass():
     velocity = (y[2:] - y[:-2]) / (2.0 * step)
     acceleration = (y[2:] - 2.0 * y[1:-1] + y[:-2]) / step**2
     moved = mass * acceleration + 2.0 * DAMPING * OMEGA * mass * velocity + FLEXURE * y[1:-1]
-    # what acts around a sample is the mean of what is held before and after it, at the displacement there
+    # the force at a sample is the mean of the held forces before and after it, at the displacement there
     acting = 0.5 * (force[1:-1] + force[2:] + STACK * (y[2:] - y[1:-1]))
     assert np.max(np.abs(moved - acting)) < 2e-5 * np.max(np.abs(force))
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Friction of the slider: closed forms of Coulomb's law, exact sticking, and what no sequence may break."""
+"""Friction of the slider: closed forms of Coulomb's law, exact sticking, and invariants of any sequence."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hysteresis_ros.models.friction import Slider, SliderParameters, slide
 STEP = 1e-4
 MASS = 0.05
 STIFFNESS = 0.41e6
-LONG = 1_000_000 if COMPILED else 20_000  # samples of the tests of drift
+LONG = 1_000_000 if COMPILED else 20_000  # samples in the tests for drift
 
 
 def slider(front=(0.0, 0.0), rear=(0.0, 0.0), velocity=0.0, stuck=False, step=STEP, **parameters):
@@ -58,10 +58,10 @@ def test_gravity_acts_along_the_travel(inclination):
 
 @pytest.mark.parametrize("side", ["front", "rear"])
 def test_stick_limit_is_the_static_force(side):
-    """Just below μ_s N nothing slides, ever; just above, the slider starts with (F - μ_k N)/m."""
+    """Just below μ_s N nothing ever slides; just above, the slider starts with (F - μ_k N)/m."""
     limits = {side: (6.0, 5.0)}
     holds = slider(**limits, external_force=-5.999)
-    holds.settle(0.0)  # the front's spring is loaded already: a sudden load would swing to twice its force
+    holds.settle(0.0)  # the front's spring is loaded already, because a sudden load would cause twice its force
     np.testing.assert_allclose(holds.simulate(np.zeros(2000)), 0.0, atol=1e-18)
     assert holds.x[friction.DISSIPATED] == 0.0
     lets_go = slider(**limits, external_force=-6.001)
@@ -71,7 +71,7 @@ def test_stick_limit_is_the_static_force(side):
 
 
 def test_a_sudden_load_swings_to_twice_its_force():
-    """On the front clamp 2.9 N hold, 3.1 N slip: the extender is a spring, and the static limit is 6 N."""
+    """On the front clamp 2.9 N hold and 3.1 N slip: the extender is a spring, and the static limit is 6 N."""
     for load, holds in ((2.9, True), (3.1, False)):
         loaded = slider(front=(6.0, 5.0), stuck=True, external_force=-load, step=1e-6)
         loaded.simulate(np.zeros(3000))
@@ -86,7 +86,7 @@ def test_a_load_between_kinetic_and_static_limit_keeps_what_it_finds():
 
 
 def test_slip_distance_under_kinetic_friction():
-    """A body of speed v stops after v²/(2 μ_k N/m), and then stands still to the last bit."""
+    """A body with speed v stops after v²/(2 μ_k N/m), and then stays at rest to the last bit."""
     v, limit = 0.1, 2.5
     sliding = slider(rear=(3.0, limit), velocity=v, step=1e-6)
     q = sliding.simulate(np.zeros(4000))
@@ -102,7 +102,7 @@ def test_rear_clamp_holds_without_drift():
 
 
 def test_front_clamp_carries_without_drift():
-    """A million samples of motion: the distance between slider and tip stays what it was."""
+    """A million samples of motion: the distance between slider and tip is constant."""
     carried = slider(front=(6.0, 5.0), stuck=True, external_force=-2.0, start=5e-3)
     carried.settle(0.0)
     grip = carried.x[friction.GRIP]
@@ -205,7 +205,7 @@ def test_no_sequence_breaks_the_laws(samples, force, ratio, mass, step):
     st.floats(-10.0, 10.0, **finite),
 )
 def test_velocity_solves_the_inclusion(velocity, lead, front, rear, force):
-    """The closed form against bisection of the monotone function of which it is the zero."""
+    """The closed form, compared with bisection of the monotone function of which it is the zero."""
     p = slider(external_force=force).p
     found = friction.slider_velocity(p, velocity, lead, front, rear)
 

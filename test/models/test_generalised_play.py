@@ -40,7 +40,7 @@ RATED = replace(PLAIN, rate=4e-3, memory=8e-3)
 
 
 def triangle(amplitude: float, period: float, cycles: int) -> np.ndarray:
-    """Between plus and minus the amplitude, from 0 V on, with the corners on samples."""
+    """Return a triangle between minus and plus the amplitude, from 0 V on, with its corners at samples."""
     quarter = round(0.25 * period / T)
     one = np.concatenate([np.linspace(a, b, 2 * quarter + 1)[1:] for a, b in ((1.0, -1.0), (-1.0, 1.0))])
     return amplitude * np.concatenate([np.linspace(0.0, 1.0, quarter + 1)[1:], np.tile(one, cycles)])

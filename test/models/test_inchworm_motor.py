@@ -40,7 +40,7 @@ from hysteresis_ros.models.sensor import SensorParameters
 @pytest.mark.parametrize("load", [0.0, -2.0, 2.0, -3.0])
 @pytest.mark.parametrize("hysteresis, stroke", [(LINE, 12e-6), (STACK, 12.3e-6 - 1.5e-6)])
 def test_a_cycle_is_the_stroke_less_the_elastic_loss(hysteresis, stroke, load):
-    """Forward the slider gains the stroke; a load costs load/stiffness, because each grip loads the extender anew."""
+    """Forward the slider gains the stroke; a load costs load/stiffness, because each grip loads the extender again."""
     made = Inchworm(motor(load, hysteresis), STEP)
     run(made, cycle())  # the hysteresis closes its first loop
     start = made.displacement
@@ -64,7 +64,7 @@ def test_standing_motor_does_not_move():
 
 
 def test_a_load_above_the_holding_force_slips_back():
-    """7.5 N hold at 100 V; one clamp under 7.6 N lets go and then slides with the kinetic 6.25 N."""
+    """7.5 N hold at 100 V; one clamp under 7.6 N starts to slide, with the kinetic 6.25 N."""
     assert motor().inchworm.holding_force(GRIP, GRIP) == pytest.approx((7.5, 7.5))
     holds, slips = (Inchworm(motor(force), STEP) for force in (-7.4, -7.6))
     rear_only = phase(0.0, 0.0, GRIP, 250)
@@ -74,7 +74,7 @@ def test_a_load_above_the_holding_force_slips_back():
 
 
 def test_wear_weakens_the_grip():
-    """20 % weaker clamps hold 6 N: the 7 N they held when new slip."""
+    """20 % weaker clamps hold 6 N: the 7 N that new clamps hold now slip."""
     worn = motor(-7.0, wear=0.8)
     assert worn.inchworm.holding_force(GRIP, GRIP) == pytest.approx((6.0, 6.0))
     assert run(Inchworm(worn, STEP), phase(0.0, 0.0, GRIP, 300))[-1, 0] < -1e-3
@@ -82,7 +82,7 @@ def test_wear_weakens_the_grip():
 
 
 def test_missed_grip_when_the_front_clamp_closes_too_late():
-    """Closed only after the extension, the front clamp carries nothing: it brings the slider back by the stroke."""
+    """The front clamp, closed after the extension, carries nothing forward and moves the slider back by the stroke."""
     late = [
         phase(RISE, 0.0, GRIP),
         phase(TOP, GRIP, GRIP),
@@ -96,7 +96,7 @@ def test_missed_grip_when_the_front_clamp_closes_too_late():
 
 
 def test_missed_grip_when_the_rear_clamp_closes_too_late():
-    """Both open for a moment under a load: the slider falls freely, until kinetic friction stops it."""
+    """With both clamps open under a load the slider falls freely until kinetic friction stops it."""
     made = Inchworm(motor(-2.0), STEP)
     table = run(made, np.vstack([phase(0.0, 0.0, 0.0, 40), phase(0.0, 0.0, GRIP)]))
     fallen = np.diff(table[:, 0], 2)
@@ -105,7 +105,7 @@ def test_missed_grip_when_the_rear_clamp_closes_too_late():
 
 
 def test_partly_missed_grip_loses_part_of_the_step():
-    """The front clamp closes in the middle of the extension: only the rest of the motion is carried."""
+    """The front clamp closes in the middle of the extension, so only the remaining motion is carried."""
     half = np.vstack([phase(RISE, 0.0, 0.0)[:125], phase(RISE, GRIP, 0.0)[125:], phase(TOP, GRIP, 0.0)])
     made = Inchworm(motor(), STEP)
     run(made, phase(0.0, 0.0, GRIP))
@@ -198,7 +198,7 @@ def short_motor(load):
     st.sampled_from([-12.0, -2.0, 0.0, 7.0]),
 )
 def test_nothing_runs_away(pieces, load):
-    """Any voltages: within limits and travel, and friction only takes energy."""
+    """Any voltages: the motor stays within limits and travel, and friction only dissipates energy."""
     made = short_motor(load)
     made.reset()
     table = run(made, np.vstack([phase(*piece) for piece in pieces]))
@@ -249,7 +249,7 @@ def test_a_clamp_that_cannot_hold_the_load_is_named():
 
 
 def test_plant_parameters_choose_the_motor():
-    """The type is an actuator unless the file says otherwise, and then the group ``inchworm`` is not asked for."""
+    """The type is actuator unless the file says otherwise, and then the group ``inchworm`` is not used."""
     actuator = {name: value for name, value in motor().to_mapping().items() if not name.startswith("inchworm.")}
     assert PlantNodeParameters.from_mapping(actuator).type == "actuator"
     with pytest.raises(ParameterError, match="inchworm.slider.mass = None: missing"):

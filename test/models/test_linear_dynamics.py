@@ -33,7 +33,7 @@ def test_kim_has_2_05_micrometres_a_volt_and_unit_gain_in_si():
 
 
 def test_kim_uncontrolled_step_peaks_and_settles_as_published():
-    """One pre-amplifier volt: peak 3.70 µm, within 2 % after 0.51 s (K7, K9a)."""
+    """One volt before the amplifier: peak 3.70 µm, within 2 % after 0.51 s (K7, K9a)."""
     block = LinearDynamics(KIM, SAMPLE_TIME)
     y = 1e6 * block.simulate(np.full(3000, KIM.resolved_input_scale))
     assert y.max() == pytest.approx(3.70, abs=0.02)

@@ -29,7 +29,7 @@ from hysteresis_ros.models.hysteresis.polynomial import (
 )
 
 STROKE = 120.0 * 0.1025e-6
-# whole microvolts: a loop of 1e-300 V has no continuity that a probe of 1e-9 V could see
+# whole microvolts: the continuity of a loop of 1e-300 V cannot be tested with a probe of 1e-9 V
 voltages = st.lists(st.floats(-30.0, 160.0).map(lambda v: round(v, 6)), min_size=1, max_size=12)
 coefficients = st.lists(st.floats(-1.0, 1.0), min_size=21, max_size=21)
 
@@ -76,7 +76,7 @@ def test_falling_branch_goes_on_below_zero():
 
 @given(turns=voltages)
 def test_output_is_continuous_at_every_reversal_for_any_coefficients(turns):
-    """A tiny step from any turning point, either way, moves the output by a tiny amount only."""
+    """A tiny step in either direction from any turning point changes the output by a tiny amount only."""
     rng = np.random.default_rng(len(turns))
     p = np.append(rng.uniform(-1.0, 1.0, 21) * np.tile([1.0, 1e-2, 1e-4], 7), 120.0)
     check_continuity(p, turns)
@@ -104,7 +104,7 @@ def check_continuity(p, turns):
 
 @given(turns=voltages)
 def test_output_is_continuous_along_a_whole_path(turns):
-    """No step of 0.1 V moves a stack of 0.1 µm/V by more than 2.5 times 0.1 V times that gain."""
+    """A step of 0.1 V moves a stack of 0.1 µm/V by at most 2.5 times 0.1 V times that gain."""
     path = np.concatenate([[0.0], *[[v] for v in turns]])
     fine = np.concatenate(
         [np.linspace(a, b, max(2, int(abs(b - a) / 0.1)) + 1)[1:] for a, b in zip(path, path[1:], strict=False)]
@@ -115,7 +115,7 @@ def test_output_is_continuous_along_a_whole_path(turns):
 
 @given(turns=voltages, parts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
 def test_rate_independent(turns, parts):
-    """Only the turning voltages matter, not how many samples lie between them."""
+    """The output depends on the turning voltages only, not on the number of samples between them."""
     coarse, fine = stack(), stack()
     for start, end in zip([0.0, *turns], turns, strict=False):
         y = coarse.step(end)
@@ -158,7 +158,7 @@ def test_a_tiny_reversal_leads_back_onto_the_same_branch(inner, at):
 @given(turns=voltages, target=st.floats(-30.0, 160.0))
 @settings(max_examples=300)
 def test_inverse_of_forward_is_the_identity(turns, target):
-    """From any history, inside and beyond V_max and below 0 V down to -30 V."""
+    """For any history, within and above V_max, and below 0 V down to -30 V."""
     block = walked(turns)
     trial = block.x.copy()
     wanted = polynomial(block.p, trial, target)
@@ -178,13 +178,13 @@ def test_inverse_beyond_a_parabola_is_its_extremum():
 
 
 def test_a_new_peak_moves_the_lower_end_back_to_zero():
-    """A fall below 0 V sets the lower end; a larger peak forgets it, and its loops close at 0 V again."""
+    """A fall below 0 V sets the lower end; a larger peak resets it, and its loops close at 0 V again."""
     for turns in ([60.0, -20.0, 120.0, 90.0], [60.0, -20.0, 120.0, 60.0, 90.0]):
         block = walked([*turns, 0.0])
         assert block.x[model.DISPLACEMENT] == pytest.approx(model.falling_curve(block.p, 120.0, 0.0), abs=1e-16)
         block = walked([*turns, 0.0, 120.0])
         assert block.x[model.DISPLACEMENT] == pytest.approx(0.1025e-6 * 120.0, rel=1e-12)
-    # without the larger peak they close where the fall ended
+    # without the larger peak they close at the end of the fall
     block = walked([60.0, -20.0, 40.0, 50.0, 20.0, -20.0])
     assert block.x[model.DISPLACEMENT] == pytest.approx(model.falling_curve(block.p, 60.0, -20.0), rel=1e-12)
 
@@ -204,7 +204,7 @@ def test_retune_is_bumpless_and_ends_on_the_new_curves(turns, scale):
     voltage, before = float(block.x[model.VOLTAGE]), float(block.x[model.DISPLACEMENT])
     block.retune(assumed_stack(scale=scale))
     for side in (-1e-9, 0.0, 1e-9):
-        # Where room for the blending is narrow the curve is steep: the distance to a corner bounds the slope.
+        # If the range for blending is narrow, the curve is steep: the distance to a corner limits the slope.
         room = min(abs(voltage - corner) or 1e9 for corner in (block.x[model.V_MAX], 120.0, block.x[model.V_LOW]))
         bound = 1e-9 * (1.0 + 0.3 * STROKE / max(room, 1e-9))
         assert abs(polynomial(block.p, block.x.copy(), voltage + side) - before) <= max(bound, 1e-15)

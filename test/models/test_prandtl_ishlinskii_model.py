@@ -31,7 +31,7 @@ def block(**changes):
 
 
 def test_one_play_by_hand():
-    """Up to 50 V the play follows 10 V behind; it stands still while the voltage falls by 20 V."""
+    """Up to 50 V the play follows 10 V behind; it does not move while the voltage falls by 20 V."""
     np.testing.assert_allclose(
         block(offset=1e-7).simulate([5.0, 50.0, 40.0, 30.0, 0.0]),
         1e-7 + 80e-9 * np.array([5.0, 50.0, 40.0, 30.0, 0.0]) + 20e-9 * np.array([0.0, 40.0, 40.0, 40.0, 10.0]),

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preisach: a discrete Everett map stands for another model, bounded memory, what is refused."""
+"""Preisach: a discrete Everett map replaces another model, limited memory, what is refused."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def parameters(nodes=25, **changes):
 
 
 def saturated(block):
-    """Bring a play model to where the Preisach model starts: rising from its lower end."""
+    """Bring a play model to the initial state of the Preisach model: rising from its lower end."""
     block.simulate([120.0, 0.0])
     return block
 

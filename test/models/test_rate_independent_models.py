@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What every hysteresis model keeps to: no memory of speed, continuity, exact states, equivariance, return points."""
+"""Properties of every hysteresis model: no memory of speed, continuity, exact states, equivariance, return points."""
 
 from __future__ import annotations
 
@@ -117,9 +117,9 @@ def test_loops_are_open_and_rise(name):
 @settings(max_examples=50)
 @given(turns=voltages, inner=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), ahead=voltages)
 def test_minor_loops_close_and_are_forgotten(name, turns, inner, ahead):
-    """Coming back to a turning point gives the output there, and the future is that without the loop."""
+    """A return to a turning point gives the output there, and the later output is that without the loop."""
     last, before = turns[-1], ([0.0, *turns])[-2]
-    # excursions between the last two turning points, which must not wipe out anything older
+    # excursions between the last two turning points, which must not erase older ones
     excursion = [last + share * (before - last) for share in inner]
     straight, around = walked(name, turns), walked(name, turns)
     returned = around.simulate([*excursion, last])[-1] if before != last else straight.x[1]

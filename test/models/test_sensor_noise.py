@@ -21,7 +21,7 @@ M1, M2 = 2**32 - 209, 2**32 - 22853
 
 
 def integer_mrg32k3a(words, count):
-    """MRG32k3a in whole numbers, from the definition of its two recurrences."""
+    """MRG32k3a in integer arithmetic, from the definition of its two recurrences."""
     a, b = list(words[:3]), list(words[3:])
     result = []
     for _ in range(count):

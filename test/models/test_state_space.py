@@ -75,7 +75,7 @@ def test_scaled_and_parts():
 
 @given(st.integers(0, 10**6), st.integers(0, 5))
 def test_the_kernels_recursion_is_the_sum_in_order(seed, n):
-    """The same additions in the same order, so the same bits; the array around the state stays."""
+    """The same additions in the same order give the same bits; the array around the state is unchanged."""
     found = system(seed, n)
     p = np.concatenate([[7.0], found.A.ravel(), found.B[:, 0], found.C[0]])
     x = np.concatenate([[3.0], np.random.default_rng(seed).normal(size=n), np.zeros(n), [5.0]])
@@ -95,7 +95,7 @@ def test_the_kernels_recursion_is_the_sum_in_order(seed, n):
 
 
 def test_a_state_that_dies_out_becomes_zero_and_is_never_denormal():
-    """0.9 · 2.5e-323 rounds to 2.5e-323: without an end such a state stays, and slows every sample after it."""
+    """0.9 · 2.5e-323 rounds to 2.5e-323: without a limit such a state stays, and slows every later sample."""
     smallest = np.finfo(float).tiny
     for form in (advance, interpreted(advance)):
         p, x = np.array([0.9, 0.0, 0.0, -0.9, 1.0, 1.0]), np.array([1e-5, 1e-5, 0.0, 0.0])
@@ -105,7 +105,7 @@ def test_a_state_that_dies_out_becomes_zero_and_is_never_denormal():
             seen.append(x[:2].copy())
         seen = np.abs(seen)
         assert np.all((seen == 0.0) | (seen > 1e6 * smallest)) and np.all(seen[-1] == 0.0)
-        # what is not that small is what it was, to the last bit
+        # larger states are unchanged, to the last bit
         np.testing.assert_array_equal(seen[:3, 0], [1e-5 * 0.9, 1e-5 * 0.9 * 0.9, 1e-5 * 0.9 * 0.9 * 0.9])
 
 

@@ -42,7 +42,7 @@ def flat(matrix) -> tuple[float, ...]:
 LINEAR = StructureParameters(
     inputs=2, outputs=2, A=flat(BLOCKS), B=flat(B), C=flat(C), D=flat(D), sample_time=SAMPLE_TIME
 )
-#: The hysteresis pushes where the actuators do and feels a hundredth of the first state.
+#: The hysteresis acts where the actuators do, and its input is a hundredth of the first state.
 HYSTERETIC = replace(
     LINEAR,
     B_w=flat(0.2 * B),
@@ -68,7 +68,7 @@ def test_blocks_and_the_full_matrix_give_the_same_bits():
 
 
 def test_one_input_and_output_is_the_single_axis():
-    """The linear block measures before its input changes; its advance and output are those of the structure."""
+    """The linear block measures before its input changes; the structure has the same advance and output."""
     single = LinearParameters(
         A=flat(BLOCKS[0]), B=(0.3, 0.1), C=(1.0, 2.0), input_scale=1.0, output_scale=1.0, sample_time=SAMPLE_TIME
     )
@@ -80,7 +80,7 @@ def test_one_input_and_output_is_the_single_axis():
 
 
 def by_hand(p: StructureParameters, u):
-    """The equations of the module in NumPy, written for the test."""
+    """The equations of the module in NumPy, implemented for the test."""
     linear, x, plays = p.linear, np.zeros(p.order), np.zeros((p.hystereses, len(p.radii)))
     found = []
     for now in u:
@@ -92,7 +92,7 @@ def by_hand(p: StructureParameters, u):
     return np.array(found)
 
 
-#: Each actuator with a second hysteresis, of its joint, that feels the motion alone.
+#: Each actuator with a second hysteresis, of its joint, that depends on the motion alone.
 JOINTED = replace(
     HYSTERETIC,
     B_w=flat(np.hstack([0.2 * B, 0.1 * B])),

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A headless Chromium of Debian's package, steered over its DevTools socket."""
+"""A headless Chromium of Debian's package, controlled over its DevTools socket."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ OPTIONS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debuggin
 
 
 class Browser:
-    """A page in a browser, in an ``async with`` statement; what goes wrong in it stands in :attr:`errors`.
+    """A page in a browser, in an ``async with`` statement; errors of the page are in :attr:`errors`.
 
     Parameters
     ----------
     folder : pathlib.Path
-        For its profile.
+        Folder for the browser's profile.
     address : str
-        Which it opens.
+        Address of the page.
     """
 
     def __init__(self, folder: pathlib.Path, address: str):
@@ -102,7 +102,7 @@ KEYS = {"End": 35, "ArrowLeft": 37, "PageUp": 33, "PageDown": 34, "Escape": 27}
 
 
 async def found(condition, what: str, every: float = 0.1):
-    """Wait until what a condition returns is true, and return it."""
+    """Wait until a condition returns something true, and return its value."""
     deadline = time.monotonic() + PATIENCE
     while True:
         value = await condition()

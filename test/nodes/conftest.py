@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fixtures of the tests of the nodes; what they are made of is in nodes_support."""
+"""Fixtures of the tests of the nodes; their components are in nodes_support."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 
 
 def unused_domain() -> Domain:
-    """Claim a domain; nodes stand in reference cycles, and until they are collected their participants hold theirs."""
+    """Claim a domain after a collection: nodes are part of reference cycles, and their participants use domains."""
     gc.collect()
     return Domain()
 

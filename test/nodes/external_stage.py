@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A stage with a clock of its own, as somebody else's node would be: hears ``voltage``, says ``joint_states``."""
+"""A stage with its own clock, like a node of another package: subscribes to ``voltage``, publishes ``joint_states``."""
 
 import sys
 import threading
@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 RATE = float(sys.argv[1])
-#: The highest voltage [V] that its amplifier puts out; it reports what it puts out when this is given.
+#: The highest output voltage [V] of its amplifier; if it is given, the stage reports its output voltage.
 HIGHEST = float(sys.argv[2]) if len(sys.argv) > 2 else None
 
 
@@ -42,7 +42,7 @@ class Stage(Node):
         self.voltage = message.data if HIGHEST is None else min(message.data, HIGHEST)
 
     def measure(self):
-        """Say the position at each sample."""
+        """Publish the position at each sample."""
         message = JointState(name=["extender"], position=[0.0])
         deadline = time.monotonic()
         while not self.gone.is_set():
@@ -53,9 +53,9 @@ class Stage(Node):
             self.samples.publish(message)
             measured = message.header.stamp
             deadline += 1.0 / RATE
-            # a device keeps its own time: this is its clock
+            # the clock of the device, which keeps its own time
             self.gone.wait(max(deadline - time.monotonic(), 0.0))
-            if self.states is not None:  # what it holds until the next sample
+            if self.states is not None:  # its output until the next sample
                 state = JointState(name=["voltage"], position=[self.voltage])
                 state.header.stamp = measured
                 self.states.publish(state)

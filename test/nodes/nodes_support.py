@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real processes and real DDS: every group of nodes in a domain of its own, waiting for conditions, never sleeping."""
+"""Real processes and real DDS: every group of nodes in its own domain; waits for conditions, never for a fixed time."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from waiting import PATIENCE, until
 
 from hysteresis_ros.nodes.domain import OWN
 
-# Before the first participant: nobody outside is asked, and a process that is killed leaves no shared memory behind.
+# Before the first participant: no discovery outside this machine, and no shared memory left by killed processes.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-#: Seconds in which a node has to leave, with slack for a machine whose cores are taken.
+#: Time [s] within which a node has to exit, long enough for a busy machine.
 LEAVE = 3.0
-#: Seconds after which an answer is taken to be lost.
+#: Time [s] after which an answer counts as lost.
 LOST = 8.0
 #: State after each transition.
 REACHED = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
@@ -41,7 +41,7 @@ REACHED = {"configure": "inactive", "activate": "active", "deactivate": "inactiv
 _counter = itertools.count()
 
 
-#: Everything that is not ideal: noise of 5 nm, 16 bits, tight limits, preload.
+#: All non-ideal properties: noise of 5 nm, 16 bits, tight limits, preload.
 REAL = {
     "plant_simulator": {
         "sensor__noise": 5.0e-9,
@@ -55,7 +55,7 @@ REAL = {
 }
 SINE = {"waveform__frequency": 20.0, "waveform__offset": 5.0e-6}
 _LAG = {"A": (0.5,), "B": (0.5,), "C": (1.0,)}
-#: An axis in the open loop that is at rest after some samples: Kim's resonance rings for 1500, seconds at a slow rate.
+#: An open-loop axis that is at rest after some samples; Kim's resonance rings for 1500 samples, seconds at a slow rate.
 SOON_AT_REST = {
     "plant_simulator": {f"dynamics__{name}": matrix for name, matrix in _LAG.items()},
     "motion_controller": {"type": "open_loop", **{f"model__dynamics__{name}": m for name, m in _LAG.items()}},
@@ -69,9 +69,9 @@ def axis_parameters(namespace: str = "", overrides: dict | None = None, **common
 
     configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
     configuration = configuration.override("reference_generator", waveform__type="hold")
-    # as for a device: the file allows a simulated plant more
+    # as for a device: the file allows more late samples in a simulation
     configuration = configuration.override("plant_simulator", late_limit=0)
-    if "sample_rate" in common:  # what is asked of time and errors does not depend on the dynamics
+    if "sample_rate" in common:  # time and errors do not depend on the dynamics here
         configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
         configuration = configuration.override("motion_controller", model__dynamics__sample_time=0.0)
     for node, values in (overrides or {}).items():
@@ -111,7 +111,7 @@ class Process:
         self.popen.send_signal(number)
 
     def leave(self, number=signal.SIGTERM) -> tuple[int, float]:
-        """Send a signal; return exit code and seconds until the process was gone."""
+        """Send a signal; return the exit code and the time [s] until the process ended."""
         start = time.monotonic()
         self.send(number)
         code = self.wait()
@@ -131,7 +131,7 @@ def _from_tree() -> bool:
 
 
 class Processes:
-    """Starts processes in one domain and kills what is left of them."""
+    """Starts processes in one domain, and kills the remaining ones at the end."""
 
     def __init__(self, folder, domain: int):
         self.folder, self.domain, self.started = folder, domain, []
@@ -152,7 +152,7 @@ class Processes:
 
     def busy(self, number: int = 2) -> None:
         """Keep the cores busy."""
-        # a test run that is killed must not leave them behind
+        # these processes must end even if the test run is killed
         loop = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
         for _ in range(number):
             self.start([sys.executable, "-c", loop], "busy")
@@ -163,7 +163,7 @@ class Processes:
 
 
 class Observer:
-    """A node of the test itself, spun in a thread; keeps what it hears."""
+    """A node of the test itself, spun in a thread; stores received messages."""
 
     def __init__(self, domain: int):
         import rclpy
@@ -211,7 +211,7 @@ class Observer:
                 self.node.destroy_client(client)
 
     def _answer(self, client, name: str, request):
-        """Ask, and again where nothing comes: an answer that is sent before the server has found the client is lost."""
+        """Send a request repeatedly: an answer sent before the server has found the client is lost."""
         futures = []
 
         def answered():
@@ -227,7 +227,7 @@ class Observer:
         return answered().result()
 
     def keep_client(self, service_type, name: str) -> None:
-        """Find a service once for all calls: that takes longer than a call."""
+        """Create a client once for all calls, because discovery takes longer than a call."""
         client = self.kept_clients[name] = self.node.create_client(service_type, name)
         until(client.service_is_ready, what=f"service {name}")
 
@@ -243,7 +243,7 @@ class Observer:
         request = ChangeState.Request()
         request.transition.id = getattr(Transition, f"TRANSITION_{name.upper()}")
         success = self.call(ChangeState, f"{node}/change_state", request).success
-        if self.asked > 1:  # what was done at the first time is refused at the second
+        if self.asked > 1:  # a request that succeeded the first time is refused the second time
             return self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label == REACHED[name]
         return success
 
@@ -282,7 +282,7 @@ class InProcess:
         self._thread = threading.Thread(target=self._spin, daemon=True)
 
     def add(self, cls, parameters, autostart: bool = True, **options):
-        """Make a node of the typed parameters."""
+        """Create a node with typed parameters."""
         from rclpy.parameter import Parameter
 
         values = {name: value for name, value in parameters.to_mapping().items() if value != ()}
@@ -308,7 +308,7 @@ class InProcess:
         for node in self.nodes:
             node.active = False
             node.release()
-        # the executor never frees the node of a callback that it has begun to arrange and not run
+        # the executor never releases a node whose callback it has scheduled but not run
         for _ in range(100):
             self.executor.spin_once(timeout_sec=0.0)
         for node in self.nodes:
@@ -337,7 +337,7 @@ def compose(inside, axis, **options):
 
 
 class RecordedRun:
-    """An axis composed in the test's process beside a recorder; the plant begins when the recorder is there."""
+    """An axis composed in the test's process with a recorder; the plant begins when the recorder is present."""
 
     def __init__(self, inside, axis, bag):
         from hysteresis_ros.nodes.recorder import RecorderNode
@@ -352,7 +352,7 @@ class RecordedRun:
         self.plant, self.compensator, self.controller, self.source = compose(inside, self.axis)
 
     def result(self):
-        """Wait for the end of the run and return its recording, with all that stands in ``~/state``."""
+        """Wait for the end of the run, and return its recording with all fields of ``~/state``."""
         from hysteresis_ros.recordings.files import load_run
 
         until(lambda: self.plant.end_of_run > 0 or self._failed(), what="the end of the run")
@@ -375,7 +375,7 @@ def diagnostics(heard, node: str):
 
 
 class Driver:
-    """A driver of real hardware: publishes joint_states when the test says so."""
+    """A driver of real hardware: publishes joint_states on request of the test."""
 
     def __init__(self, observer, joint: str = "extender"):
         from sensor_msgs.msg import JointState

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A page's server with an axis that is only pretended."""
+"""A page's server with an emulated axis."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PATIENCE = 20.0
 
 
 class Pretended:
-    """What a server asks of an axis, noted down; it stops when it is told to for the second time."""
+    """The interface of an axis to a server; requests are stored, and it stops only at the second request."""
 
     def __init__(self, about: dict | None = None):
         self.about = about
@@ -47,7 +47,7 @@ class Pretended:
         self.put()
 
     def put(self, **values: float) -> None:
-        """Make a sample with these signals."""
+        """Add a sample with these signals."""
         table = np.zeros((len((signals.INCHWORM if self.memory.motor else signals.ACTUATOR).row), 1))
         for name, value in values.items():
             table[signals.place(name)] = value
@@ -110,7 +110,7 @@ class Socket:
         self.socket, self.number, self.said = socket, 0, []
 
     async def until(self, wanted):
-        """Hear until a message is wanted, and return it."""
+        """Receive messages until one is wanted, and return it."""
         while True:
             message = await self.socket.receive(PATIENCE)
             if message.type == aiohttp.WSMsgType.TEXT:
@@ -127,7 +127,7 @@ class Socket:
 
 
 class Bench(SimpleNamespace):
-    """A server, and who calls it."""
+    """A server and its callers."""
 
     async def page(self, **headers) -> Socket:
         headers = {"Origin": self.origin, **headers}
@@ -137,7 +137,7 @@ class Bench(SimpleNamespace):
 
 
 def served(check, token: str = "", about: dict | None = None) -> None:
-    """Run a check with a server; of an inchworm motor with what is said of it."""
+    """Run a check with a server; ``about`` describes an inchworm motor."""
 
     async def run() -> None:
         link = Pretended(about)

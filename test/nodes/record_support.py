@@ -7,13 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motor record that tests of it share."""
+"""Common settings of the tests of the motor record."""
 
 from __future__ import annotations
 
 from hysteresis_ros.laboratory.epics.record import MotorSettings
 
-#: Of an axis of 0 … 12 µm without a speed of its own.
+#: An axis of 0 … 12 µm without its own speed limit.
 SETTINGS = MotorSettings(
     name="t:m1",
     namespace="",

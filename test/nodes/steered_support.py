@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A fused axis that is recorded, and what a person sees and asks of it; as a script, very many changes in a given time.
+"""A recorded fused axis, its displayed state and its controls; as a script, very many changes in a given time.
 
 python steered_support.py CHANGES SECONDS SEED
 """
@@ -23,18 +23,18 @@ from nodes_support import axis_parameters, until, write_axis
 
 CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
 NEAR = 5e-8
-#: Slew rate [V/s] and range [V] of the axis that is steered at random.
+#: Slew rate [V/s] and range [V] of the axis with random changes.
 SLEW, RANGE = 4e4, (-30.0, 120.0)
 
 
 class Steered:
-    """A fused axis that is recorded, and what a person sees and asks of it."""
+    """A recorded fused axis, its displayed state and its controls."""
 
     def __init__(self, processes, observer, folder, *prefix: str, compensator=None, **plant):
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Bool, Float64
 
-        # what a busy machine makes late must not stop the axis here
+        # late voltages of a busy machine must not stop the axis here
         plant = {"late_limit": -1, "preload__force": 0.0} | plant
         axis = axis_parameters(overrides={PLANT: plant, COMPENSATOR: compensator or {}}, time_mode="fused")
         self.bag, self._processes, self._observer = folder / "bag", processes, observer
@@ -75,7 +75,7 @@ class Steered:
         until(lambda: abs(self.now("voltage")) < 0.01, what="the safe voltage")
 
     def verified(self) -> str:
-        """Leave, and return what the comparison with the offline twin says."""
+        """Exit, and return the result of the comparison with the offline twin."""
         code, _ = self.run.leave(signal.SIGINT)
         assert code == 0, self.run.output
         check = self._processes.command("verify", str(self.bag))
@@ -84,7 +84,7 @@ class Steered:
 
 
 def at_random(steered: Steered, observer, changes: int, random, pause: float = 0.0) -> list[float]:
-    """Change gains, models, setpoints and what runs, at random; return how long each answer took [s]."""
+    """Change gains, models, setpoints and active parts at random; return the time until each answer [s]."""
     from rcl_interfaces.srv import SetParametersAtomically
     from std_srvs.srv import Trigger
 
@@ -94,7 +94,7 @@ def at_random(steered: Steered, observer, changes: int, random, pause: float = 0
             observer.keep_client(Trigger, f"/{node}/{action}")
     took = []
     for _ in range(changes):
-        due = steered.time + pause * random.random()  # spreads what is asked for over the samples
+        due = steered.time + pause * random.random()  # distributes the requests over the samples
         until(lambda due=due: steered.time >= due, what="later samples")
         steered.ask(random.uniform(0.0, 10e-6))
         asked = random.integers(6)
@@ -117,13 +117,13 @@ def at_random(steered: Steered, observer, changes: int, random, pause: float = 0
 
 
 def tame(processes, observer, folder) -> Steered:
-    """Return a fused axis with a slew rate."""
+    """Return a fused axis with a limited slew rate."""
     limits = {"limits__slew_rate": SLEW}
     return Steered(processes, observer, folder, compensator=limits, **limits)
 
 
 def assert_tame(steered: Steered) -> int:
-    """Refuse a run whose voltages leave range or slew rate; return how many samples it has."""
+    """Refuse a run whose voltages violate range or slew rate; return its number of samples."""
     from hysteresis_ros.recordings.files import load_run
 
     run = load_run(steered.bag, further=True)
@@ -135,7 +135,7 @@ def assert_tame(steered: Steered) -> int:
 
 
 def main() -> None:
-    """Steer an axis as the command line says, and say what came of it."""
+    """Execute the changes of the command line, and report the result."""
     import pathlib
     import tempfile
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An inverse that adapts, in nodes: steered by services, saved to a file, and repeated bit for bit from the log."""
+"""An adapting inverse in nodes: controlled by services, saved to a file, repeated bit for bit from the log."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_services_steer_it_a_file_keeps_it_and_the_log_repeats_it(inside, observ
     recorded = run.result()
     assert not differences(recorded, run.axis)
     assert recorded["adapted_gain"][-1] < 0.9 and len(recorded.metadata["changes"]) == 2
-    # what it has saved is laid over the axis, here and on the command line
+    # the saved weights are overlaid on the axis, here and on the command line
     config = tmp_path / "axis.yaml"
     config.write_text(run.axis.configuration_text(), encoding="utf-8")
     again = single_axis(laid_under(str(config), (str(saved),)))

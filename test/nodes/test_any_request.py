@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Every service of every node, ROS's own too, is sent any request of its type: the node answers and goes on."""
+"""Every service of every node, including those of ROS, receives random requests: the node answers and continues."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 
-#: Requests to each service, and where their random numbers begin; more of them by hand.
+#: Number of requests to each service, and seed of the random numbers; more requests by hand.
 REQUESTS, SEED = int(os.environ.get("ANY_REQUESTS", "12")), int(os.environ.get("ANY_SEED", "1"))
 NODES = ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator")
-#: Services of a node that has no action.
+#: Services of a node without an effect on the axis.
 SERVICES = {
     *("set_parameters", "set_parameters_atomically", "get_parameters", "get_parameter_types", "describe_parameters"),
     *("list_parameters", "change_state", "get_state", "get_available_states", "get_available_transitions"),
@@ -84,13 +84,13 @@ def any_message(cls, chance: random.Random):
 
 
 def stops_the_node(name: str, request) -> bool:
-    """Whether a request asks for what rightly ends the work of a node: a transition that there is."""
+    """Whether a request legitimately ends the work of a node: a possible transition."""
     return name == "change_state" and not request.transition.label and request.transition.id in range(1, 9)
 
 
 @pytest.fixture
 def axis(processes, observer, tmp_path):
-    """The nodes of an axis in processes of their own, running in real time."""
+    """The nodes of an axis in separate processes, running in real time."""
     from sensor_msgs.msg import JointState
 
     overrides = {"motion_controller": {"type": "open_loop"}}
@@ -103,7 +103,7 @@ def axis(processes, observer, tmp_path):
 
 
 def services_of(observer, node: str) -> dict[str, str]:
-    """Return the services of a node by their last word, with their types, once all are found."""
+    """Return the services of a node by their last word, with their types, once all services are found."""
 
     def found():
         if node not in observer.node.get_node_names():
@@ -117,7 +117,7 @@ def services_of(observer, node: str) -> dict[str, str]:
 
 
 def assert_goes_on(observer, nodes, heard, what: str) -> None:
-    """Make sure that all processes live and that the axis runs, after it was started again."""
+    """Check that all processes are alive and that the axis runs, after it was started again."""
     for name in NODES:
         assert nodes[name].popen.poll() is None, f"{what}: {name} left\n{nodes[name].output[-2000:]}"
         assert observer.trigger(f"/{name}/start").success
@@ -126,7 +126,7 @@ def assert_goes_on(observer, nodes, heard, what: str) -> None:
 
 
 def ask_anything(observer, node: str, chance: random.Random) -> int:
-    """Send each service of a node so many requests and wait for the answers; return how many."""
+    """Send each service of a node some requests and wait for the answers; return the number of requests."""
     asked = 0
     for name, kind in services_of(observer, node).items():
         package, _, service = kind.split("/")
@@ -162,7 +162,7 @@ def test_the_other_nodes_survive_them_too(inside, observer, kind):
         "setpoint_publisher": partial(setpoint_publisher.SetpointPublisher, []),
     }
     inside.executor.add_node(node := made[kind](context=inside.context))
-    if hasattr(node, "release"):  # the publisher of setpoints is no node of an axis
+    if hasattr(node, "release"):  # the publisher of setpoints is not a node of an axis
         inside.nodes.append(node)
     inside.spin()
     some = {"set_parameters", "set_parameters_atomically"}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Samples written in batches are the messages that the nodes publish one by one: byte for byte, topic by topic."""
+"""Samples written in batches equal the messages that the nodes publish one by one: byte for byte, for each topic."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.models.inchworm import JOINT_NAMES, TRUE_POSITION  # noqa: E402
 
 SAMPLES = 300
-#: Voltages that are late again and again, and how many the plant takes before it stops the axis.
+#: Voltages that are repeatedly late, and the number that the plant accepts before it stops the axis.
 FAULTS = ["late_voltage:0.02:1.0:0.5"]
 LIMIT = 20
 
@@ -35,7 +35,7 @@ def actuator():
 
 
 def motor():
-    """Return the inchworm on its way, and a trip."""
+    """Return the moving inchworm, and a trip."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.loop.parameters import AxisParameters
 
@@ -46,7 +46,7 @@ def motor():
 
 
 def samples_of(axis):
-    """Simulate an axis; returns stamps, table and the plant's joints (None of an actuator)."""
+    """Simulate an axis; return stamps, table and the plant's joints (None for an actuator)."""
     from hysteresis_ros.loop.axis import Axis
 
     run = Axis(axis)
@@ -93,7 +93,7 @@ def test_batches_give_the_bytes_that_the_nodes_publish(processes, tmp_path, axis
         writer.write(stamps[123:], table[:, 123:], joints=joints[:, 123:] if is_motor else None)
 
     batches = read_bag(tmp_path / "batches").topics
-    # the axis was stopped on the way: nothing of a message is left out of the comparison
+    # the axis was stopped during the run, and the comparison includes every field of the messages
     assert 0 < np.count_nonzero(table[signals.TRIPPED]) < SAMPLES
     for topic in writer.topics:
         assert one_by_one[topic].type_name == batches[topic].type_name

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A reference generator that comes to an axis in real time: as configured, or where the axis was led by others."""
+"""A reference generator that joins an axis in real time: as configured, or where others have moved the axis."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Drivers that publish best effort, as sensors do: heard where a parameter says so, named where nobody hears them."""
+"""Best-effort publishers, as of sensors: received if a parameter says so, otherwise named in diagnostics."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_driver_that_publishes_best_effort_is_named_with_what_to_set_and_heard
         f"/joint_states: nothing is received from /{observer.node.get_name()}, which offers best effort, but "
         "reliable is requested: set measurement_reliability: best_effort here, or make the publisher reliable"
     )
-    # whose publisher it is may be told after what it offers
+    # the name of the publisher may be known later than its quality of service
     until(lambda: deaf.compatibility.complaint() == said, what="that the driver is not heard")
     status = diagnostics(deaf).status[0]
     assert status.level[0] >= WARN and "measurement_reliability" in status.message

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a campaign does to measurements, and that everything in the catalogue can be done."""
+"""Effects of a campaign on measurements, and executability of every case of the catalogue."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ STROKE = 1e-4
 
 @pytest.fixture
 def relay():
-    """A relay between lists instead of topics: what it publishes, as numbers, stands in ``sent``."""
+    """A relay between lists instead of topics; the published messages are in ``sent``, as numbers."""
     sent: list = []
 
     def publish(message) -> None:
@@ -68,7 +68,7 @@ def relay():
 
 
 def passed(relay, count: int, change: str = "", amount: float = 0.0) -> list:
-    """Pass so many measurements on, of 1, 2, 3 … µm at 1, 2, 3 … s; return what came."""
+    """Relay a number of measurements of 1, 2, 3 … µm at 1, 2, 3 … s; return the result."""
     relay.set(change, amount)
     for k in range(1, count + 1):
         message = JointState(name=["stage"], position=[k * 1e-6])
@@ -105,7 +105,7 @@ def test_measurements_that_are_out_of_order_twice_dropped_or_somebody_elses(rela
     relay.sent.clear()
     assert [stamp for stamp, *_ in passed(relay, 2, "duplicated")] == [1, 1, 2, 2]
     relay.sent.clear()
-    # of 1000 by chance, three times the standard deviation of 14
+    # of 1000 random ones, three times the standard deviation of 14
     assert len(passed(relay, 1000, "dropped", 0.3)) == pytest.approx(700, abs=45)
     relay.sent.clear()
     assert [names[0] for _, names, _ in passed(relay, 2, "foreign")] == ["stage", FOREIGN, "stage", FOREIGN]
@@ -165,7 +165,7 @@ def test_a_time_of_day_that_is_set_jumps_for_its_processes_and_steady_clocks_go_
 
 
 def test_a_group_whose_disk_is_full_may_say_so_when_it_leaves_and_no_other(tmp_path, monkeypatch):
-    """Of the processes only how they leave matters here."""
+    """Only the exit of the processes matters here."""
     leave = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(1)); print('there', flush=True); "
     command = [sys.executable, "-c", leave + "signal.pause()"]
     monkeypatch.setattr(rig, "node_command", lambda *given, **options: command)

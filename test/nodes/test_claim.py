@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one active publisher: a second node is refused before it moves anything; the refusal names the first."""
+"""One axis, one active publisher: a second node is refused before any motion, and the refusal names the first."""
 
 from __future__ import annotations
 

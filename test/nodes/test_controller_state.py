@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a motion controller shows to tools of ros2_control; with stand-ins that have the fields of the real messages."""
+"""Topics of a motion controller for tools of ros2_control; with stand-ins that have the fields of the real messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LATER = ("header", "timestep", "error", "error_dot", "i_term", "p_gain", "i_gain
 
 
 def message(name: str, fields: tuple[str, ...]):
-    """Return a class of messages with these fields and no others, which all have a value from the start."""
+    """Return a message class with exactly these fields, which have initial values."""
 
     def begin(self):
         for field in fields:
@@ -51,7 +51,7 @@ class Stamped:
 
 
 def controller(inside, monkeypatch, pid_fields=PID, **overrides):
-    """Return an active controller, and what it publishes by topic."""
+    """Return an active controller, and its published messages by topic."""
     told: dict[str, list] = {"~/controller_state": [], "~/pid_state": []}
     own = module.MotionControllerNode.publisher
 
@@ -79,7 +79,7 @@ def test_a_pid_controller_shows_its_sample_and_what_it_is_made_of(inside, monkey
     gains = {"type": "pid", "pid__Kp": 0.001, "pid__Ki": 0.1, "controller_state_rate": 20.0}
     node, told = controller(inside, monkeypatch, **gains)
     node.controller.x[INTEGRAL] = 3e-7
-    for sample in range(1, 42):  # at 200 Hz every tenth one is shown
+    for sample in range(1, 42):  # at 200 Hz every tenth one is published
         answer(node, sample, 5e-6, 1e-6 + 1e-8 * sample, command=4e-6)
     states, pids = told["~/controller_state"], told["~/pid_state"]
     assert [sent["header"].stamp.sec for sent in pids][-1] == 41 and len(states) == len(pids) == 5

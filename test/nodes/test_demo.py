@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The demonstration as `make demo` runs it: in real time over DDS, and as four processes in lockstep."""
+"""The demonstration as in `make demo`: in real time over DDS, and as four processes in lockstep."""
 
 import json
 import signal
@@ -28,7 +28,7 @@ from hysteresis_ros.recordings import Recording, load_run  # noqa: E402
 
 @pytest.fixture
 def running(processes):
-    """An axis of the user that holds its place, in real time, without a namespace."""
+    """An axis of the user that holds its position, in real time, without a namespace."""
     held = {"reference_generator": {"initial_setpoint": 2.0e-6}}
     axis = axis_parameters(overrides=held, sample_rate=20.0, time_mode="realtime")
     path = write_axis(processes.folder / "axis.yaml", axis)
@@ -38,7 +38,7 @@ def running(processes):
 
 
 def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, running, domain, monkeypatch):
-    # the demonstration is started where an axis of the user runs: neither may notice the other
+    # the demonstration starts while an axis of the user runs; neither may affect the other
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     pytest.importorskip("matplotlib", reason="the report needs the extra 'report'")
     made = tmp_path / "demo"
@@ -48,14 +48,14 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     code, _ = running.leave(signal.SIGINT)
     assert code == 0 and "publishers" not in running.output and "runaway" not in running.output
     held = load_run(running.log.parent / "held")
-    # before the first measurement a generator does not know where the axis is, and asks for nothing
+    # before the first measurement a generator does not know the position of the axis, and publishes no reference
     asked = held["setpoint"][np.isfinite(held["setpoint"])]
     assert asked.size > 20 and set(asked) == {2.0e-6}
 
     runs = {name: load_run(made / name, further=True) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
     counts = ", ".join(f"{name} {run.time.size}" for name, run in runs.items())
     assert f"all samples equal the offline twin bit for bit, none missing: {counts}" in answer.stdout
-    # the message first, and of what goes on no more than can be read
+    # first the message, then no more progress lines than a user can read
     said = answer.stdout.splitlines()
     assert said[0].startswith("The hysteresis loop is 12 % of the stroke wide without the inverse")
     assert "0.25 % with it" in said[0] and said[1].startswith("This machine skipped")
@@ -83,7 +83,7 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     assert metrics["steps"] == len(SETPOINTS) and metrics["stroke_m"] == 9.0e-6
     page = (made / "report.html").read_text(encoding="utf-8")
     assert [one["part"] for one in metrics["parts"]][-2:] == ["steps", "shutdown"]
-    assert metrics["duration_s"] == pytest.approx(steps.time[-1] - steps.time[0]), "the whole run is the whole run"
+    assert metrics["duration_s"] == pytest.approx(steps.time[-1] - steps.time[0]), "all samples are evaluated"
     assert page.count("<img") >= 4 and page.index("without the inverse") < page.index("over time")
     assert (made / "inverse.png").read_bytes().startswith(b"\x89PNG")
 
@@ -92,11 +92,11 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
 
 
 def _judge_steps(run):
-    """Every setpoint came, and was reached where it was held and no sample was skipped: that shakes the stack."""
+    """Every setpoint arrived, and was reached where it was held and no sample was skipped, which excites the stack."""
     assert set(np.unique(run["setpoint"])) == {value for _, value in SETPOINTS}
     starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
     assert len(starts) == len(SETPOINTS)
-    # on a busy machine two of them may come one right after the other
+    # on a busy machine two of them may directly follow each other
     for start, end, (_, value) in zip(starts, [*starts[1:], run.time.size], SETPOINTS, strict=True):
         if end - start >= 500 and not run["skipped"][start : start + 500].any():
             assert np.median(run["displacement"][start + 200 : start + 500]) == pytest.approx(value, abs=0.05e-6)
@@ -120,7 +120,7 @@ def test_the_picture_is_the_clean_one_and_marks_what_was_skipped():
     here = Recording(time, {"reference": reference, "displacement": reference - 1e-6 * skipped, "skipped": skipped})
     loop, error = inverse_figure(clean, clean, clean, here).axes
     (marks,) = [line for line in loop.lines if line.get_marker() == "x"]
-    # the first branch is not drawn
+    # the first branch is not plotted
     np.testing.assert_allclose(marks.get_ydata(), 1e6 * here["displacement"][[900, 1500]])
     np.testing.assert_allclose(error.lines[1].get_ydata(), 0.01, rtol=1e-6)
     assert not [line for line in inverse_figure(clean, clean, clean, clean).axes[0].lines if line.get_marker() == "x"]
@@ -133,5 +133,5 @@ def test_only_the_part_that_setpoints_move_is_judged():
     moved = moved_part(run, before=0.1, after=0.2)
     assert moved.time[0] == 0.0 and moved.time.size == 60
     assert np.array_equal(moved["setpoint"], setpoint[20:80])
-    # nothing of what came after somebody stopped the axis
+    # no samples from after the axis was stopped
     assert moved_part(run, before=9.0, after=9.0).time.size == 95

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What nodes say of themselves on /diagnostics in every state of their lives, and how an aggregator groups it."""
+"""Diagnostics of nodes in every state of their lifecycle, and their groups in an aggregator."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def said(node) -> tuple[bytes, str]:
 
 @pytest.fixture
 def axis(inside):
-    """The four nodes of an axis in real time, active, of which none has heard anything: nobody spins them."""
+    """The four nodes of an axis in real time, active, without received messages, because nobody spins them."""
     parameters = axis_parameters(sample_rate=200.0, time_mode="realtime", overrides={"plant_simulator": {}})
     plant, *others = compose(inside, parameters, autostart=False)
     for node in others:
@@ -68,8 +68,8 @@ def test_every_state_of_the_life_of_a_node_is_told(inside):
 
 def test_what_has_not_come_yet_is_an_error_only_after_the_others_had_time(axis):
     for node in axis[1:]:
-        node.active_since = time.monotonic()  # the nodes may have been compiled for longer
-        assert said(node)[0] == WARN, "the others are only coming"
+        node.active_since = time.monotonic()  # compilation may have taken longer than the start-up time
+        assert said(node)[0] == WARN, "the other nodes are starting"
         node.active_since = time.monotonic() - START_UP
         assert said(node)[0] == ERROR
     assert said(axis[1])[1] == "no command has arrived yet"
@@ -94,11 +94,11 @@ def test_levels_of_the_modes_of_controller_and_compensator(axis):
     assert said(controller) == (ERROR, "the plant has stopped the axis"), "a stop hides no error"
     source._take(math.nan)
     assert said(source)[0] == WARN and "refused" in diagnostics(source).status[0].message + "refused"
-    assert said(source)[0] == OK, "said once"
+    assert said(source)[0] == OK, "reported once"
 
 
 class Part:
-    """Of a plant what is judged."""
+    """The evaluated part of a plant."""
 
     tripped = silent = saturated = finding_home = halted = overtravelled = False
     failure = complaint = lost = ""
@@ -130,14 +130,14 @@ def test_levels_of_a_plant():
     assert judged(saturated=True) == (warn, "voltage saturated")
     assert judged(complaint="outside of the calibration")[0] == warn
     cut = "output limited for 2 s of the last 9 s, by safe_slew_rate"
-    assert judged(limited=cut, late=3, saturated=True) == (warn, cut), "said first"
+    assert judged(limited=cut, late=3, saturated=True) == (warn, cut), "reported first"
     assert judged(limited=cut, complaint="outside of the calibration") == (warn, f"{cut}; outside of the calibration")
     assert judged(limited=cut, silent=True) == (error, "voltage is stale")
     assert judged(silent=True) == (error, "voltage is stale")
     for state in ({"halted": True}, {"overtravelled": True}, {"failure": "device: gone"}, {"lost": "/it"}, {}):
         level, words = judged(tripped=True, **state)
         assert level == error and words.startswith("axis stopped: ")
-    assert judged(tripped=True, finding_home=True)[0] == warn, "a sensor that is homed goes on by itself"
+    assert judged(tripped=True, finding_home=True)[0] == warn, "an axis continues by itself after homing"
 
 
 def test_an_overtravel_names_late_samples_first_where_there_were_some():
@@ -152,7 +152,7 @@ def test_an_overtravel_names_late_samples_first_where_there_were_some():
 
 
 def matches(section: dict, name: str) -> bool:
-    """Tell whether a GenericAnalyzer takes a status, as diagnostic_aggregator decides it."""
+    """Return whether a GenericAnalyzer accepts a status, by the rule of diagnostic_aggregator."""
     return name in section.get("expected", ()) or any(name.startswith(one) for one in section.get("startswith", ()))
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The camera in the graph: frames over DDS close the loop as they do offline; images that show nothing are named."""
+"""The camera in the graph: frames over DDS close the loop as offline; images without the target are reported."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SMALL = {"width": 128, "height": 48, "zero": 40.0}
 
 
 def seen_axis(**common) -> AxisParameters:
-    """The paper's axis with frames of a size that takes no time."""
+    """The paper's axis with small frames that take little time."""
     given = load_configuration("auwal2017_camera").override("", **common)
     given = given.override("plant_simulator", **{f"camera__{name}": value for name, value in SMALL.items()})
     seen = {"tracking__region": (), "calibration__offset": -20.0e-6}
@@ -111,7 +111,7 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
 def test_the_graph_of_such_an_axis_has_the_camera_beside_the_others(monkeypatch, tmp_path):
     started = []
     monkeypatch.setattr(Graph, "_spawn", lambda self, name, *rest: started.append(name))
-    monkeypatch.setattr(launcher, "started", lambda *words, **options: None)  # no session on the graph either
+    monkeypatch.setattr(launcher, "started", lambda *words, **options: None)  # without a session on the graph
     for composed, external in ((False, False), (True, False), (False, True)):
         Graph([seen_axis(external_plant=external)], composed=composed).start()
     three = ["reference_generator", "motion_controller", "hysteresis_compensator"]

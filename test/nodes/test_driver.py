@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A driver in the plant's place, over real DDS: it moves like the simulated plant, and fails without harm."""
+"""A driver as plant, over real DDS: it behaves like the simulated plant, and its failure is safe."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ TARGET = 6.0e-6
 
 def driven(**plant):
     """An axis in real time behind a driver."""
-    # a busy machine may be late: that is not what is tried here
+    # a busy machine may be late, which is not tested here
     plant = {"driver": "simulated", "late_limit": -1, **plant}
     return axis_parameters(overrides={"plant_simulator": plant}, sample_rate=RATE)
 
 
 class Stage(SimulatedDriver):
-    """The simulated actuator, which notes what is done with it and fails when the test says so."""
+    """The simulated actuator, which stores its calls and fails on request."""
 
     failing = ""
     heard: list = []
@@ -70,7 +70,7 @@ def stage(monkeypatch):
 
 
 def moved(observer, target: float = TARGET):
-    """Send a setpoint until the axis is there; return what it says from now on."""
+    """Send a setpoint until the axis reaches it; return the following messages."""
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64
 
@@ -113,12 +113,12 @@ def test_a_driver_that_fails_stops_the_axis_which_says_why_and_goes_on_when_star
     stage.failing = call
     until(lambda: plant.part.tripped, what="the axis to stop")
     until(lambda: joints[-1].header.frame_id == "tripped")
-    assert joints[-1].position[0] != joints[-1].position[0], "a position that nobody measured"
+    assert joints[-1].position[0] != joints[-1].position[0], "a position without a measurement is published"
     until(lambda: (diagnostics(reports, "/plant_simulator") or [0])[0] == 2)
     said = diagnostics(reports, "/plant_simulator")[1]
     assert said.startswith("axis stopped: driver simulated: cannot be ") and "OSError: unplugged" in said
     assert "~/start" in said and stage.heard[-1] == "safe"
-    for _ in range(2):  # nothing starts while the device fails, and the answer says so each time
+    for _ in range(2):  # no node starts while the device fails, and each answer says so
         answer = observer.trigger("/plant_simulator/start")
         assert not answer.success and "OSError: unplugged" in answer.message and plant.part.tripped
     answer = observer.trigger("/motion_controller/start")
@@ -126,7 +126,7 @@ def test_a_driver_that_fails_stops_the_axis_which_says_why_and_goes_on_when_star
     stage.failing = ""
     since = len(joints)
     until(lambda: len(joints) > since + 20)
-    assert stage.heard[-1] == "safe" and plant.part.tripped, "it went on by itself"
+    assert stage.heard[-1] == "safe" and plant.part.tripped, "the axis continued without ~/start"
     assert observer.trigger("/plant_simulator/start").success
     until(lambda: abs(joints[-1].position[0] - TARGET) < 1e-8, what="the axis back at its setpoint")
     until(lambda: diagnostics(reports, "/plant_simulator")[0] < 2)
@@ -134,7 +134,7 @@ def test_a_driver_that_fails_stops_the_axis_which_says_why_and_goes_on_when_star
 
 
 def test_while_the_time_is_held_the_device_hears_of_the_node(inside, observer, stage):
-    """Its watchdog would take the pause for a failure."""
+    """The watchdog of the device would count the pause as a failure."""
     plant, *_ = compose(inside, driven())
     inside.spin()
     moved(observer)
@@ -142,7 +142,7 @@ def test_while_the_time_is_held_the_device_hears_of_the_node(inside, observer, s
     until(lambda: plant.holds_time)
     since = len(stage.heard)
     until(lambda: len(stage.heard) > since + 20, what="the device to hear of the node")
-    held = plant.part.held()  # a sample may have been under way when it stopped
+    held = plant.part.held()  # a sample may have been in progress at the stop
     assert set(stage.heard[since + 2 :]) == {held} and not plant.part.tripped
 
 
@@ -164,7 +164,7 @@ def test_deactivated_the_device_goes_to_safe_and_cleaned_up_it_is_let_go(inside,
     assert not plant.part.tripped
 
 
-#: A package of somebody else with a driver for a device that is not there.
+#: A third-party package with a driver for a device that does not exist.
 ABSENT = """
 import contextlib
 from dataclasses import replace

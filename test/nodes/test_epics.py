@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A motor record on Channel Access, asked by caproto's own client, and the link from a record to running nodes."""
+"""A motor record on Channel Access, accessed by caproto's client, and the link from a record to running nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from hysteresis_ros.laboratory.epics.record import (
 
 
 class Stage:
-    """An axis that is where it was told to be after a while; ``still`` holds it on its way."""
+    """An axis that reaches its setpoint after a while; ``still`` holds it on the way."""
 
     def __init__(self):
         self.setpoint = self.position = 0.0
@@ -60,7 +60,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def served(monkeypatch):
-    """A record on a port of its own, and its axis."""
+    """A record on a separate port, and its axis."""
     pytest.importorskip("caproto", reason="caproto is not installed: no EPICS")
     port = str(free_port())
     values = {
@@ -140,7 +140,7 @@ def test_what_a_record_only_says_cannot_be_written_and_that_is_no_traceback(serv
         write(field, 3)
     assert number(field) == before
     write(".VAL", 4.0)
-    assert served.asked == [pytest.approx(4e-6)], "the record does not go on"
+    assert served.asked == [pytest.approx(4e-6)], "the record must not continue the move"
     said = caplog.text + "".join(capfd.readouterr())
     assert "Traceback" not in said and "refused: Forbidden: Client with" in said, said
 
@@ -170,7 +170,7 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer, monkeyp
     from hysteresis_ros.laboratory.epics import link
     from hysteresis_ros.laboratory.epics import record as recording
 
-    # a busy machine is no axis that is dead or deaf
+    # a busy machine must not count as a dead axis
     monkeypatch.setattr(link, "SILENCE", 30.0)
     monkeypatch.setattr(recording, "TAKEN", 30.0)
     slow = {
@@ -205,7 +205,7 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer, monkeyp
         wait(lambda: record.fields["RBV"] > 3.0, "the axis on its way")
         record.put("STOP", 1, time.monotonic())
         wait(lambda: record.fields["DMOV"] == 1, "the stop")
-        assert 2.0 < record.fields["VAL"] < 10.0 and record.alarm == Alarm()  # the measurement is ahead by its error
+        assert 2.0 < record.fields["VAL"] < 10.0 and record.alarm == Alarm()  # the measurement differs by its error
         assert source.part.generator.setpoint == source.setpoint == pytest.approx(1e-6 * record.fields["VAL"])
         emergency = node.create_publisher(Bool, "/estop", 10)
         wait(lambda: emergency.get_subscription_count(), "who hears emergencies")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A node of somebody else in the plant's place: the rest of the axis is started around it, driven and recorded."""
+"""A third-party node as plant: the other nodes of the axis are started, drive it and record it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_what_it_says_that_it_put_out_is_the_voltage_of_the_recording(processes,
     until(lambda: setpoint.get_subscription_count() == 2, what="generator and recorder")
     since = len(joints)
     until(lambda: len(joints) > since + 200, what="a run that has begun")
-    setpoint.publish(Float64(data=5.0e-6))  # 50 V are asked for
+    setpoint.publish(Float64(data=5.0e-6))  # corresponds to 50 V
     until(lambda: abs(joints[-1].position[0] - 2.75e-6) < 1e-9, what="the stage where 30 V bring it")
     since = len(joints)
     until(lambda: len(joints) > since + 50, what="samples there")
@@ -100,7 +100,7 @@ def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_rep
     setpoint = observer.talk(Float64, "/setpoint")
     until(lambda: voltages and setpoint.get_subscription_count() == 2, what="generator and recorder")
     setpoint.publish(Float64(data=5.0e-6))
-    # open loop without inverse: 50 V, and what the play lacks
+    # open loop without inverse: 50 V minus the effect of the play
     until(lambda: abs(joints[-1].position[0] - 4.75e-6) < 1e-9, what="the stage where 50 V bring it")
     code, _ = up.leave(signal.SIGINT)
     assert code == 0, up.output
@@ -114,7 +114,7 @@ def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_rep
 
 
 def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end(processes, tmp_path):
-    rate = 40.0  # what comes late costs less of the agreement
+    rate = 40.0  # late messages have less effect on the agreement
     axis = tmp_path / "slow.yaml"
     axis.write_text(AXIS.replace("sample_rate: 100.0", f"sample_rate: {rate}"))
     stage(processes, rate)
@@ -124,7 +124,7 @@ def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end(proces
     assert excite.wait(120.0) == 0, excite.output
     recorded = load_run(bag)
     assert recorded.metadata["messages"]["/reference"] == 8.0 * rate
-    # from rest through the whole range, and nearly all of it answered, whatever else the machine has to do
+    # from rest over the full range, and nearly all of it received, on a machine with other work
     reference = recorded["reference"]
     assert len(reference) > 0.8 * 8.0 * rate and np.isfinite(reference).all() and reference[0] == 0.0
     assert reference[: int(2.2 * rate)].max() == pytest.approx(1e-5, rel=1e-2)

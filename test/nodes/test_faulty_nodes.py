@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Faults in lockstep: nodes go through them with the bits of the offline twin."""
+"""Faults in lockstep: nodes give the bits of the offline twin."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def quick_axis(late_limit: int, **more):
 
 
 def record(processes, tmp_path, path, *options: str):
-    """Run, record and verify; return the recording with all that stands in ~/state."""
+    """Run, record and verify; return the recording with all fields of ~/state."""
     from hysteresis_ros.recordings.files import load_run
 
     bag = tmp_path / "bag"
@@ -91,7 +91,7 @@ def test_faults_of_an_inchworm_are_verified_bit_for_bit(processes, tmp_path):
 
 
 def random_faults(seed: int, windows: int, length: int) -> list[str]:
-    """Return one to three faults in each of so many windows, the last third of each without any."""
+    """Return one to three faults in each of several windows; the last third of each window is without faults."""
     rng = np.random.default_rng(seed)
     names = [name for name, fault in FAULTS.items() if not fault.motor]
     values = {"spike": 3e-6, "late": 3, "drop": 0.5, "offset": 2e-7, "late_voltage": 0.6}
@@ -106,7 +106,7 @@ def random_faults(seed: int, windows: int, length: int) -> list[str]:
 
 
 def test_a_hundred_random_sequences_of_faults_give_the_bits_of_the_offline_twin(inside, tmp_path):
-    """One run; the plant trips now and then, and is started again some samples later, measured or not."""
+    """One run; the plant trips sometimes, and is started again some samples later, with or without a measurement."""
     from std_srvs.srv import Trigger
 
     from hysteresis_ros.loop.simulation import differences

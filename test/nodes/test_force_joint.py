@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A force joint in the graph: nodes give the bits of their twin, and without the joint nothing moves."""
+"""A force joint in the graph: nodes give the bits of the offline twin, and without the joint nothing moves."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_force_is_published_recorded_and_fed_back_bit_for_bit(inside, observ
 
 def test_without_the_force_joint_the_run_is_refused_by_its_name(inside):
     axis = lockstep_axis(400)
-    # as if somebody else's node stood there, of which no file says that it has no force
+    # like a third-party node of which no file says that it has no force
     nothing = replace(axis.plant_simulator, force_sensor=ForceSensorParameters())
     _, _, controller, _ = compose(inside, replace(axis, plant_simulator=nothing))
     inside.spin()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis whose samples one compiled thread makes: steered and shown over DDS, recorded whole, repeated bit for bit."""
+"""An axis run by one compiled thread: controlled and shown over DDS, recorded completely, repeated bit for bit."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_everything_that_people_ask_of_it_takes_effect_and_is_repeated_bit_for_b
     assert observer.set_parameters(f"/{PLANT}", preload__force=0.1) == (True, "")
     steered.ask(3e-6)
     steered.at(3e-6)
-    # a part that is stopped, and one whose node is deactivated, goes to safe and comes back
+    # a stopped part, and a part whose node is deactivated, goes to safe and returns
     assert observer.trigger(f"/{CONTROLLER}/stop").success
     until(lambda: abs(steered.commands[-1].data) < 1e-12, what="the safe command")
     assert observer.trigger(f"/{CONTROLLER}/start").success
@@ -91,20 +91,20 @@ def test_an_emergency_stop_is_latched_until_the_plant_is_started(steered, observ
     answer = observer.trigger(f"/{CONTROLLER}/start")
     assert not answer.success and "the plant has stopped the axis" in answer.message
     steered.safe()
-    steered.ask(4e-6)  # moves nothing
+    steered.ask(4e-6)  # has no effect
     seen = len(steered.states)
     until(lambda: len(steered.states) > seen + 20)
     steered.safe()
     assert steered.joints[-1].header.frame_id == "tripped"
     assert "emergency stop" in steered.run.output
-    for node in (PLANT, CONTROLLER, COMPENSATOR):  # at once, before the next sample is shown
+    for node in (PLANT, CONTROLLER, COMPENSATOR):  # at once, before the next sample is published
         answer = observer.trigger(f"/{node}/start")
         assert answer.success and answer.message == "running"
     steered.at(4e-6)
     steered.verified()
     run = load_run(steered.bag, further=True)
     first = int((run["tripped"] != 0.0).argmax())
-    # within one sample: where it trips, the voltage is on its way already, by no more than its slew rate
+    # within one sample: if the axis trips, the voltage already moves, by no more than its slew rate
     voltages = run["plant_voltage"][first - 1 : first + 300]
     assert abs(voltages[1]) < abs(voltages[0]) and max(abs(voltages[1:] - voltages[:-1])) <= 1000.0 / 3000.0 + 1e-2
 
@@ -116,7 +116,7 @@ def test_resets_and_a_plant_that_is_deactivated_are_repeated_too(steered, observ
     steered.at(0.0)  # the configured setpoint
     steered.ask(4e-6)
     steered.at(4e-6)
-    assert not observer.trigger(f"/{CONTROLLER}/reset").success  # alone, amid an axis that is live
+    assert not observer.trigger(f"/{CONTROLLER}/reset").success  # alone on a running axis
     assert observer.trigger(f"/{CONTROLLER}/stop").success
     until(lambda: observer.trigger(f"/{CONTROLLER}/reset").success, what="a controller that rests")
     assert observer.trigger(f"/{CONTROLLER}/start").success
@@ -154,7 +154,7 @@ def test_topics_show_samples_at_their_rate_with_their_stamps(steered):
     samples = [(stamp - stamps[0]) * 3000 / 1e9 for stamp in stamps]
     assert all(abs(sample - round(sample)) < 1e-3 for sample in samples)
     steps = sorted(b - a for a, b in zip(samples, samples[1:], strict=False))
-    assert steps[0] > 0 and abs(steps[len(steps) // 2] - 30) < 15  # 100 of 3000 a second
+    assert steps[0] > 0 and abs(steps[len(steps) // 2] - 30) < 15  # 100 of 3000 per second
 
 
 def test_sigkill_leaves_a_recording_that_is_whole_up_to_its_last_half_second(processes, observer, tmp_path):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A driver in C behind a fused axis, as users start it: moved, recorded, verified, and let go of in its safe state."""
+"""A driver in C for a fused axis, as users start it: moved, recorded, verified, and closed in its safe state."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ AXIS = """
     hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
 """
 
-#: A watchdog that a busy machine does not set off.
+#: A watchdog long enough for a busy machine.
 PATIENT = ("--watchdog", "20", "--rate", "5000")
 
 
@@ -68,7 +68,7 @@ def test_setpoints_move_the_stage_and_the_recording_verifies_bit_for_bit(process
         up = processes.command("up", axis, "--fused", "--record", bag, "--verify")
         until(lambda: joints and setpoint.get_subscription_count(), what="the axis")
         setpoint.publish(Float64(data=5.0e-6))
-        # open loop without inverse: 50 V, and what the play lacks
+        # open loop without inverse: 50 V minus the effect of the play
         until(lambda: abs(joints[-1].position[0] - 4.75e-6) < 2e-8, what="the stage where 50 V bring it")
         code, _ = up.leave(signal.SIGINT)
         assert code == 0 and "equal" in up.output, up.output
@@ -116,5 +116,5 @@ def test_a_driver_that_does_not_return_ends_the_run_by_its_name(processes, tmp_p
     said = r"has not returned from sample (\d+) for 0\.5 s: no voltage is sent; the device's own watchdog"
     found = re.search(said, up.output)
     assert found and "Traceback" not in up.output, up.output
-    # every sample before is in the recording; those that were skipped have not called the driver
+    # the recording contains every earlier sample; the driver was not called for skipped ones
     assert int(found[1]) >= 299 and read_recording(str(bag)).time.size == int(found[1])

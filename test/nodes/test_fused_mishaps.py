@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A fused axis when the disk is full, or people change everything at once."""
+"""A fused axis with a full disk, and with many changes at once."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for
         assert observer.trigger(f"/{node}/start").success
     steered.ask(8e-6)
     until(lambda: steered.now("displacement") > 6e-6, what="an axis far from rest")
-    for node in (CONTROLLER, COMPENSATOR):  # alone they would make it jump
+    for node in (CONTROLLER, COMPENSATOR):  # without the other parts they would cause a jump
         answer = observer.trigger(f"/{node}/reset")
         assert not answer.success and "the axis is running" in answer.message
     assert observer.trigger(f"/{PLANT}/reset").success
@@ -59,7 +59,7 @@ def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for
 
 
 def test_a_full_disk_ends_the_recording_and_never_the_axis_and_leaves_what_was_written(processes, observer, tmp_path):
-    # a limit on the size of files is what a full disk is to whoever writes
+    # for a writing process, a limit on the file size is like a full disk
     full = ("bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash")
     steered = Steered(processes, observer, tmp_path, *full)
     steered.ask(5e-6)
@@ -70,10 +70,10 @@ def test_a_full_disk_ends_the_recording_and_never_the_axis_and_leaves_what_was_w
     code, _ = steered.run.leave(signal.SIGINT)
     output = steered.run.output
     assert code == 1 and "it ends before the run" in output and "Traceback" not in output, output
-    assert abs(steered.now("voltage")) < 0.01  # went to safe before it left
+    assert abs(steered.now("voltage")) < 0.01  # went to safe before the exit
     run = load_run(steered.bag, further=True)
     assert differences(run, axes(load_configuration(tmp_path / "axis.yaml"))[0]) == {}
     assert run.metadata["missing_samples"] == 0
-    # what did not fit was one piece, of which some ten fill this disk
+    # one piece did not fit; about ten pieces fill this disk
     written = max(path.stat().st_size for path in steered.bag.glob("*.mcap"))
     assert written > 0.75 * ROOM * 1024

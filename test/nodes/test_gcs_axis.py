@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis whose stage is a GCS controller, over TCP and DDS: it moves, loses its link, and goes on after the repair."""
+"""An axis with a GCS controller, over TCP and DDS: it moves, loses its link, and continues after the repair."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def axis_at(port: int):
 
 @pytest.fixture
 def running():
-    """A controller that is there longer than the nodes."""
+    """A controller that exists longer than the nodes."""
     with start(EmulatedControllerParameters(port=0), Bench()) as running:
         yield running
 
@@ -56,7 +56,7 @@ def test_an_axis_at_a_controller_moves_is_stopped_by_a_cut_link_and_goes_on_when
     setpoint = observer.talk(Float64, "/setpoint")
     until(lambda: joints and setpoint.get_subscription_count(), what="the axis to run")
     setpoint.publish(Float64(data=TARGET))
-    # open loop without inverse: off by the hysteresis of the stage
+    # open loop without inverse: the error is the hysteresis of the stage
     until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis near its setpoint")
     running.faults.add("cut:0:1")
     until(lambda: plant.part.tripped, what="the axis to stop")
@@ -65,14 +65,14 @@ def test_an_axis_at_a_controller_moves_is_stopped_by_a_cut_link_and_goes_on_when
     said = diagnostics(reports, "/plant_simulator")[1]
     assert f"controller at 127.0.0.1:{running.driver.port}" in said and "~/start" in said
     until(lambda: "cut" not in running.faults, what="the repair")
-    assert plant.part.tripped, "it went on by itself"
+    assert plant.part.tripped, "the axis continued without ~/start"
     assert observer.trigger("/plant_simulator/start").success
     until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis back at its setpoint")
 
 
 @pytest.fixture
 def moving(running, inside, observer):
-    """The plant's node of an axis at its setpoint, and what diagnostics and the emulated amplifier say."""
+    """The plant's node of an axis at its setpoint, with its diagnostics and the emulated amplifier."""
     from diagnostic_msgs.msg import DiagnosticArray
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64
@@ -118,7 +118,7 @@ def test_a_voltage_that_cannot_be_taken_off_is_reported_until_it_is_acknowledged
     until(lambda: "the output is still at" in said(), what="the voltage that is left")
     left = amplifier.open_value
     assert left > 5.0 and f"the output is still at {left:.6g} V" in said()
-    # it stays there: what a person does then is tried, and said anew
+    # the axis stays stopped; actions of a user are tried, and reported again
     answer = observer.trigger(seen)
     assert answer.success == seen.endswith("reset"), "a start tries the device and says that it still fails"
     assert answer.success or "the output is still at" in answer.message

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Experiments through the nodes: the same bits as offline, and errors that name the run."""
+"""Experiments with the nodes: the same bits as offline, and errors that name the run."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_a_domain_with_a_participant_is_left_alone(monkeypatch, number):
 
 def test_no_two_claim_a_domain_and_nobody_that_of_the_caller(monkeypatch):
     script = "from hysteresis_ros.nodes.domain import Domain; made = Domain(); print(made.number, flush=True); input()"
-    gc.collect()  # nodes of tests before
+    gc.collect()  # nodes of earlier tests
     with contextlib.ExitStack() as stack:
         others = []
         for _ in range(2):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An inchworm's nodes: the offline twin's numbers in lockstep, requests replayed, clamps that hold when it matters."""
+"""An inchworm's nodes: the offline twin's numbers in lockstep, replayed requests, and clamps that hold in faults."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from hysteresis_ros.signals import MOTOR_COLUMNS  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
 GRIP, THRESHOLD = 100.0, 60.0
-#: A gait of 140 samples a cycle, so that the tests walk further. It is the limit: in 2 ms the slider is thrown.
+#: A gait of 140 samples per cycle, for longer walks. It is the limit: in 2 ms the slider would slip.
 QUICK = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
 QUICK |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
 CYCLE = 140
-#: At a speed it walks over the phase of its cycle.
+#: Continuous walking over the phase of its cycle.
 WALK = {"walk__continuous": True, "walk__learning_speed": 4.0e-4, "walk__swing": 456.0}
 
 
 def motor(**common):
-    """Return the walking motor of config/inchworm_travel.yaml with a quick gait, on the way to 0.2 mm."""
+    """Return the motor of config/inchworm_travel.yaml with a fast gait, on the way to 0.2 mm."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.loop.parameters import AxisParameters
 
@@ -71,7 +71,7 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
     assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
     recorded = load_run(tmp_path / "bag")
     assert set(MOTOR_COLUMNS) <= set(recorded.signals)
-    # the run was worth comparing
+    # the run contains motion worth comparing
     assert recorded["total_steps"][-1] == pytest.approx(samples / CYCLE, abs=1.5)
     assert recorded["displacement"][-1] == pytest.approx(8.0e-6 * samples / CYCLE, abs=1.2e-5)
     assert np.min(np.maximum(recorded["front_voltage"], recorded["rear_voltage"])) > THRESHOLD
@@ -79,7 +79,7 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
 
 @pytest.fixture
 def recorded_run(inside, observer, tmp_path):
-    """A run in lockstep without end beside a recorder; its sequencer's states, and a function that ends it."""
+    """An endless lockstep run with a recorder; the states of its sequencer, and a function that ends the run."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
@@ -147,7 +147,7 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     until(lambda: now("request") == at.FREEZE_REQUEST or not sequencer.sequencer.x[at.LEARNS], what="freezing")
     saved = observer.trigger("/inchworm_sequencer/save")
     assert saved.success and saved.message.endswith("walk.yaml")
-    setpoint.publish(Float64(data=-4.0e-5))  # the same once more: it counts
+    setpoint.publish(Float64(data=-4.0e-5))  # a repeated value counts as a new request
     until(lambda: now("arrived") and now("speed") == 0.0, what="back at the setpoint")
     assert observer.trigger("/inchworm_sequencer/home").success
     until(lambda: now("setpoint") == 0.0 and now("arrived"), what="home")
@@ -173,7 +173,7 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     ]
     front, rear = run["front_voltage"], run["rear_voltage"]
     assert np.min(np.maximum(front, rear)) > THRESHOLD
-    # stop: both clamps closed within one phase, and where the slider was
+    # stop: both clamps closed within one phase, and the slider at its position
     stop = int(np.flatnonzero(run["request"] == at.STOP_REQUEST)[0])
     start = int(np.flatnonzero(run["request"] == at.START_REQUEST)[0])
     longest = round(4.0e-3 * axis.plant_simulator.sample_rate)
@@ -182,7 +182,7 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     assert abs(held[0] - run["displacement"][stop]) < 8.0e-6 and np.ptp(held) < 1.0e-9
     # released: the rear clamp holds alone
     assert (front[-1], rear[-1]) == (0.0, GRIP)
-    # at home, if only just
+    # at home, just within the tolerance
     home = int(np.flatnonzero(run["request"] == at.RELEASE_REQUEST)[0])
     assert abs(run["displacement"][home]) < 1.0e-7
     # the same through a file, as `hysteresis simulate --setpoints` takes it
@@ -225,7 +225,7 @@ def test_missing_measurement_closes_both_clamps_until_it_is_back(inside, observe
     both = np.minimum(columns["front_voltage"], columns["rear_voltage"])
     assert np.all(both[240:400] == GRIP)
     assert np.min(np.maximum(columns["front_voltage"], columns["rear_voltage"])) > THRESHOLD
-    assert columns["total_steps"][-1] > columns["total_steps"][400]  # it walks on
+    assert columns["total_steps"][-1] > columns["total_steps"][400]  # it continues to walk
     assert nodes["motion_controller"].rejected == 200
 
 
@@ -273,7 +273,7 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     inside.spin()
     until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0, what="two steps")
     assert plant.part.motor.displacement > 8.0e-6  # two steps; late voltages shorten them
-    # the sequencer freezes in the middle of a step: the plant closes what is open, the controller holds
+    # the sequencer freezes during a step: the plant closes open clamps, the controller holds
     until(lambda: sequencer.sequencer.phase == "carrying")
     sequencer.active = False
     until(lambda: plant.silent, what="the plant's watchdog")
@@ -281,16 +281,16 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     assert plant.health()[0] == 2 and "rear_clamp/voltage" in plant.health()[1]
     assert nodes["motion_controller"].unpaired
     where = plant.part.motor.displacement
-    # it comes back and walks on
+    # it returns and continues to walk
     sequencer.active = True
     until(lambda: not plant.silent and plant.part.motor.displacement > where + 8.0e-6, what="walking again")
     assert not nodes["motion_controller"].unpaired
-    # it leaves by the book: both closed, voltages on
+    # regular exit: both clamps closed, voltages on
     until(lambda: sequencer.sequencer.phase == "carrying")
     assert observer.transition("/inchworm_sequencer", "deactivate")
     until(lambda: all(heard[-1].data == GRIP for heard in voltages.values()), what="closing voltages")
     assert sequencer.sequencer.phase == "holding"
-    # and when no measurement comes any more
+    # and when measurements stop
     assert observer.transition("/inchworm_sequencer", "activate")
     until(lambda: sequencer.sequencer.phase == "carrying")
     assert observer.trigger("/plant_simulator/stop").success

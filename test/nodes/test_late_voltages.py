@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Voltages that come late stop the axis, latched; who has left, begins again or is reset is not called late."""
+"""Late voltages stop the axis, latched; nodes that exit, start or are reset do not count as late."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ SETPOINT = 6.0e-6
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 
 
-#: Without hysteresis: a voltage that a busy machine loses would leave plant and inverse on different branches for good.
+#: Without hysteresis, because a voltage lost by a busy machine would leave plant and inverse on different branches.
 LINEAR = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": 1.0e-7}
 
 
 def slow_axis(**plant):
-    """Return an axis with 10 ms of the wall clock a sample: what is late is so on purpose."""
+    """Return an axis with 10 ms of wall time per sample, so that only intended delays are late."""
     plant = {"real_time_factor": 0.5, "safe_slew_rate": 2000.0} | LINEAR | SOON_AT_REST["plant_simulator"] | plant
     overrides = {"plant_simulator": plant, "reference_generator": {"initial_setpoint": SETPOINT}}
     overrides["motion_controller"] = SOON_AT_REST["motion_controller"] | {"safe_slew_rate": 2.0e-4}
@@ -43,7 +43,7 @@ def slow_axis(**plant):
 
 @pytest.fixture
 def late_axis(inside):
-    """Function that composes an axis whose compensator sends its answers ``delay`` samples later."""
+    """Function that composes an axis whose compensator answers ``delay`` samples later."""
 
     def made(**plant):
         nodes = compose(inside, slow_axis(**plant))
@@ -114,7 +114,7 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
         assert words in text, text
     assert "in lockstep" in text and "~/start" in text and "late_limit" in text
     assert "[ERROR]" in (errors := capfd.readouterr().err) and "axis stopped" in errors
-    # latched, though everything comes in time again
+    # latched, although all messages are in time again
     compensator.delay = 0
     more(plant, 30)
     assert plant.part.tripped
@@ -125,7 +125,7 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
     assert not plant.part.tripped and joints[-1].header.frame_id == ""
     assert [int(controller._mode), int(compensator._mode), int(source.row[SOURCE_MODE])] == [RUNNING] * 3
     moved = [state.position[2] for state in states[since - 1 :]]
-    # it goes back to what comes by 2000 V/s, 200 samples a second; what a busy machine makes late comes at once
+    # it returns at 2000 V/s, 200 samples per second; voltages that a busy machine delays come at once
     most = 10.01 * (1 + plant.late - before)
     assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= most
 
@@ -157,7 +157,7 @@ def test_without_a_limit_late_voltages_are_only_counted(late_axis):
 
 
 def test_lateness_from_the_very_beginning_is_noticed(inside):
-    """The first voltage that comes is late already: without knowing what it answers it would pass for punctual."""
+    """The first voltage is already late; without the sample that it answers it would count as punctual."""
     axis = slow_axis()
     plant, compensator, *_ = compose(inside, axis)
     usual, waiting, period = compensator.publish_outputs, deque(), plant.runner.period
@@ -177,10 +177,10 @@ def test_lateness_from_the_very_beginning_is_noticed(inside):
 
 @pytest.mark.parametrize("pause", [0.03, 0.07])
 def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
-    """A collection of garbage in a large process takes this long: messages wait in queues, and no partner is lost."""
+    """A garbage collection in a large process takes this long: messages wait in queues, and no partner is lost."""
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=-1)
     settled(plant)
-    more(plant, 300)  # beyond the time in which partners that have just begun are excused
+    more(plant, 300)  # longer than the time in which new partners are tolerated
     for _ in range(6):
         ctypes.PyDLL(None).usleep(int(1e6 * pause))  # it holds the lock of the interpreter
         more(plant, 20)
@@ -189,10 +189,10 @@ def test_a_short_halt_of_the_process_is_no_lost_partner(late_axis, pause):
 
 
 def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observer):
-    # a busy machine may be late now and then; what is asked is that leaving adds nothing to it
+    # a busy machine may be late sometimes; the exit must not add late voltages
     plant, *_ = late_axis(voltage_timeout=0.05, late_limit=100)
     settled(plant)
-    more(plant, 300)  # beyond the time in which partners that have just begun are excused
+    more(plant, 300)  # longer than the time in which new partners are tolerated
     for name in NODES[1:]:
         assert observer.transition(f"/{name}", "deactivate")
         more(plant, 30)
@@ -204,7 +204,7 @@ def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observe
         more(plant, 30)
         assert not plant.part.tripped, name
         answers = [observer.trigger(f"/{name}/reset") for _ in range(3)]
-        # alone amid a live axis they would make it jump; on a busy machine it may seem still for once
+        # alone on a running axis they would cause a jump; on a busy machine the axis may seem to be at rest once
         refused = [answer.message for answer in answers if not answer.success]
         assert bool(refused) == (name != "reference_generator")
         assert all("the axis is running" in message for message in refused)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How nodes end: signals, wrong parameters, a dead neighbour, a killed recorder."""
+"""How nodes end: signals, wrong parameters, a dead partner, a killed recorder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import LEAVE, Processes, axis_parameters, until, write_axis  # noqa: E402
 
-#: Says which threads are left when a node has left.
+#: Reports the remaining threads after the exit of a node.
 THREADS_LEFT = """
 import pathlib
 from hysteresis_ros.nodes.axis import main
@@ -38,7 +38,7 @@ NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "refe
 HELD = {
     "reference_generator": {"initial_setpoint": 8.0e-6},
     "hysteresis_compensator": {"limits__slew_rate": 5.0e3, "safe_voltage": 1.5},
-    "plant_simulator": {"late_limit": -1},  # leaving is asked for here, also of a machine too busy for the rate
+    "plant_simulator": {"late_limit": -1},  # the exit is tested, even on a machine too busy for the rate
 }
 WITHOUT_EVENTS_EXECUTOR = """
 import sys
@@ -48,7 +48,7 @@ from hysteresis_ros.nodes.axis import main
 from hysteresis_ros.nodes.spin import make_executor
 raise SystemExit(main())
 """
-#: A node whose blocks take for ever.
+#: A node whose blocks run forever.
 SLOW_START = """
 from hysteresis_ros.nodes import reference_generator
 def build(self, parameters):
@@ -58,7 +58,7 @@ def build(self, parameters):
 reference_generator.ReferenceGeneratorNode.build = build
 raise SystemExit(reference_generator.main())
 """
-#: The same, called back by the compiler at the time of the signal: exceptions are lost there.
+#: The same, in a callback of the compiler at the time of the signal, where exceptions are lost.
 CALLED_BACK = """
 import time
 compiler = {"__name__": "llvmlite.binding.executionengine", "time": time}
@@ -94,7 +94,7 @@ def is_safe(voltage: float) -> bool:
 def test_signal_ends_nodes_at_once_with_the_voltage_safe(processes, observer, tmp_path, mode, how, number):
     from std_msgs.msg import Float64
 
-    # the default executor takes 0.4 ms for a callback, ten times as long: 200 Hz would keep it busy all the time
+    # the default executor takes 0.4 ms per callback, ten times as long: 200 Hz would keep it busy all the time
     rate = 50.0 if how == "without EventsExecutor" else 200.0
     path = write_axis(tmp_path / "axis.yaml", held_axis(mode, rate))
     voltages = observer.listen(Float64, "/voltage")
@@ -115,7 +115,7 @@ def test_signal_ends_nodes_at_once_with_the_voltage_safe(processes, observer, tm
     assert not any("Traceback" in node.output or "ERROR" in node.output for node in nodes)
     until(lambda: is_safe(voltages[-1].data), what="the safe voltage")
     if mode == "realtime" and how == "composed":
-        # it returned at safe_slew_rate, 1000 V/s at 200 samples a second
+        # it returned at safe_slew_rate, 1000 V/s at 200 samples per second
         assert len({v.data for v in voltages if 5.0 < v.data < 60.0}) >= 10
     assert "real-time factor" in "".join(node.output for node in nodes)
 
@@ -131,11 +131,11 @@ def test_memory_does_not_grow_over_many_samples(processes, observer, tmp_path):
 
     node = processes.node("hysteresis_axis", write_axis(tmp_path / "axis.yaml", held_axis("lockstep")))
     memory = psutil.Process(node.popen.pid).memory_info
-    # before that, queues fill and kernels come from the cache
+    # earlier, queues fill and kernels are loaded from the cache
     until(lambda: samples() > 10_000, what="the first samples")
     before = memory().rss
     until(lambda: samples() > 30_000, what="many samples")
-    assert memory().rss - before < 1_500_000  # 75 bytes a sample
+    assert memory().rss - before < 1_500_000  # 75 bytes per sample
     assert node.leave(signal.SIGTERM)[0] == 0
 
 
@@ -167,7 +167,7 @@ def test_up_stopped_by_a_signal_leaves_a_whole_recording(processes, observer, tm
 
 @pytest.mark.parametrize("program", [SLOW_START, CALLED_BACK], ids=["compiling", "called back"])
 def test_signal_while_the_kernels_are_compiled_ends_a_node(processes, tmp_path, program):
-    """A node that has said nothing yet, with a cache that holds nothing yet."""
+    """A node before its first message, with an empty cache."""
     command = [sys.executable, "-c", program, "--ros-args"]
     node = processes.start(command, "slow")
     until(lambda: "building" in node.output)
@@ -179,7 +179,7 @@ def test_signal_while_the_kernels_are_compiled_ends_a_node(processes, tmp_path, 
 
 @pytest.fixture(scope="module")
 def refusals(tmp_path_factory, domain_of_module):
-    """Start everything that has to be refused at once; return name → (exit code, output)."""
+    """Start all processes that must be refused at once; return name → (exit code, output)."""
     folder = tmp_path_factory.mktemp("refused")
     started = Processes(folder, domain_of_module)
     common = "/**:\n  ros__parameters:\n    sample_rate: 100.0\n"
@@ -196,7 +196,7 @@ def refusals(tmp_path_factory, domain_of_module):
         path = folder / f"{name.replace(' ', '_')}.yaml"
         path.write_text(text, encoding="utf-8")
         kind = "plant_simulator" if name == "missing" else "reference_generator"
-        # all at once, and a node of one name runs once
+        # all at once, and each node name is used once
         running[name] = started.node(kind, path, namespace=f"/{path.stem}")
     running["composed"] = started.node("hysteresis_axis", folder / "unknown.yaml")
     running["no file"] = started.node("reference_generator", folder / "nothing.yaml")
@@ -264,7 +264,7 @@ def test_node_that_is_killed_brings_the_others_down(processes, observer, tmp_pat
 
 @pytest.fixture(scope="module")
 def killed_recorder(tmp_path_factory, domain_of_module):
-    """An endless lockstep run whose recorder is killed hard."""
+    """An endless lockstep run whose recorder is killed (SIGKILL)."""
     folder = tmp_path_factory.mktemp("killed")
     processes = Processes(folder, domain_of_module)
     try:
@@ -291,8 +291,8 @@ def test_sigkill_of_the_recorder_leaves_a_readable_bag(killed_recorder):
     recorded = load_run(bag)
     assert differences(recorded, axis) == {}
     assert recorded.metadata["missing_samples"] == 0
-    # The plant is at most `lead` ahead of what was received; an open chunk holds at most so many samples of nine
-    # messages, each of at least 12 bytes and 31 of its header.
+    # The plant is at most `lead` samples ahead of the received ones; an open chunk contains at most these samples of
+    # nine messages, each with at least 12 bytes and 31 of its header.
     reached = int(re.search(r"(\d+) samples in", output).group(1))
     assert recorded.time.size >= max(reached - axis.plant_simulator.lead - CHUNK_BYTES / (9 * 43), 200)
     assert np.all(np.diff(recorded.time) > 0)
@@ -307,7 +307,7 @@ def test_lockstep_run_ends_when_its_recorder_is_gone(killed_recorder):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="names of threads come from /proc")
 def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
-    """One that the C library takes down at exit, beside its own threads, aborts the process now and then."""
+    """A participant that the C library destroys at exit, while its threads run, sometimes aborts the process."""
     axis = axis_parameters(time_mode="lockstep", exit_at_end=True)
     axis = replace(axis, plant_simulator=replace(axis.plant_simulator, samples=50))
     path = write_axis(tmp_path / "axis.yaml", axis)
@@ -318,7 +318,7 @@ def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
 
 
 def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting(monkeypatch):
-    """Its last messages are those of an axis that goes to its safe voltage; others leave sooner."""
+    """Its last messages show an axis that moves to its safe voltage; other nodes exit sooner."""
     from types import SimpleNamespace
 
     from hysteresis_ros.nodes import spin
@@ -339,9 +339,9 @@ def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting(monkeypa
     monkeypatch.setattr(spin, "time", SimpleNamespace(monotonic=lambda: clock[0]))
 
     def take(timeout_sec):
-        clock[0] += timeout_sec  # as an executor waits that hears nothing
+        clock[0] += timeout_sec  # like an executor that receives nothing
         heard.append(None)
-        assert len(heard) < 1000, "nobody leaves"
+        assert len(heard) < 1000, "the recorder does not exit"
 
     spin._leave(SimpleNamespace(spin_once=take), [node("recorder", 30.0, 60), node("plant", 0.2, 10**9)], False)
     assert left == {"plant": 60, "recorder": 60}
@@ -358,5 +358,5 @@ def test_a_run_is_over_when_one_node_has_failed_or_all_have_finished():
     assert not _over([node(), node(finished=True)])
     assert _over([node(finished=True), node(finished=True)])
     assert _over([node(), node("broken")])
-    # one that could not be configured waits for better parameters
+    # a node that could not be configured waits for better parameters
     assert not _over([node("not configured", parameters=None), node()])
