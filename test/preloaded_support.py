@@ -7,16 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Processes of this package without their imports: forked from one that has imported everything already.
+"""Processes of this package without the time for imports: forked from a process that has imported everything.
 
 A node or a command spends most of its processor time on importing Numba, SciPy, rclpy and this package, and a run of
 the tests starts hundreds of them. After :func:`install`, a ``subprocess.Popen`` of ``python -m hysteresis_ros.…`` is a
-fork of a process that has imported them, made a child of this process. All else is as it was: the process has its own
-identifier, arguments, environment, folder, pipes, session, signals and exit code, and the module runs as ``__main__``.
+fork of a process that has imported them, and becomes a child of this process. Everything else is unchanged: identifier,
+arguments, environment, folder, pipes, session, signals and exit code; the module runs as ``__main__``.
 
-A start that could differ by its imports is a true one: another interpreter, variables of the environment other than
-``HARMLESS``, another copy of the package in the path, modules of the user's beside it. ``HYSTERESIS_COLD=1`` makes all
-starts true ones; so does the marker ``cold`` those of a test.
+A start that could differ by its imports is not replaced: another interpreter, environment variables other than
+``HARMLESS``, another copy of the package in the path, the user's modules in the folder. With ``HYSTERESIS_COLD=1`` no
+start is replaced; the marker ``cold`` has this effect for a single test.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ import threading
 import warnings
 
 PACKAGE = "hysteresis_ros"
-#: Variables that are read when a process runs, not when it imports.
+#: Variables that are read when a process runs, not when it imports modules.
 HARMLESS = frozenset(
     {"ROS_DOMAIN_ID", "HYSTERESIS_DOMAIN", "ROS_AUTOMATIC_DISCOVERY_RANGE", "PYTEST_CURRENT_TEST"}
     | {"PYTHONUNBUFFERED", "PYTHONSAFEPATH", "PYTHONPATH"}
 )
-#: Environment variable that makes every start a true one.
+#: Environment variable with which no start is replaced.
 COLD = "HYSTERESIS_COLD"
 
 _PR_SET_CHILD_SUBREAPER = 36
@@ -55,7 +55,7 @@ _lock = threading.Lock()
 
 
 class _Starter:
-    """The process that has imported everything, and what it was started with."""
+    """The process that has imported everything, and the conditions of its start."""
 
     def __init__(self):
         self.environment = _usual_environment()
@@ -72,7 +72,7 @@ class _Starter:
         """Return the identifier of a new child of this process."""
         message = json.dumps(request).encode()
         libc = ctypes.CDLL(None)
-        # the one between has ended when the answer comes: its child is this process' own from then on
+        # the intermediate process has exited when the answer comes, so its child becomes a child of this process
         libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
         try:
             socket.send_fds(self._socket, [len(message).to_bytes(8, "little")], files)
@@ -85,7 +85,7 @@ class _Starter:
         return int.from_bytes(answer, "little")
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self._socket.close()
         self._process.wait()
 
@@ -96,7 +96,7 @@ _usual: dict[str, str] = {}
 
 
 def remember_environment() -> None:
-    """Take the present environment as that of the test that begins: what it changes itself counts as a change."""
+    """Store the current environment as that of the test that begins; later changes count as changes by the test."""
     _usual.clear()
     _usual.update(os.environ)
 
@@ -111,7 +111,7 @@ def _home() -> pathlib.Path:
 
 
 def _path_of(environment: dict, cwd) -> list[str] | None:
-    """Return what an interpreter's path begins with, or None where its modules could be others than ours."""
+    """Return the beginning of an interpreter's path, or None if its modules could differ from ours."""
     folder = os.path.abspath(cwd or os.getcwd())
     own = [] if environment.get("PYTHONSAFEPATH") else [folder]
     path = own + [entry for entry in environment.get("PYTHONPATH", "").split(os.pathsep) if entry]
@@ -125,7 +125,7 @@ def _path_of(environment: dict, cwd) -> list[str] | None:
 
 
 def _fits(args, environment: dict) -> bool:
-    """Tell whether a command line and an environment are those of a process that may be forked."""
+    """Return whether a process with this command line and environment may be forked."""
     if _cold or os.environ.get(COLD) or sys.platform != "linux" or not isinstance(args, list | tuple):
         return False
     words = [os.fspath(word) for word in args]
@@ -135,12 +135,12 @@ def _fits(args, environment: dict) -> bool:
 
 
 def _changed(environment: dict, known: dict) -> set[str]:
-    """Return the variables that differ and that may matter to what is imported."""
+    """Return the changed variables that may affect imports."""
     return {name for name in (environment.keys() | known.keys()) - HARMLESS if environment.get(name) != known.get(name)}
 
 
 def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
-    """Fork where it makes no difference; in place of :meth:`subprocess.Popen._execute_child`."""
+    """Fork if it makes no difference; replaces :meth:`subprocess.Popen._execute_child`."""
     global _starter
     startupinfo, creationflags, shell, *pipes = rest[:9]
     restore_signals, gid, gids, uid, umask, start_new_session, process_group = rest[9:]
@@ -176,7 +176,7 @@ def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *r
             and _starter.pid == os.getpid()
             and _changed(_starter.environment, _usual_environment())
         ):
-            _starter.close()  # an earlier test, or a library that it imported, has left a variable
+            _starter.close()  # an earlier test, or a library that it imported, has set a variable
             _starter = None
         if _starter is None or _starter.pid != os.getpid():
             _starter = _Starter()
@@ -203,18 +203,18 @@ def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *r
 
 
 def install() -> None:
-    """From now on, start processes of the package by forking where it makes no difference."""
+    """From now on, start processes of the package by forking if it makes no difference."""
     subprocess.Popen._execute_child = _start
 
 
 def start_cold(cold: bool) -> None:
-    """Start all processes truly, or no longer."""
+    """Start all processes without forking, or no longer."""
     global _cold
     _cold = cold
 
 
 def close() -> None:
-    """Start processes as Python does it, and end the one that forks them."""
+    """Start processes as Python does, and end the process from which others are forked."""
     global _starter
     subprocess.Popen._execute_child = _true_start
     if _starter is not None and _starter.pid == os.getpid():
@@ -223,9 +223,9 @@ def close() -> None:
 
 
 def _import_all_but_ros() -> None:
-    """Import all modules of the package, but what needs rclpy or something that is not installed.
+    """Import all modules of the package, except those that need rclpy or a package that is not installed.
 
-    rclpy starts threads when it is imported, which a fork does not have: whoever needs it imports it.
+    rclpy starts threads on import, which a fork does not have: each process that needs it imports it.
     """
     sys.modules["rclpy"] = None
     package = importlib.import_module(PACKAGE)
@@ -246,7 +246,7 @@ def _import_all_but_ros() -> None:
 
 
 def _load_kernels() -> None:
-    """Load the machine code that the cache holds; what it does not hold is compiled by whoever calls it first."""
+    """Load the machine code in the cache; kernels that are not in the cache are compiled at their first call."""
     from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
@@ -255,7 +255,7 @@ def _load_kernels() -> None:
 
     modules = [module for name, module in sys.modules.items() if name.startswith(f"{PACKAGE}.")]
     for kernel in {value for module in modules for value in vars(module).values() if _is_kernel(value, numba)}:
-        # Numba has no way to ask for it; where a version keeps it otherwise, kernels are loaded at their first call
+        # Numba has no function for this; in versions with another cache, kernels are loaded at their first call
         with contextlib.suppress(AttributeError, OSError):
             for key in kernel._cache._cache_file._load_index():
                 if key[0] not in kernel.overloads:
@@ -294,7 +294,7 @@ def _served(channel: socket.socket) -> tuple[dict, list[int]]:
 
 
 def _become(request: dict, files: list[int], base: list[str]) -> str:
-    """Make this process what a true start would have made it; return the module to run."""
+    """Give this process the state of one that was started normally; return the module to run."""
     while os.getppid() != request["parent"]:
         os.sched_yield()
     for standard, file in enumerate(files):
@@ -307,7 +307,7 @@ def _become(request: dict, files: list[int], base: list[str]) -> str:
     if request["session"]:
         os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # what was imported stays out of collections: these processes would look through it, and copy its pages, three times
+    # imported objects are excluded from collections: otherwise these processes would scan and copy their pages 3 times
     gc.freeze = gc.unfreeze = lambda: None
     unbuffered = bool(request["environment"].get("PYTHONUNBUFFERED"))
     for number, name in ((1, "stdout"), (2, "stderr")):
@@ -331,13 +331,13 @@ def _become(request: dict, files: list[int], base: list[str]) -> str:
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it does not outlive the tests
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with the tests
     _channel = socket.socket(fileno=int(sys.argv[1]))
     _base = sys.path[1:]
     sys.path.insert(1, sys.argv[2])
     _import_all_but_ros()
     _load_kernels()
-    inspect.getframeinfo(sys._getframe())  # rclpy asks it for each place that logs; it remembers all modules
+    inspect.getframeinfo(sys._getframe())  # rclpy calls this at each place that logs; the function caches all modules
     gc.collect()
     gc.freeze()
     if len(os.listdir("/proc/self/task")) > 1:

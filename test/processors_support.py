@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Other processors, played in processes of their own."""
+"""Other processors, simulated in separate processes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import sys
 
 import hysteresis_ros
 
-#: What makes libraries take the code they have for another processor: OpenBLAS a core type, the C library and NumPy no
-#: vector extensions and no fused multiply-add. Names that a library does not know do nothing.
+#: Settings with which libraries use their code for another processor: for OpenBLAS a core type, for the C library and
+#: NumPy no vector extensions and no fused multiply-add. Names that a library does not know have no effect.
 NO_FUSED = {
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable,-FMA4_Usable",
     "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 X86_V3 X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL "
@@ -34,14 +34,14 @@ PROCESSORS = {
 
 
 def environment_on(name: str) -> dict[str, str]:
-    """Return the environment in which libraries believe to be on another processor."""
+    """Return the environment in which libraries detect another processor."""
     kept = {key: value for key, value in os.environ.items() if key not in {"OPENBLAS_CORETYPE", *NO_FUSED}}
     root = str(pathlib.Path(hysteresis_ros.__file__).parents[1])
     return kept | {"PYTHONPATH": root} | PROCESSORS[name]
 
 
 def on_processor(name: str, script: str, *arguments: str, **environment) -> str:
-    """Return what a Python script prints on another processor."""
+    """Return the output of a Python script on another processor."""
     command = [sys.executable, "-c", script, *arguments]
     done = subprocess.run(command, env=environment_on(name) | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

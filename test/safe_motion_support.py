@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The largest steps of the voltage that a parameter file asks for, and those that it states."""
+"""The largest steps of the voltage that a parameter file causes, and those that it states."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ STATED = re.compile(r"slew_rate: 0\.0  # .*a sample may step by ([0-9.]+) V: \w+
 
 
 def stated(text: str, axis, nodes=NODES) -> float:
-    """Return the step of the voltage in a sample [V] that a file states in its nodes."""
+    """Return the step of the voltage in a sample [V] that the nodes of a file state."""
     limits = [getattr(axis, name).limits for name in nodes]
     rates = [one.slew_rate for one in limits]
     if all(rates):
         return min(rates) / axis.plant_simulator.sample_rate
     assert not any(rates), "one node limits the voltage and the other does not"
     said = {float(value) for value in STATED.findall(text)}
-    assert len(said) == 1 and len(STATED.findall(text)) == len(nodes), "unlimited: the file says the step, and why"
+    assert len(said) == 1 and len(STATED.findall(text)) == len(nodes), "without a limit the file states the step"
     return said.pop()
 
 
 def steps(configuration, bare: bool) -> np.ndarray:
-    """Return the voltages of a step to the farthest setpoint and back, as a bare waveform or through the approach.
+    """Return the voltages of a step to the farthest setpoint and back, as a waveform or with the approach.
 
-    One that inverts the dynamics takes no bare ones.
+    A controller with an inverse of the dynamics accepts no steps in the waveform.
     """
     if bare and configuration.node("motion_controller").get("feedforward.type") == "inverse_dynamics":
         configuration = configuration.override("motion_controller", feedforward__type="static")
@@ -56,6 +56,6 @@ def steps(configuration, bare: bool) -> np.ndarray:
 
 
 def quantum(configuration) -> float:
-    """Return the step of the converter [V], which the voltage is rounded to behind the slew rate."""
+    """Return the step of the converter [V], to which the voltage is rounded after the slew rate."""
     limits = single_axis(configuration).hysteresis_compensator.limits
     return (limits.maximum - limits.minimum) / (2**limits.bits - 1) if limits.bits else 0.0

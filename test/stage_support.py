@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stage of examples/c_stage for tests: built once with the C compiler of this machine, if there is one."""
+"""The stage of examples/c_stage for tests: built once with the C compiler of this machine, if it exists."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def listed_library(folder: pathlib.Path) -> pathlib.Path:
 
 @functools.cache
 def built() -> pathlib.Path:
-    """Return a folder with the example, built."""
+    """Return a folder with the built example."""
     keeper = tempfile.TemporaryDirectory(prefix="stage_")
     built.keeper = keeper  # removed when the tests end
     folder = pathlib.Path(keeper.name)
@@ -65,7 +65,7 @@ class RunningStage:
 
 @contextlib.contextmanager
 def running_stage(*options: str) -> Iterator[RunningStage]:
-    """Start a stage; what is left of it afterwards is removed."""
+    """Start a stage; its remaining files are removed afterwards."""
     name = f"/stage_{os.getpid()}_{os.urandom(4).hex()}"
     with subprocess.Popen([str(built() / "stage_device"), name, *options], stdout=subprocess.PIPE) as process:
         try:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The linters of ament, where they are installed: `colcon test` runs them, as it does for any package of ROS 2."""
+"""The linters of ament, if they are installed: `colcon test` runs them, as for any package of ROS 2."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FOLDERS = ("hysteresis_ros", "launch", "test", "examples", "benchmarks", "docs")
-#: Docstrings are numpydoc, but magic methods do what Python says, and a property says "Whether".
+#: Docstrings are numpydoc, except that magic methods have Python's meaning, and a property says "Whether".
 DOCUMENTED = ("--convention", "numpy", "--add-ignore", "D105", "D401")
 
 
@@ -41,7 +41,7 @@ def test_ament_copyright():
 @pytest.mark.flake8
 @pytest.mark.linter
 def test_ament_flake8():
-    """With a configuration: quotes, width and order of imports are those of this project, which ruff keeps."""
+    """With a configuration: quotes, width and order of imports are those of this project, which ruff checks."""
     given = ["--config", "test/ament_flake8.ini", *FOLDERS, "setup.py"]
     code, errors = linter("flake8").main_with_errors(argv=given)
     assert code == 0, "\n".join(errors)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``import hysteresis_ros as hr``: what users of Python get, and that it is what the package does."""
+"""``import hysteresis_ros as hr``: the names for users of Python, and their agreement with the package."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from hysteresis_ros.references.waveforms import WAVEFORMS
 from hysteresis_ros.registry import KeywordError, class_name
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-#: What takes long to import.
+#: Modules with a long import time.
 HEAVY = {"numpy", "scipy", "numba", "matplotlib", "yaml", "pandas", "rosbags", "rclpy", "hysteresis_ros.api"}
 INVOKE = "from click.testing import CliRunner; from hysteresis_ros.cli.main import main;"
 VOLTAGE = 50.0 * (1.0 - np.cos(np.linspace(0.0, 15.0, 400)))
@@ -286,7 +286,7 @@ def test_examples_in_docstrings_are_true(module, examples):
 def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
     found = hr.frequency_response("kim2009", hr.Experiment(low=20.0, high=800.0, period=0.25, realisations=2))
     measured = found.plant.response
-    # the controller's model is the plant's but for the hysteresis: no more than the slope of its branches apart
+    # the controller's model equals the plant without hysteresis: they differ by at most the slope of the branches
     near = measured.frequency < 200.0
     assert np.max(np.abs(np.abs(measured.response[near, 0, 0] / found.model[near]) - 1.0)) < 0.2
     assert "signal-to-noise" in str(found)
@@ -331,7 +331,7 @@ def test_changes_of_a_configuration_are_in_what_is_designed_from_it():
 
 
 def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
-    """The candidates themselves are run by the tests of the comparison."""
+    """The candidates themselves are tested with the comparison."""
     given = {}
 
     def compared(configuration, conditions, **options):
@@ -385,7 +385,7 @@ def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
     assert names["found"].figures["rmse_percent_of_stroke"] < 5.0
 
 
-#: What the check of numpydoc asks of everything public: summary, every parameter with type and text, what is returned.
+#: Checks of numpydoc for all public names: summary, every parameter with type and text, return value.
 ASKED = {"GL08", "SS01", "SS03", "PR01", "PR02", "PR03", "PR04", "PR06", "PR07", "RT01", "RT03"}
 PUBLIC = [
     *(f"{getattr(hr, name).__module__}.{name}" for name in hr.__all__ if name not in FACTORIES),

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Structured arguments of ``hr.simulate`` and ``hr.sweep`` mean what the words of the commands mean."""
+"""Structured arguments of ``hr.simulate`` and ``hr.sweep`` have the same meaning as the texts of the commands."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_run_with_a_fault_is_bit_for_bit_that_with_its_words():
     run = hr.simulate("kim2009", duration=0.03, faults=objects)
     for name in words.signals:
         np.testing.assert_array_equal(run[name], words[name])
-    # the fault is in the run and in its configuration: the same run comes from it again
+    # the fault is in the run and in its configuration, which gives the same run again
     again = hr.simulate(run, duration=0.03)
     np.testing.assert_array_equal(again.measured, run.measured)
     assert not np.array_equal(run.measured, hr.simulate("kim2009", duration=0.03).measured, equal_nan=True)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear dynamics go to python-control and SciPy and come back as the same system."""
+"""Linear dynamics are exported to python-control and SciPy, and imported again as the same system."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ INPUT = np.sin(np.linspace(0.0, 9.0, 60)) + np.linspace(0.0, 1.0, 60)
 
 
 def sampled(parameters: LinearParameters) -> np.ndarray:
-    """Return what the block of the nodes gives, read before the input of each sample changes."""
+    """Return the output of the nodes' block, read before the input of each sample changes."""
     block, found = LinearDynamics(parameters, T), []
     for u in INPUT:
         found.append(block.output())
@@ -59,7 +59,7 @@ def test_the_system_of_scipy_answers_as_the_block_of_the_nodes(name):
 
 
 def python_control():
-    """Return python-control, or skip the test; the folder test/control is a module of that name, too."""
+    """Return python-control, or skip the test; the folder test/control is also a module of this name."""
     pytest.importorskip("control.statesp", reason="python-control is optional")
     return importlib.import_module("control")
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Models are judged and asked without a file between; runs, models and designs fit a cell of a notebook."""
+"""Models are evaluated and used without a file; runs, models and designs are displayed in a cell of a notebook."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_metrics_are_those_of_the_report(found):
 
 
 def shown():
-    """Return what a notebook shows."""
+    """Return the objects that a notebook displays."""
     run = hr.simulate("kim2009", duration=0.02)
     return {"run": run, "signals": run.between(0.0, 0.01), "design": hr.design("kim2009", "offset_free")}
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Archives of arrays that lie about what is in them cost no memory, and are named for what they are."""
+"""Archives of arrays with false sizes take no memory, and are reported as such."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The block machinery: kernels with and without Numba, composites, state, and the cache that must not go stale."""
+"""The block machinery: kernels with and without Numba, composites, state, and validity of the cache."""
 
 import os
 import pathlib
@@ -89,13 +89,13 @@ def test_compiled_and_interpreted_forms_agree_bit_for_bit():
 
 @kernel
 def scaled(p, place, u):
-    """What another kernel names, with numbers in the call."""
+    """A kernel that is named in another one, with numbers in the call."""
     return p[place] * u
 
 
 @kernel
 def both(p, x, u):
-    """Names the other one twice."""
+    """A kernel that names another one twice."""
     return scaled(p, 0, u) + scaled(p, 1, u)
 
 
@@ -133,7 +133,7 @@ def test_what_compiled_code_names_is_compiled_once_and_not_for_python(monkeypatc
 
     with event.install_listener("numba:compile", Listener()):
         result = lag_result(compiled)
-    # one form for both numbers, none of the level between, none that Python could call
+    # one compiled form for both numbers, none of the level between, none that Python could call
     assert sorted(started) == ["both", "lag_all", "leak", "scaled"]
     assert not scaled.signatures and not both.signatures
     assert result == lag_result(interpreted)
@@ -157,7 +157,7 @@ def test_a_block_that_packs_nothing_says_so():
 def test_every_kernel_stands_in_a_folder_whose_sources_name_the_cache():
     for path in PACKAGE.rglob("*.py"):
         if path.relative_to(PACKAGE).parts[0] in ("laboratory", "identification"):
-            continue  # only their own file calls their kernels, and Numba looks at that; those of models name the cache
+            continue  # only their own file calls these kernels (Numba checks it); those of models are in the cache
         text = path.read_text(encoding="utf-8")
         if any(f"\n@{mark}" in text for mark in ("kernel", "composite", "called", "nested")):
             folder = next(iter(path.parent.relative_to(PACKAGE).parts), ".")  # sub-folders count with theirs
@@ -171,7 +171,7 @@ def child(code: str, **variables) -> str:
     return answer.stdout.strip()
 
 
-#: What SciPy's linear algebra is imported for, and what not.
+#: Modules for which SciPy's linear algebra is imported, and modules for which it is not.
 WITH_BLAS = """
 import numba, numpy
 print("scipy.linalg" in sys.modules)
@@ -196,9 +196,9 @@ print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
     fast = child(code.replace('sys.modules["numba"] = None', "") + WITH_BLAS * block.COMPILED).split()
     assert plain[:2] == ["False", "60"]
     if block.COMPILED:
-        # nothing of that is needed to compile and to run an axis; who multiplies matrices in a kernel gets it then
+        # none of it is needed to compile and to run an axis; a kernel that multiplies matrices imports it
         assert fast[3:] == ["False", "[5.0,", "11.0]", "True"]
-    # the converter's grid may be met one step apart where the last bits differ
+    # if the last bits differ, the converter may output the next step
     assert float.fromhex(plain[2]) == pytest.approx(float.fromhex(fast[2]), abs=1e-9)
 
 
@@ -233,7 +233,7 @@ def test_few_samples_are_interpreted_and_many_or_cached_ones_compiled(monkeypatc
     assert machine_code is not _double and machine_code is run(1)
     machine_code(values)
     assert values.tolist() == [2.0, 2.0, 2.0]
-    # another process, which finds it in the cache
+    # another process, which finds the kernel in the cache
     for name in ("_compiled", "_interpreted"):
         monkeypatch.setattr(block, name, {})
     assert run(1) is not _double

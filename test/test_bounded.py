@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What comes in from outside is read safely and within bounds: texts, YAML, parameters, messages."""
+"""External inputs are read safely and within bounds: texts, YAML, parameters, messages."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SOURCES = [
     path for name in ("hysteresis_ros", "launch", "examples", "benchmarks") for path in (ROOT / name).rglob("*.py")
 ]
 
-#: 10 lists of 10 of 10 …: half a kilobyte that stands for a thousand million values.
+#: 10 lists of 10 of 10 …: half a kilobyte that represents a thousand million values.
 BOMB = "a0: &a0 [1, 1]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
 
 
@@ -143,19 +143,19 @@ def test_an_image_of_more_pixels_than_any_camera_has_is_refused():
         grey_image(b"", "mono8", (2**20, 2**20), 2**20)
 
 
-#: Modules and functions that make of a file whatever it says.
+#: Modules and functions that create arbitrary objects from a file.
 PICKLES = {"pickle", "cPickle", "dill", "marshal", "shelve", "joblib", "cloudpickle"}
 NEVER = {"eval", "os.system", "os.popen", "yaml.unsafe_load", "yaml.full_load", "yaml.load_all", "yaml.unsafe_load_all"}
-#: Reads YAML without bounds: the launch file, which imports nothing of the package, and what nobody else starts.
+#: Files that read YAML without bounds: the launch file, which imports nothing of the package, and internal scripts.
 UNBOUNDED = {"yaml.safe_load", "yaml.safe_load_all"}
 
 
-#: Sources without any of these words need no closer look.
+#: Sources without any of these words need no further check.
 SUSPECT = re.compile("|".join([*PICKLES, "eval|popen|system|shell|np.load|numpy.load|yaml"]))
 
 
 def unsafe(source: str, bounded: bool) -> list[str]:
-    """Return what in a source makes more of a file than plain values, with the lines; ``bounded``: no YAML at all."""
+    """Return uses in a source, with lines, that create more than plain values; ``bounded``: without any YAML."""
     if not SUSPECT.search(source):
         return []
     found = []

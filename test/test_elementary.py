@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Elementary functions: what the C library says to a few units in the last place, the same bits compiled or not."""
+"""Elementary functions: equal to the C library within a few units in the last place, the same bits compiled or not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import interpreted
 
-#: Of each function the arguments, and by how many units in the last place it may differ from the C library's.
+#: For each function the arguments, and the allowed difference from the C library [units in the last place].
 CASES = {
     "sin": (st.floats(-10.0, 10.0), 2.0),
     "cos": (st.floats(-10.0, 10.0), 2.0),

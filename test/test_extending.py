@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""docs/extending.md, as printed: its files are put where it says, and its commands are run."""
+"""docs/extending.md as printed: its files are written where it says, and its commands are run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def printed(chapter: str, language: str) -> str:
 
 
 def run(script: str, folder: pathlib.Path, *places: pathlib.Path, **environment) -> str:
-    """Run a script of the shell in a folder, with packages from these places before all others."""
+    """Run a shell script in a folder, with packages from these places before all others."""
     tools = folder / "bin"
     tools.mkdir(exist_ok=True)
     for name, arguments in TOOLS.items():
@@ -76,7 +76,7 @@ def copy(tmp_path) -> pathlib.Path:
 
 
 def document(folder: pathlib.Path) -> None:
-    """Bring the tables of parameters up to date, as their test asks for."""
+    """Update the tables of parameters, as their test requires."""
     path = folder / "docs" / "parameters.md"
     head = path.read_text(encoding="utf-8").split("## Every node")[0]
     path.write_text(head + run("hysteresis parameters", folder, folder, NUMBA_DISABLE_JIT="1"), encoding="utf-8")
@@ -88,8 +88,8 @@ def test_a_hysteresis_model_is_one_file(copy):
     output = run(printed("A hysteresis model", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert output.startswith("dahl: Dahl's friction curve") and "width [V]" in output
     assert re.search(r"^rmse_percent_of_stroke +0\.0\d", output, re.MULTILINE)
-    # what is skipped is the comparison with compiled kernels
-    assert re.search(r"^=+ 17 passed, 1 skipped", output, re.MULTILINE), "the contract test did not walk the new model"
+    # the skipped test is the comparison with compiled kernels
+    assert re.search(r"^=+ 17 passed, 1 skipped", output, re.MULTILINE), "the contract test missed the new model"
     found = load_configuration(copy / "found.yaml").node("plant_simulator")
     given = load_configuration(copy / "dahl.yaml").node("plant_simulator")
     for name in ("gain", "share"):
@@ -98,7 +98,7 @@ def test_a_hysteresis_model_is_one_file(copy):
 
 
 def outside(folder: pathlib.Path, chapter: str, name: str) -> None:
-    """Put the file of a chapter into a package of its own, with the entry point as printed."""
+    """Put the file of a chapter into a separate package, with the entry point as printed."""
     group, entry = re.search(r'entry-points\."(.+)"\]\n(.+)\n', printed(chapter, "toml"), re.MULTILINE).groups()
     package, information = folder / "my_package", folder / "my_package-1.0.dist-info"
     package.mkdir()
@@ -110,7 +110,7 @@ def outside(folder: pathlib.Path, chapter: str, name: str) -> None:
 
 
 def test_a_hysteresis_model_may_be_in_a_package_of_its_own(tmp_path):
-    """Here with compiled kernels."""
+    """With compiled kernels."""
     outside(tmp_path, "A hysteresis model", "dahl")
     contract = f"pytest -q {ROOT}/test/test_registries.py -k 'dahl and (plain_python or inverses or fitted)'"
     output = run(f"hysteresis models dahl --yaml\n{contract}", tmp_path, tmp_path)
@@ -118,7 +118,7 @@ def test_a_hysteresis_model_may_be_in_a_package_of_its_own(tmp_path):
 
 
 def passed(output: str) -> int:
-    """Return the number of tests that passed, none having failed; only the comparison with compiled code is skipped."""
+    """Return the number of passed tests if none failed; only the comparison with compiled code is skipped."""
     found = re.search(r"^=+ (\d+) passed, 1 skipped, \d+ deselected", output, re.MULTILINE)
     assert found, output
     return int(found.group(1))
@@ -129,7 +129,7 @@ def test_a_controller_is_one_file(copy):
     document(copy)
     output = run(printed("A controller", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert re.search(r"^bandwidth reached +10 Hz", output, re.MULTILINE) and "type leaky_pi" in output
-    # alone, with every other controller before and after it
+    # alone, and in succession with every other controller
     assert passed(output) >= 16
     assert load_configuration(copy / "leaky.yaml").node("motion_controller")["type"] == "leaky_pi"
 
@@ -144,14 +144,14 @@ def test_a_reference_is_one_file(copy):
 
 @pytest.mark.parametrize(("chapter", "name"), [("A controller", "leaky_pi"), ("A reference", "trapezoid")])
 def test_a_controller_or_a_reference_may_be_in_a_package_of_its_own(tmp_path, chapter, name):
-    """Here with compiled kernels."""
+    """With compiled kernels."""
     outside(tmp_path, chapter, name)
     output = run(f"pytest -q {ROOT}/test/test_registries_control.py -k '{name} and plain_python'", tmp_path, tmp_path)
     assert re.search(r"^1 passed", output, re.MULTILINE)
 
 
 def test_a_driver_is_one_file(copy):
-    """Its emulator is a box with a clock of its own, over TCP."""
+    """Its emulator is a device with its own clock, over TCP."""
     (copy / "hysteresis_ros/hardware/drivers/tcp_stage.py").write_text(printed("A driver", "python"))
     (copy / "stage.yaml").write_text(printed("A driver", "yaml"))
     document(copy)

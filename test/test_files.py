@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files are written whole or not at all: what stood there before is lost only to what is whole."""
+"""Files are written completely or not at all: an old file is replaced only by a complete new one."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The package installs with pip and with colcon: executables, shares and modules land where ROS 2 looks for them."""
+"""The package installs with pip and with colcon: executables, shares and modules are where ROS 2 expects them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SHARES = {
     "share/hysteresis_ros/launch/axis.launch.py",
     *(f"share/hysteresis_ros/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.*")),
 }
-#: Modules, the templates and assets of pages, and the mark that the package carries types.
+#: Modules, templates and assets of pages, and the marker for type information.
 MODULES = {
     str(path.relative_to(ROOT))
     for path in (ROOT / "hysteresis_ros").rglob("*")
@@ -49,7 +49,7 @@ MODULES = {
 
 
 def run(*command, cwd, **variables) -> str:
-    """Run a command to its good end and return what it printed."""
+    """Run a command that must succeed, and return its output."""
     answer = subprocess.run(
         [str(word) for word in command], cwd=cwd, env={**os.environ, **variables}, capture_output=True, text=True
     )
@@ -62,13 +62,13 @@ def relative_files(folder: pathlib.Path) -> set[str]:
 
 
 def modules_folder(prefix: pathlib.Path) -> pathlib.Path:
-    """Return the folder under a prefix which holds the package."""
+    """Return the folder of the package under a prefix."""
     (found,) = prefix.glob("lib/python*/*-packages")
     return found
 
 
 def check_prefix(prefix: pathlib.Path) -> None:
-    """Check an installation the way ROS 2 looks at it, and start its executable from there."""
+    """Check an installation as ROS 2 uses it, and start its executable from there."""
     files = relative_files(prefix)
     assert files >= SHARES
     assert files >= {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
@@ -76,7 +76,7 @@ def check_prefix(prefix: pathlib.Path) -> None:
     packages = modules_folder(prefix)
     assert relative_files(packages) >= MODULES
     path = os.pathsep.join(filter(None, [str(packages), os.environ.get("PYTHONPATH")]))
-    # the environment that is sourced is this one
+    # the sourced environment is this one
     sourced = {"PYTHONPATH": path, "PATH": os.pathsep.join([f"{sys.prefix}/bin", os.environ["PATH"]])}
     text = run(prefix / "lib/hysteresis_ros/hysteresis", "--help", cwd=prefix, **sourced)
     assert "simulate" in text and "report" in text
@@ -84,7 +84,7 @@ def check_prefix(prefix: pathlib.Path) -> None:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> pathlib.Path:
-    """A copy of the sources, so that no build is left in them."""
+    """A copy of the sources, so that builds leave no files in them."""
     folder = tmp_path_factory.mktemp("workspace") / "hysteresis_ros"
     ignored = shutil.ignore_patterns(".*", "build", "install", "log", "dist", "demo", "__pycache__", "*.egg-info")
     shutil.copytree(ROOT, folder, ignore=ignored)
@@ -95,7 +95,7 @@ def tree(tmp_path_factory) -> pathlib.Path:
 def wheel(tree, tmp_path_factory) -> pathlib.Path:
     """The wheel that pip builds of the tree."""
     for name in ("pip", "setuptools", "wheel"):
-        # asked for and not imported: setuptools refuses to be imported after Python's own distutils
+        # found without import: setuptools refuses to be imported after Python's own distutils
         if importlib.util.find_spec(name) is None:
             pytest.skip(f"{name} is needed to build the wheel")
     folder = tmp_path_factory.mktemp("wheel")
@@ -124,7 +124,7 @@ def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copies", "symlinks"])
 def test_colcon_builds_the_package(tree, tmp_path, options):
-    # `make ci` puts it into an environment of its own; with apt it is on the path
+    # `make ci` installs it into a separate environment; with apt it is on the path
     colcon = shutil.which("colcon", path=f"{sys.prefix}/colcon/bin") or shutil.which("colcon")
     if colcon is None:
         pytest.skip("colcon with its ROS extensions is not installed")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Linear algebra in a fixed order: what SciPy says, closed forms, and errors where there is no answer."""
+"""Linear algebra in a fixed order: agreement with SciPy, closed forms, and errors if there is no solution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def square(draw, largest: int = 6):
 
 
 def close(found, expected, relative=1e-10) -> bool:
-    """Whether two arrays agree to a part of the largest entry."""
+    """Return whether two arrays agree to a fraction of the largest entry."""
     return np.max(np.abs(found - expected), initial=0.0) <= relative * max(
         np.max(np.abs(expected), initial=0.0), 1e-300
     )
@@ -80,7 +80,7 @@ def test_exponential_of_a_rotation_and_of_nothing():
 
 
 def distance(found, expected) -> float:
-    """Largest distance of an eigenvalue of either to the nearest of the other."""
+    """Return the largest distance of an eigenvalue of either array to the nearest one of the other."""
     gaps = np.abs(found[:, None] - expected[None])
     return max(gaps.min(axis=0).max(), gaps.min(axis=1).max())
 
@@ -92,8 +92,8 @@ def test_eigenvalues_are_those_of_lapack_or_those_of_a_neighbour(A, spread):
     found = la.eigenvalues(A)
     assert len(found) == len(A)
     assert sorted(found.conj(), key=lambda z: (z.real, z.imag)) == sorted(found, key=lambda z: (z.real, z.imag))
-    # A defective eigenvalue of k-fold multiplicity moves by the k-th root of a rounding error: there the characteristic
-    # polynomial is what has to agree.
+    # A defective eigenvalue of multiplicity k changes by the k-th root of a rounding error; then the characteristic
+    # polynomials are compared.
     expected = np.linalg.eigvals(A)
     size = max(np.abs(expected).max(), np.abs(A / scale * scale[:, None]).max(), 1e-300)
     if distance(found, expected) > 1e-10 * size:
@@ -139,17 +139,17 @@ def test_riccati_solutions_are_those_of_scipy(problem):
     A, B, Q, R = problem
     expected = scipy.linalg.solve_discrete_are(A, B, Q, R)
     K = np.linalg.solve(R + B.T @ expected @ B, B.T @ expected @ A)
-    assume(np.max(np.abs(np.linalg.eigvals(A - B @ K))) < 0.99)  # a slow closed loop multiplies SciPy's rounding errors
+    assume(np.max(np.abs(np.linalg.eigvals(A - B @ K))) < 0.99)  # a slow closed loop amplifies SciPy's rounding errors
     P = la.riccati(A, B, Q, R)
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))  # of each entry in its own units
 
     def unsolved(P) -> float:
-        """Return by how much a solution misses the equation."""
+        """Return the residual of the equation for a solution."""
         gain = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
         return np.max(np.abs(A.T @ P @ A - P - A.T @ P @ B @ gain + Q) / size)
 
     assert unsolved(P) < 1e-12
-    # SciPy misses it by up to 1e-8 where weights differ by many decades, and is then as far from the solution
+    # SciPy's residual is up to 1e-8 if weights differ by many decades, and so is its distance from the solution
     assert np.max(np.abs(P - expected) / size) < 1e-10 + 1e3 * unsolved(expected)
     assert np.array_equal(P, P.T)
 
@@ -169,7 +169,7 @@ def test_riccati_of_one_state_is_the_positive_root():
 
 
 def test_riccati_of_a_loop_that_hardly_decays():
-    # an undamped oscillator whose input costs much: closed-loop poles at 1 - 1e-6
+    # an undamped oscillator with a large weight on its input: closed-loop poles at 1 - 1e-6
     A, B, Q, R = np.array([[0.0, 0.4], [2.5, 0.0]]), np.array([[0.0], [2.0**-8]]), 1e-3 * np.eye(2), np.eye(1) * 10.0
     P = la.riccati(A, B, Q, R)
     K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
@@ -181,7 +181,7 @@ def test_riccati_without_weight_or_input_costs_what_must_be():
     assert la.riccati(0.5, 1.0, 0.0, 1.0).item() == 0.0
     assert la.riccati(0.5, 0.0, 3.0, 1.0).item() == pytest.approx(4.0, rel=1e-15)
     with pytest.raises(np.linalg.LinAlgError):
-        la.riccati(1.1, 0.0, 1.0, 1.0)  # nothing moves an unstable mode
+        la.riccati(1.1, 0.0, 1.0, 1.0)  # an unstable mode without input
     with pytest.raises(np.linalg.LinAlgError):
         la.riccati(np.nan, 1.0, 1.0, 1.0)
 

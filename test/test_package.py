@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The package as a whole: one version, the layers of the design, complete docstrings."""
+"""The package in total: one version, the layers of the design, complete docstrings."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ PACKAGE = ROOT / "hysteresis_ros"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
-#: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
+#: Layers that every folder may import besides itself: imports have one direction, in the order of the data flow.
 BASE = {"", "errors", "units", "signals", "files", "configuration", "registry", "executors"}
 BLOCKS = BASE | {"models", "control", "references"}
 MEASURED = BLOCKS | {"recordings", "hardware", "identification"}
 CORE = MEASURED | {"loop", "designs", "analysis", "api", "designing", "exchange"}
 MAY_IMPORT = {
-    # at first use only, for those who write `import hysteresis_ros as hr`
+    # at first use only, for `import hysteresis_ros as hr`
     "": BLOCKS | {"api", "designing", "exchange", "laboratory", "loop"},
     "errors": {""},
     "units": {"", "errors"},
@@ -67,8 +67,8 @@ MAY_IMPORT = {
     "laboratory": CORE | {"nodes", "cli"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
-#: What others wrote and pages carry in themselves: uPlot 1.6.32 as its makers publish it (npm), under its own licence
-#: (MIT), which stands beside it. Neither our notice nor our linters apply to it, and nobody edits it: sha256 of each.
+#: Third-party files that pages contain: uPlot 1.6.32 as published (npm), with its licence (MIT) in the same folder.
+#: Neither our notice nor our linters apply to them, and they must not be edited: sha256 of each file.
 ASSETS = PACKAGE / "analysis" / "assets"
 VENDORED = {
     ASSETS / "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
@@ -88,7 +88,7 @@ ONLY_IN = {
     "distributed": "executors",
     "aiohttp": "laboratory",
 }
-#: What neither the blocks nor their parameters may bring into a node.
+#: Packages that blocks and their parameters must not import into a node.
 HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")
 
 
@@ -97,13 +97,13 @@ def name_of(path: pathlib.Path) -> str:
 
 
 def layer_of(path: pathlib.Path) -> str:
-    """Return the folder of a source, or the name of a module at the top; the package itself is ''."""
+    """Return the folder of a source, or the name of a top-level module; '' for the package itself."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return "" if parts == ("__init__",) else parts[0]
 
 
 def imported_modules(path: pathlib.Path):
-    """Yield the dotted names of all modules that a source imports anywhere, lazily too."""
+    """Yield the dotted names of all modules that a source imports anywhere, including lazy imports."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -118,7 +118,7 @@ def child(element, name: str) -> str:
     return element.find(name).text
 
 
-#: Prints what setup.py hands to setuptools; in a process of its own, because setuptools replaces Python's distutils and
+#: Prints the arguments of setup.py for setuptools; in a separate process, because setuptools replaces distutils and
 #: refuses to be imported after it.
 SETUP = """
 import json, setuptools
@@ -131,7 +131,7 @@ print(json.dumps(given, default=str))
 
 @functools.cache
 def setup_arguments() -> dict:
-    """Return what setup.py hands to setuptools."""
+    """Return the arguments of setup.py for setuptools."""
     if importlib.util.find_spec("setuptools") is None:
         pytest.skip("setup.py needs setuptools")
     answer = subprocess.run([sys.executable, "-c", SETUP], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -148,7 +148,7 @@ def test_version_is_the_same_everywhere():
     assert hysteresis_ros.__version__ == child(manifest, "version") == arguments["version"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", hysteresis_ros.__version__), "ROS wants three numbers"
     released = re.findall(r"^(\d+\.\d+\.\d+) \((\d{4}-\d\d-\d\d)\)\n-+$", text_of("CHANGELOG.rst"), re.MULTILINE)
-    assert released[0][0] == hysteresis_ros.__version__, "the newest release stands first, below Forthcoming"
+    assert released[0][0] == hysteresis_ros.__version__, "the newest release must be first, below Forthcoming"
     cited = yaml.safe_load(text_of("CITATION.cff"))
     assert (cited["version"], str(cited["date-released"])) == released[0] and cited["license"] == "Apache-2.0"
 
@@ -159,7 +159,7 @@ def test_hooks_run_tools_of_the_environment_and_fetch_nothing():
     assert all(hook["language"] == "system" for hook in repository["hooks"])
     tools = {hook["entry"].split()[0] for hook in repository["hooks"]}
     assert tools <= {f".venv/bin/{name}" for name in ("ruff", "mypy", "numpydoc", "codespell", "python")}
-    assert re.search(r"lint --ignore (\S+)", text_of("Makefile"))[1] in str(repository["hooks"]), "as make lint does"
+    assert re.search(r"lint --ignore (\S+)", text_of("Makefile"))[1] in str(repository["hooks"]), "as in make lint"
 
 
 def test_manifest_and_setup_describe_the_same_package():
@@ -196,7 +196,7 @@ def test_every_executable_has_a_main_function():
 
 
 def opening(path: pathlib.Path) -> str:
-    """Return the comment with which a source begins, without the marks of comments and with single spaces."""
+    """Return the first comment of a source, without comment marks and with single spaces."""
     marked = itertools.takewhile(lambda line: line.startswith(("#", "//")), path.read_text("utf-8").splitlines())
     return " ".join(" ".join(marked).replace("#", " ").replace("//", " ").split())
 
@@ -241,7 +241,7 @@ def module_of(path: pathlib.Path) -> str:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Return the groups of modules that import each other, directly or over others (lazily counts too)."""
+    """Return the groups of modules that import each other, directly or indirectly (also lazily)."""
     reached: dict[str, set[str]] = {}
     for start in graph:
         found, ahead = set(), [start]
@@ -279,7 +279,7 @@ def test_the_rules_see_what_they_forbid(tmp_path):
 
 @pytest.mark.parametrize("path", TESTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_tests_import_no_tests(path):
-    """What several tests use stands in a module of its own; scripts of child processes, given as text, import too."""
+    """Common functions of tests are in support modules; imports in scripts of child processes count, too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     texts = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
     scripted = re.findall(r"^\s*(?:from|import) (test_\w+)", "\n".join(texts), re.MULTILINE)
@@ -311,7 +311,7 @@ def section(docstring: str, title: str) -> str | None:
 
 
 def described_names(text: str) -> set[str]:
-    """Return the names at the left margin of a Parameters section, ``a, b : float`` being two."""
+    """Return the names at the left margin of a Parameters section; ``a, b : float`` are two names."""
     lines = [line.split(" :")[0] for line in text.splitlines() if line and not line[0].isspace()]
     return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
 
@@ -330,7 +330,7 @@ def accepted_names(node, bound: bool) -> set[str] | None:
 
 
 def inherited_fields(node, tree: ast.Module) -> set[str]:
-    """Return the fields of the bases of a dataclass that stand in the same module: it may describe them too."""
+    """Return the fields of a dataclass's bases in the same module, which it may describe, too."""
     bases = {item.id for item in getattr(node, "bases", ()) if isinstance(item, ast.Name)}
     classes = [item for item in tree.body if isinstance(item, ast.ClassDef) and item.name in bases]
     return {name for item in classes for name in accepted_names(item, bound=False) or ()}
@@ -350,12 +350,12 @@ def test_public_things_are_documented_completely(path):
             described = described_names(text)
             variadic = {item.arg for item in ast.walk(node) if isinstance(item, ast.arg)}
             accepted_too = variadic | inherited_fields(node, tree)
-            assert described <= accepted | accepted_too, f"{name} describes {sorted(described - accepted)}: not taken"
+            assert described <= accepted | accepted_too, f"{name} describes {sorted(described - accepted)}: unknown"
             missing = {item for item in accepted - described if not item.startswith("_")}
             assert not missing, f"{name} does not describe {sorted(missing)}"
 
 
-#: What users write against is documented in full: modules of `hr.*`, and the folders that docs/extending.md extends.
+#: Interfaces for users have full documentation: modules of `hr.*`, and the folders that docs/extending.md extends.
 FULL_FOLDERS = {"models", "control", "references", "hardware"}
 FULL_MODULES = {
     "api.py",
@@ -372,13 +372,13 @@ SECTIONS = ("Parameters", "Other Parameters", "Returns", "Yields", "Attributes")
 
 
 def exported_classes() -> set[tuple[str, str]]:
-    """Return the module and name of each class that is an ``hr.*`` name, wherever it stands."""
+    """Return the module and name of each class with an ``hr.*`` name, wherever it is defined."""
     values = [getattr(hysteresis_ros, name) for name in hysteresis_ros.__all__]
     return {(value.__module__, value.__name__) for value in values if inspect.isclass(value)}
 
 
 def superfluous_sections(tree: ast.Module, exported: set[str]) -> list[str]:
-    """Return what has sections of numpydoc in a module that nobody outside writes against; private things too."""
+    """Return objects with numpydoc sections in an internal module, including private ones."""
     definitions = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     open_to_users = {
         inner
@@ -396,7 +396,7 @@ def superfluous_sections(tree: ast.Module, exported: set[str]) -> list[str]:
 
 
 def undescribed_classes(tree: ast.Module) -> list[str]:
-    """Return public classes whose ``__init__`` takes something that no Parameters section describes."""
+    """Return public classes whose ``__init__`` has parameters without a Parameters section."""
     return [
         name
         for name, node in public_definitions(tree)
@@ -437,7 +437,7 @@ def test_words_that_are_not_ours_become_fewer():
 
 
 def test_the_laboratory_is_beside_the_core():
-    """An axis runs without papers, campaigns, emulated devices and pages: importing a node loads none of them."""
+    """An axis runs without papers, campaigns, emulated devices and pages: a node imports none of them."""
     nodes = "motion_controller, plant_simulator, hysteresis_compensator, reference_generator, recorder, axis"
     code = f"""
 import sys
@@ -450,7 +450,7 @@ print(*[name for name in sys.modules if name.startswith("hysteresis_ros.laborato
 
 
 def test_a_node_imports_no_more_than_it_needs():
-    """Memory is a promise: SciPy's signal and optimisation, plots and the command line stay out of the loop."""
+    """Memory is limited: SciPy's signal and optimisation, plots and the command line are not imported by nodes."""
     modules = "sys, hysteresis_ros.loop.axis, hysteresis_ros.loop.parameters"
     code = f"import {modules}; print(*[name for name in {HEAVY} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -458,7 +458,7 @@ def test_a_node_imports_no_more_than_it_needs():
 
 
 def test_every_tool_and_library_has_a_tested_version():
-    """`make setup` on a new machine installs what was tested, whatever has been published since."""
+    """`make setup` on a new machine installs the tested versions, even if newer ones were published."""
     pinned = dict(re.findall(r"^([a-z0-9-]+)==([^;\s]+)", text_of("constraints.txt"), re.MULTILINE))
     arguments = setup_arguments()
     asked = [*arguments["install_requires"], *itertools.chain(*arguments["extras_require"].values())]
@@ -468,7 +468,7 @@ def test_every_tool_and_library_has_a_tested_version():
 
 
 def test_the_test_command_runs_tests_and_the_lint_is_a_command_of_its_own():
-    """A new version of a checker must not make the tests of a new user fail."""
+    """A new version of a checker must not make the tests fail for a new user."""
     makefile = text_of("Makefile")
     rules = dict(re.findall(r"^([\w-]+):([^=\n]*(?:\n\t[^\n]*)*)", makefile, re.MULTILINE))
     assert "lint" not in rules["test"] and "pytest" in rules["test"]

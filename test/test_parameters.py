@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameter tables: conversion, ranges, names of what is wrong, and the way back to YAML."""
+"""Parameter tables: conversion, ranges, names in messages, and conversion back to YAML."""
 
 from dataclasses import FrozenInstanceError, dataclass
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Processes that tests fork from one that has imported everything are what a true start would have made them."""
+"""Processes that tests fork from a preloaded one have the same state as after a normal start."""
 
 import importlib.util
 import os
@@ -19,7 +19,7 @@ import sys
 import preloaded_support
 import pytest
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux gives a fork to another parent")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux can give a fork another parent")
 
 MAIN = [sys.executable, "-m", "hysteresis_ros.cli.main"]
 NODES = ("axis", "plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator", "recorder")
@@ -33,7 +33,7 @@ def cold(request):
 
 
 def imports_everything(process: subprocess.Popen) -> bool:
-    """Tell by its command line whether a process was forked: it has that of the one it comes from."""
+    """Return whether a process was forked, by its command line: it is that of its origin."""
     words = pathlib.Path(f"/proc/{process.pid}/cmdline").read_text().split("\0")
     return pathlib.Path(preloaded_support.__file__).name in pathlib.Path(words[1]).name
 

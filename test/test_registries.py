@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The contract of what is registered: every hysteresis model does what its declaration says, whoever wrote it."""
+"""The contract of registered models: every hysteresis model follows its declaration, whatever package it is from."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.registry import resolved
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-#: Highest voltage of the examples [V] and sample time of what is simulated here [s].
+#: Highest voltage of the examples [V], and sample time of the simulations here [s].
 VOLTAGE, T = 100.0, 1e-3
 
 models = pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
@@ -51,12 +51,12 @@ def example(model) -> HysteresisParameters:
 
 
 def ramps(turns, points: int) -> np.ndarray:
-    """Voltages that go from 0 V to one turn after the other in so many steps each."""
+    """Voltages from 0 V to one turning point after the other, with a number of steps each."""
     turns = [0.0, *turns]
     return np.concatenate([np.linspace(a, b, points + 1)[1:] for a, b in zip(turns, turns[1:], strict=False)])
 
 
-#: A voltage with reversals inside one another, and growing loops such as an identification needs.
+#: A voltage with nested reversals, and growing loops as an identification needs.
 WAVE = ramps([40.0, 15.0, 100.0, 30.0, 70.0, 50.0, 95.0, 0.0, 80.0], 25)
 TURNS = [
     25.0,
@@ -129,12 +129,12 @@ def test_its_block_keeps_the_contract_of_blocks(model):
     kept = block.state
     ahead = block.simulate(WAVE)
     block.state = kept
-    assert [block.step(u) for u in WAVE] == ahead.tolist(), "step and simulate differ, or the state is not all there is"
+    assert [block.step(u) for u in WAVE] == ahead.tolist(), "step and simulate differ, or the state is incomplete"
     block.reset()
     assert block.simulate(WAVE).tolist() == first.tolist()
     if len(block.x) > 1:
         held, x = block.step(float("nan")), block.state
-        assert held == first[-1] and np.all(np.isfinite(x)), "NaN must leave everything as it is"
+        assert held == first[-1] and np.all(np.isfinite(x)), "NaN must not change the state"
 
 
 INTERPRETED = """
@@ -175,7 +175,7 @@ def test_new_parameters_do_not_move_the_output(model):
         block.retune(model.example)
         block.simulate(WAVE)
         block.retune(model.scaled(model.example, 1.05))
-        # at rest what widened with the speed narrows again
+        # at rest, thresholds widened by the speed become narrow again
         narrowed = 0.0 if model.block.rate_independent else 5e-3 * stroke(model)
         assert abs(block.step(WAVE[-1]) - before) <= narrowed
         assert abs(block.step(WAVE[-1] + 1e-6) - before) < 1e-3 * stroke(model) + narrowed
@@ -196,7 +196,7 @@ def test_it_is_rate_independent_or_not_as_it_says(model):
 
 @models
 def test_it_rises_with_the_voltage_and_lags_behind_it(model):
-    """Without that no inverse is unique; a loop that turns the other way round would lead."""
+    """Otherwise no inverse is unique; a loop in the opposite direction would lead."""
     points = 50 if model.block.rate_independent else 2000
     y = output(example(model), ramps([VOLTAGE, 0.0, VOLTAGE, 0.0], points))[points :: points // 50]
     falling, rising, again = y[:50], y[50:100], y[100:]
@@ -249,7 +249,7 @@ def test_a_plant_that_deviates_is_valid_and_differs_by_about_the_size_given(mode
     for seed in range(12):
         drawn = model.deviated(model.example, deviation(size, seed)).validated()
         again = model.deviated(model.example, deviation(size, seed))
-        assert drawn == again, "a seed must name a plant"
+        assert drawn == again, "equal seeds must give equal plants"
         error = output(example(model).changed(drawn)) - output(example(model))
         differences.append(np.max(np.abs(error)) / stroke(model))
     assert all(0.0 < difference < 5.0 * size for difference in differences)
@@ -259,7 +259,7 @@ def test_a_plant_that_deviates_is_valid_and_differs_by_about_the_size_given(mode
 
 
 def inverses() -> list:
-    """Return every model with every inverse it names that finds the voltage of its own state."""
+    """Return every model with each of its inverses that finds the voltage of its own state."""
     following = {name for name, brought in BROUGHT.items() if brought.inverse.follows_model} | {"exact", "general"}
     pairs = [(model, name) for model in MODELS.values() for name in model.inverses if name in following]
     return [pytest.param(model, name, id=f"{model.name}-{name}") for model, name in pairs]
@@ -312,7 +312,7 @@ def test_its_example_is_an_axis_that_runs_and_whose_plant_may_deviate(model):
 
 
 def recording(model) -> IdentificationData:
-    """What the example does under loops, or under a multisine across its resonance."""
+    """Return the example's response to loops, or to a multisine across its resonance."""
     if model.block.invertible:
         return measured(LOOPS, output(example(model), LOOPS))
     random, lines = np.random.default_rng(2), np.arange(1, 160)
@@ -342,7 +342,7 @@ def test_what_an_estimator_finds_predicts_is_judged_and_becomes_an_axis(model, t
     assert score.figures["rmse_m"] < 0.01 * data.stroke
     axis = single_axis(found.to_axis())
     assert axis.plant_simulator.hysteresis.type == model.name
-    # the same as through the file
+    # the same as with the file
     found.save(tmp_path / "axis.yaml")
     filed = validate(tmp_path / "axis.yaml", data)
     assert filed.figures["rmse_m"] == pytest.approx(score.figures["rmse_m"], rel=1e-6)
@@ -356,7 +356,7 @@ def test_fitted_to_its_own_data_it_predicts_them(model):
     found = identify(data, model.name, linear="none", options=options)
     assert found.model == model.name and found.chain.hysteresis.type == model.name
     predicted = predict(found.chain, data.input, data.sample_time, measured=data.output)
-    # a model may start from another past than the example's; once that is wiped out, it no longer matters
+    # a model may start from another history than the example's; once this is erased, it has no effect
     first = automatic_skip(data) if model.block.invertible else 0
     assert np.std((predicted - data.output)[first:]) < 0.01 * np.ptp(data.output)
     if model.identify == PARAMETRIC:

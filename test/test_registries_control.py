@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The contract of registered controllers and waveforms: each does what it declares, whoever wrote it."""
+"""The contract of registered controllers and waveforms: each follows its declaration, whatever package it is from."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformPar
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: Sample time [s], step of the reference [m] and bandwidth of the designs [Hz].
 T, STEP, BANDWIDTH = 1e-3, 2e-6, 20.0
-#: A model with two lags, of gain one.
+#: A model with two lags and unit gain.
 MODEL = LinearParameters(A=(0.0, 1.0, -0.48, 1.4), B=(0.0, 1.0), C=(0.05, 0.03), output_scale=1e-6)
 
 laws = pytest.mark.parametrize("law", LAWS.values(), ids=list(LAWS))
@@ -68,7 +68,7 @@ def designed(name: str, bandwidth: float | None = BANDWIDTH) -> ControllerParame
 
 
 def example(law) -> ControllerParameters:
-    """Parameters of the first design, or nothing but the model for a law that has none."""
+    """Parameters of the first design, or only the model for a law without designs."""
     if not law.designs:
         return ControllerParameters.from_mapping({**plain().to_mapping(), "type": law.name})
     return designed(next(iter(law.designs)))
@@ -96,7 +96,7 @@ class Loop:
 
 def round_trip(parameters, kind):
     given = parameters.to_mapping()
-    assert {type(value) for value in given.values()} <= {float, int, bool, str, tuple}, "a number of NumPy's, say"
+    assert {type(value) for value in given.values()} <= {float, int, bool, str, tuple}, "no NumPy types"
     text = dump_configuration({"/**/node": {name: value for name, value in given.items() if value != ()}})
     return kind.from_mapping(parse_configuration(text, "test").node("node"))
 
@@ -111,7 +111,7 @@ def test_a_controller_says_what_it_is_and_its_parameters_are_documented(law):
     if law.block.__module__.startswith("hysteresis_ros."):
         text = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
         rows = [f"`{name}.{row.name}`" for name, kind in law.groups.items() for row in kind.table()]
-        assert [row for row in rows if row not in text] == [], "let `hysteresis parameters` print the tables anew"
+        assert [row for row in rows if row not in text] == [], "update the tables with `hysteresis parameters`"
 
 
 @laws
@@ -237,7 +237,7 @@ def test_what_it_declares_for_tuning_can_be_tuned(law):
 @pytest.mark.parametrize("name", ROWS)
 def test_its_entries_of_the_comparison_can_be_built(name):
     if LAWS[ROWS[name][0].name].tuning is not None:
-        return  # tuned on simulated runs, which test/comparison does
+        return  # tuned on simulated runs, as tested in test/comparison
     configuration, conditions = load_configuration("picma_stage"), Conditions()
     tasks = make_tasks(conditions, (0.0, 10e-6))
     made = candidates(known(configuration, 16), conditions, tasks, only={(name, "none")})
@@ -256,7 +256,7 @@ def test_an_unknown_controller_is_refused_with_the_nearest_name_and_what_there_i
 
 
 def waveform(shape, folder, **changes) -> WaveformParameters:
-    """Return an example of a waveform; that of a file is written into the folder."""
+    """Return an example of a waveform; the file of a file waveform is written into the folder."""
     values = {"type": shape.name, "amplitude": 5e-6, "frequency": 4.0, "offset": 1e-6}
     if shape.name == "file":
         path = pathlib.Path(folder) / "samples.npy"
@@ -268,7 +268,7 @@ def waveform(shape, folder, **changes) -> WaveformParameters:
     try:
         return WaveformParameters.from_mapping(values)
     except ParameterError as error:
-        # one that must end
+        # a waveform that must end
         assert [problem.name for problem in error.problems] == ["cycles"]
         return WaveformParameters.from_mapping(values | {"cycles": 4})
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Contract of the drivers: every one does what it declares, at its emulator; the one in C of examples/ among them."""
+"""Contract of the drivers: each follows its declaration, with its emulator, including the example in C."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ drivers = pytest.mark.parametrize("name", [*DRIVERS, pytest.param(C_STAGE, marks
 
 @pytest.fixture
 def declared(name):
-    """The declaration; of the example that which its file gives."""
+    """Return the declaration of a driver; that of the example is made from its file."""
     declared = driver_of(str(built() / "stage.py")) if name == C_STAGE else DRIVERS[name]
     if declared.package:
         pytest.importorskip(declared.package, reason=f"{declared.package} is not installed: no driver {name}")
@@ -51,7 +51,7 @@ def declared(name):
 
 @pytest.fixture
 def opened(declared):
-    """The device at the driver's emulator."""
+    """Open the device at the driver's emulator."""
     with declared.emulator() as parameters:
         device = Device(declared, parameters, RATE)
         yield device
@@ -59,7 +59,7 @@ def opened(declared):
 
 
 def recording(declared, heard: list):
-    """Return the same driver, which notes what reaches it."""
+    """Return the same driver, which stores what reaches it."""
 
     class Recorded(declared.driver):
         def write(self, voltages):
@@ -70,10 +70,10 @@ def recording(declared, heard: list):
 
 
 def hold(device, voltage: float, samples: int = 20) -> float:
-    """Hold a voltage for some samples and return the last position of the first joint."""
+    """Hold a voltage for some samples, and return the last position of the first joint."""
     for _ in range(samples):
         device.write([voltage])
-        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with a clock of its own needs
+        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with its own clock needs
         position = device.read()[0]
     return position
 
@@ -96,7 +96,7 @@ def test_it_says_what_it_is_and_its_parameters_are_documented_and_come_back_from
     if declared.name in DRIVERS and declared.driver.__module__.startswith("hysteresis_ros."):
         text = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
         missing = [row for row in declared.parameters.table() if f"`{own}{row.name}`" not in text]
-        assert declared.name in text and not missing, "let `hysteresis parameters` print the tables anew"
+        assert declared.name in text and not missing, "update the tables with `hysteresis parameters`"
 
 
 @drivers
@@ -152,7 +152,7 @@ def test_no_voltage_that_is_no_number_or_out_of_range_reaches_it(declared):
 
 @drivers
 def test_what_machine_code_calls_is_what_python_calls(opened):
-    """A driver without a compiled form says so, and serves message by message."""
+    """A driver without a compiled form reports this, and works message by message."""
     compiled = opened.compiled()
     if compiled is None:
         return
@@ -162,7 +162,7 @@ def test_what_machine_code_calls_is_what_python_calls(opened):
     voltages[0] = 0.5 * (can.minimum + can.maximum)
     for _ in range(30):
         assert call_with(link, WRITE, voltages) == 0
-        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with a clock of its own needs
+        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with its own clock needs
         assert call_with(link, READ, positions) in (0, NOTHING_NEW)
     there = hold(opened, voltages[0])
     assert positions[0] == pytest.approx(there, abs=0.02 * abs(there))
@@ -194,7 +194,7 @@ def test_a_second_master_is_refused_or_has_a_device_of_its_own(declared):
             second = Device(declared, parameters, RATE)
         except DriverError as error:
             assert str(error).startswith(f"driver {declared.name}: cannot be opened: ")
-            hold(first, can.minimum, samples=2)  # and the first goes on
+            hold(first, can.minimum, samples=2)  # and the first one continues
             return
         stack.callback(second.close)
         for _ in range(30):
@@ -208,7 +208,7 @@ def test_a_device_that_is_gone_is_a_driver_error_within_moments(declared):
         device = Device(declared, parameters, RATE)
     start = time.monotonic()
     for call in (device.read, device.make_safe):
-        # nothing outside has gone where there is nothing outside
+        # a driver without external effects does not touch the outside
         with contextlib.suppress(DriverError):
             call()
     device.close()

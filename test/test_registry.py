@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registries: what is found in a folder and behind entry points, and what is refused or left out."""
+"""Registries: entries from a folder and from entry points, and entries that are refused or omitted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ numbers = itertools.count()
 
 @pytest.fixture
 def found(tmp_path, monkeypatch):
-    """Return a function that writes modules and entry points and returns what is discovered."""
+    """Return a function that writes modules and entry points and returns the discovered entries."""
     monkeypatch.syspath_prepend(tmp_path)
 
     def discovered(modules: dict[str, str], entries: str = "") -> dict[str, SimpleNamespace]:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is designed and simulated is the same bits on every processor: other processors are played in processes."""
+"""Designs and simulations give the same bits on every processor: other processors are simulated in processes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from processors_support import PROCESSORS, on_processor
 
 import hysteresis_ros
 
-#: Simulated seconds of every shipped configuration: a few thousand samples.
+#: Simulated time of every shipped configuration [s]: a few thousand samples.
 DURATIONS = {
     "kim2009": 0.5,
     "auwal2017": 5.0,
@@ -48,7 +48,7 @@ for name, duration in json.loads(sys.argv[1]).items():
     found[name] = {signal: hashlib.sha256(values.tobytes()).hexdigest() for signal, values in signals.items()}
 print(json.dumps(found))
 """
-#: Designs of everything that has a design of its own: numbers with all their digits.
+#: Designs of all objects with a design, with all digits of their numbers.
 DESIGN = """
 import json, warnings
 warnings.filterwarnings("ignore")
@@ -98,7 +98,7 @@ def test_every_shipped_configuration_is_the_same_bits_on_every_processor(process
 
 
 def test_compiled_for_another_processor_functions_are_the_same_bits(tmp_path):
-    # Numba compiles for the processor it is on; a generic one has no vector extensions and no fused multiply-add
+    # Numba compiles for the current processor; a generic one has no vector extensions and no fused multiply-add
     script = """
 import numpy as np
 from hysteresis_ros.models import elementary
@@ -115,30 +115,30 @@ def test_designs_are_the_same_bits_on_every_processor():
     assert len(set(digests.values())) == 1, digests
 
 
-#: What differs from processor to processor, and in folders of blocks may only judge: refuse a design or be printed.
+#: Functions with processor-dependent results; in folders of blocks they may only refuse a design or be printed.
 UNORDERED = re.compile(
     r"\bnp\.(linalg|dot|einsum|inner|vdot|poly|convolve|exp|expm1|log|log10|log1p|sin|cos|tan|tanh|cosh|sinh|power)\b"
     r"|\bmath\.(exp|expm1|log|log1p|log10|pow|sin|cos|tan|tanh|sinh|cosh|hypot)\b|\bscipy\b|\bcmath\b"
 )
-#: Files that judge, with what they may use for it.
+#: Files with such results for refusals or prints, and the functions that they may use.
 JUDGES = {
-    # the error of a singular matrix has NumPy's name; how fast a reference may be is refused or printed
+    # the error of a singular matrix has NumPy's name; the highest speed of a reference is printed or leads to a refusal
     "models/linear_algebra.py": {"np.linalg"},
     "loop/reach.py": {"cmath", "import cmath"},
-    # displacements between the samples of a run that is over
+    # displacements between the samples of a finished run
     "loop/stage_simulation.py": {"np.linalg", "@", "scipy", "import scipy.signal"},
     "control/state_feedback.py": {"np.linalg", "@"},
-    # a search whose result is written in four digits; margins and printed modes
+    # a search whose result is written with four digits; margins and printed modes
     "designs/damping.py": {"np.linalg", "np.exp", "np.sinh"},
     "control/damping/inner_loop.py": {"np.log", "@"},
-    # taps are rounded before they are judged and written
+    # taps are rounded before they are checked and written
     "designs/learning_filters.py": {"np.cos", "np.exp", "@"},
     "control/margins.py": {"@", "np.linalg", "np.exp", "np.log", "np.log10", "np.sinh"},
     "control/laws/pid.py": {"np.log", "@"},
     "control/linearisation.py": {"@"},
     "control/sliding_surface.py": {"np.linalg", "@"},
     "control/feedforward.py": {"math.log10"},
-    # scores, and the plants that gains are tried on
+    # scores, and the plants on which gains are tested
     "control/sliding_gains.py": {"math.log", "np.log"},
     "control/uncertainty.py": {"np.linalg", "np.exp", "np.log", "@"},
     "models/creep.py": {"math.log10"},
@@ -152,7 +152,7 @@ JUDGES = {
         "math.log",
         "np.exp",
     },
-    # paths that are written into files; no scan runs in the loop
+    # paths that are written into files; the loop runs no scan
     "references/pieces.py": {"@"},
     "references/scan.py": {"np.linalg", "@", "math.log10", "math.sin", "math.cos"},
     "references/scans/cycloid.py": {"np.exp"},
@@ -160,9 +160,9 @@ JUDGES = {
     "references/scans/lissajous.py": {"np.sin", "math.hypot", "@", "np.cos"},
     "references/scans/rosette.py": {"math.sin", "@", "np.exp"},
     "references/scans/spiral.py": {"np.exp"},
-    # figures of a stage that are printed, and limits beyond which its scans are refused or warned of
+    # printed figures of a stage, and limits for refusals or warnings about its scans
     "loop/stage_response.py": {"np.linalg", "np.exp", "@"},
-    # samples that are written into files; a contraction that is refused
+    # samples that are written into files; a refused contraction
     "references/recipes.py": {"np.exp", "np.cos"},
     "references/inchworm_parameters.py": {"np.linalg"},
 }
@@ -170,7 +170,7 @@ PACKAGE = pathlib.Path(hysteresis_ros.__file__).parent
 
 
 def unordered(path: pathlib.Path) -> set[str]:
-    """Return what a source uses whose last digit depends on the processor."""
+    """Return functions in a source whose last digit depends on the processor."""
     used = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):

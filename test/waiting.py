@@ -7,19 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Waiting for conditions, never for time."""
+"""Waiting for conditions, never for a fixed time."""
 
 from __future__ import annotations
 
 import threading
 import time
 
-#: Seconds a condition may take; only a broken test waits that long.
+#: Time-out of a condition [s]; only a failing test waits this long.
 PATIENCE = 60.0
 
 
 def until(condition, timeout: float = PATIENCE, what: str = "", every: float = 0.01):
-    """Wait until ``condition()`` is true, looked at ``every`` so many seconds, and return its value."""
+    """Wait until ``condition()`` is true, checked ``every`` few seconds, and return its value."""
     deadline = time.monotonic() + timeout
     pause = threading.Event()
     while True:
@@ -32,5 +32,5 @@ def until(condition, timeout: float = PATIENCE, what: str = "", every: float = 0
 
 
 def until_clock(moment: float) -> None:
-    """Wait until ``time.monotonic()`` shows ``moment`` [s]: where a length of time is itself what is tried."""
+    """Wait until ``time.monotonic()`` reaches ``moment`` [s], where the duration itself is tested."""
     until(lambda: time.monotonic() >= moment, every=1e-3, what="the moment")

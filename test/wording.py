@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Words that are not ours: what `make lint` counts in code and pages, and what to write instead.
+"""Phrases that we do not use: `make lint` counts them in code and pages, and this list says what to write instead.
 
-``python test/wording.py`` prints every phrase that stands more often than its allowance and ends with exit code 1. An
-allowance is what stood there when the phrase was listed; it may only become smaller, and 0 forbids the phrase.
+``python test/wording.py`` prints every phrase that occurs more often than its allowance and ends with exit code 1. An
+allowance is the number of occurrences when the phrase was listed; it may only become smaller, and 0 forbids the phrase.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 FOLDERS = ("hysteresis_ros", "docs", "examples", "benchmarks", "config", "launch", "test")
 SUFFIXES = (".py", ".md", ".yaml", ".ipynb", ".j2", ".js", ".c", ".h")
 
-#: Phrase (a regular expression, upper and lower case apart): what to write instead, and how often it still stands.
+#: Phrase (a regular expression, case-sensitive): replacement, and allowed number of occurrences.
 NOT_OURS = {
     r"is none": ("say what the thing is or lacks: 'the file is not a recording'", 22),
     r"are none": ("'there are no …', or what they are", 3),
@@ -44,7 +44,7 @@ NOT_OURS = {
 
 
 def pages() -> list[pathlib.Path]:
-    """Return the sources and pages that are read, but not this list, what others wrote, and what is made."""
+    """Return the sources and pages, except this list, third-party files and generated files."""
     found = [path for name in FOLDERS for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES]
     made = ("docs/reference/", "hysteresis_ros/analysis/assets/", "test/wording.py")
     kept = [path for path in found if not path.relative_to(ROOT).as_posix().startswith(made)]
@@ -52,12 +52,12 @@ def pages() -> list[pathlib.Path]:
 
 
 def occurrences(phrase: str, text: str) -> int:
-    """Count a phrase in a text, over ends of lines and marks of comments too."""
+    """Count a phrase in a text, also across line ends and comment marks."""
     return len(re.findall(rf"\b(?:{phrase})\b", re.sub(r"\s+(?:(?:#:?|//|\*|>)\s+)?", " ", text)))
 
 
 def too_many(counts: dict[str, dict[str, int]]) -> list[str]:
-    """Return a line for each phrase that stands more often than it may, with the files that have it."""
+    """Return a line for each phrase that occurs more often than allowed, with the files that contain it."""
     lines = []
     for phrase, (instead, allowed) in NOT_OURS.items():
         total = sum(counts[phrase].values())
@@ -68,7 +68,7 @@ def too_many(counts: dict[str, dict[str, int]]) -> list[str]:
 
 
 def counted() -> dict[str, dict[str, int]]:
-    """Return for each phrase the files that have it, and how often."""
+    """Return for each phrase the files that contain it, with numbers of occurrences."""
     texts = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in pages()}
     found = {phrase: {name: occurrences(phrase, text) for name, text in texts.items()} for phrase in NOT_OURS}
     return {phrase: {name: number for name, number in places.items() if number} for phrase, places in found.items()}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Transitions of the lifecycle and services in any order and any number: what does not fit is refused."""
+"""Transitions of the lifecycle and services in any order and number: impossible ones are refused."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from nodes_support import InProcess, axis_parameters  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-#: What each state allows, and where it leads (design of the managed nodes of ROS 2).
+#: Allowed transitions of each state, and their target states (design of the managed nodes of ROS 2).
 ALLOWED = {
     "unconfigured": {Transition.TRANSITION_CONFIGURE: "inactive"},
     "inactive": {Transition.TRANSITION_ACTIVATE: "active", Transition.TRANSITION_CLEANUP: "unconfigured"},
@@ -46,7 +46,7 @@ def classes():
 
 
 def in_any_order(inside):
-    """Return a machine whose nodes are in that process."""
+    """Return a state machine for nodes in the process ``inside``."""
 
     class InAnyOrder(RuleBasedStateMachine):
         @initialize()
@@ -59,7 +59,7 @@ def in_any_order(inside):
         def transition(self, name, number):
             request, response = ChangeState.Request(), ChangeState.Response()
             request.transition.id = number
-            # as the service calls it; rclpy's own is private
+            # as the service calls it; the method of rclpy is private
             answer = self.nodes[name]._LifecycleNodeMixin__on_change_state(request, response)
             wanted = ALLOWED[self.states[name]].get(number)
             assert answer.success == (wanted is not None)

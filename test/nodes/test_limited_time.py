@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Plant and compensator say first, for a minute, for how long their output was limited and by what."""
+"""Plant and compensator report for a minute, before other messages, how long their output was limited and by what."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def counted(range_=0, safe=0):
 def test_what_was_limited_is_said_for_a_minute_and_forgotten_then():
     limited = LimitedTime()
     assert limited.report(counted(), RATE, 0.0) == ""
-    assert limited.report(counted(10, 0), RATE, 1.0) == "", "a moment"
+    assert limited.report(counted(10, 0), RATE, 1.0) == "", "a moment is not reported"
     said = limited.report(counted(11, 300), RATE, 10.0)
     assert said == f"output limited for 3.11 s of the last 10 s, by {SAFE} and {AMPLIFIER}"
     for now in range(11, 60):
@@ -64,13 +64,13 @@ def test_plant_and_compensator_count_what_they_hold_back(inside):
 
     for _ in range(30):
         sample(10.0)
-    assert plant.held_back == 0, "as it is asked"
+    assert plant.held_back == 0, "the output equals the request"
     for _ in range(120):
         sample(float("nan"))
-    assert plant.held_back == 0 and plant.row[PLANT_VOLTAGE] == 0.0, "at its safe voltage, which its silence says"
+    assert plant.held_back == 0 and plant.row[PLANT_VOLTAGE] == 0.0, "at its safe voltage, without input"
     for _ in range(80):
         sample(10.0)
-    # 10 V at 20 V/s, a sample of 10 ms after the other: the last of fifty is there
+    # 10 V at 20 V/s with samples of 10 ms: the last of fifty samples reaches it
     assert plant.held_back == 49
     level, words, values = plant.health()
     assert level == 1 and words == f"output limited for 0.49 s, by {SAFE}" and values["held_back_samples"] == 49
@@ -87,7 +87,7 @@ def test_plant_and_compensator_count_what_they_hold_back(inside):
     plant.part.halt()
     for _ in range(20):
         sample(10.0)
-    assert plant.held_back == 49 and plant.health()[1].startswith("axis stopped"), "a stop is said as such"
+    assert plant.held_back == 49 and plant.health()[1].startswith("axis stopped"), "a stop is reported as a stop"
     assert plant.reset_blocks() is None and plant.held_back == 0 and plant.health()[1] != words
 
 
@@ -120,10 +120,10 @@ def test_of_a_whole_run_more_than_a_moment_is_said():
 def test_a_run_that_nobody_recorded_says_at_its_end_that_it_was_cut(processes, tmp_path, how, cut):
     axis = axis_parameters(sample_rate=200.0, overrides={"plant_simulator": {"late_limit": -1}})
     path = write_axis(tmp_path / "axis.yaml", axis)
-    slew = 100.0 if cut else 1e6  # a triangle of 10 Hz over some 60 V asks for 1200 V/s
+    slew = 100.0 if cut else 1e6  # a triangle of 10 Hz over about 60 V requires 1200 V/s
     overlay = tmp_path / "slew.yaml"
     overlay.write_text(f"/**/hysteresis_compensator:\n  ros__parameters: {{limits: {{slew_rate: {slew}}}}}\n")
     words = ["--reference", "triangle", "--frequency", "10", "--amplitude", "3e-6m", "--duration", "3"]
     up = processes.command("up", path, "--params-file", str(overlay), how, *words)
-    assert up.wait(300.0) == 0, up.output  # fused may be compiled first
+    assert up.wait(300.0) == 0, up.output  # with a fused axis kernels may be compiled first
     assert ("output limited for" in up.output and "the actuator did not receive" in up.output) == cut, up.output

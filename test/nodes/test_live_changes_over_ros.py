@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Changes while an axis runs in lockstep: logged where they took effect, and repeated bit for bit from the log."""
+"""Changes of a running axis in lockstep: logged where they take effect, and repeated bit for bit from the log."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from nodes_support import (  # noqa: E402
 
 CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
 SOURCE = "reference_generator"
-#: One of each kind of change; each may come any number of times. False: it is refused.
+#: One of each kind of change, each of which may occur any number of times. False: it is refused.
 RETUNED = (
     (CONTROLLER, {"type": "pid"}, True),
     (CONTROLLER, {"pid__Ki": 30.0}, True),
@@ -74,7 +74,7 @@ def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp
 
     random = np.random.default_rng(3)
     heard = observer.listen(JointState, "/plant_simulator/state")
-    # without an end: a run that is over before all has been asked would answer nobody
+    # endless, because a run that ends before all requests would not answer them
     axis = walking_axis(0)
     path = write_axis(tmp_path / "axis.yaml", axis)
     run = processes.command("up", path, how, "--record", str(tmp_path / "bag"))
@@ -110,14 +110,14 @@ def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp
 
 
 def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(inside, tmp_path):
-    """Each change falls between two messages of a sample, at a place of its own, in turn."""
+    """Each change falls between two messages of a sample, at a different place each time."""
     from rclpy.parameter import Parameter
 
     from hysteresis_ros.loop.simulation import differences
 
     run = RecordedRun(inside, walking_axis(1500), tmp_path / "bag")
     nodes = {PLANT: run.plant, COMPENSATOR: run.compensator, CONTROLLER: run.controller, SOURCE: run.source}
-    # before a node answers, after it has answered, and after the plant has taken the voltage
+    # before a node answers, after it has answered, and after the plant has received the voltage
     places = [
         *((run.source, "before_step"), (run.source, "after_step"), (run.controller, "before_step")),
         *((run.controller, "after_step"), (run.compensator, "before_step"), (run.plant, "finish_sample")),
@@ -149,7 +149,7 @@ def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(ins
     assert differences(recorded, run.axis) == {}
     log = recorded.metadata["changes"]
     assert len(log) == sum(accepted for _, _, accepted in made)
-    # what was logged is what differs from before, and where it took effect
+    # the log contains the differences from the previous values, and the place where they took effect
     assert all(set(entry["parameters"]) <= names_of(dict.fromkeys(k for _, v, _ in made for k in v)) for entry in log)
     stages = {(entry["node"], entry.get("after", "")) for entry in log}
     assert {(PLANT, "measured"), (PLANT, ""), (CONTROLLER, "answered"), (CONTROLLER, ""), (COMPENSATOR, "")} == stages

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Lockstep: the nodes give the numbers of the offline twin, bit for bit, whatever else the machine does."""
+"""Lockstep: the nodes give the numbers of the offline twin, bit for bit, under any load of the machine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PER_SAMPLE = (
 )
 
 
-#: Amplifier, converter and transport of a real axis take a third of a sample, and the controller knows of it.
+#: Amplifier, converter and transport of a real axis take a third of a sample, which the controller's model contains.
 LATE = {
     "plant_simulator": {"dynamics__delay": 1.1e-4},
     "motion_controller": {
@@ -68,11 +68,11 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
     recorded = load_run(tmp_path / "bag")
     assert differences(recorded, axis) == {}
     twin = simulate(axis)
-    # the run was worth comparing: it moves, is noisy, is limited, is loaded
+    # the run contains motion, noise, saturation and load
     assert np.ptp(twin.signals["displacement"]) > 3e-6
     assert np.std(twin.signals["measured"] - twin.signals["displacement"]) == pytest.approx(5e-9, rel=0.2)
     assert twin.signals["displacement"][0] == pytest.approx(-0.2 / 0.41 * 1e-6, abs=1e-9)
-    # every signal that has no column is compared from its topic
+    # signals without a column are compared from their topics
     table = collections.defaultdict(list)
     for topic, signal in (("/applied", "applied"), ("/voltage", "voltage")):
         from hysteresis_ros.recordings.cdr import decode_float64s
@@ -128,9 +128,9 @@ def test_reset_of_all_nodes_gives_the_same_numbers_again(inside, observer):
     for name in ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator"):
         assert observer.trigger(f"/{name}/reset").success
     until(lambda: len(heard) == 800, what="second run")
-    np.testing.assert_array_equal(states(heard)[400:], first)  # a force that is not measured is no number
+    np.testing.assert_array_equal(states(heard)[400:], first)  # a force that is not measured is NaN
     assert first[0][:2] == (0, 0)
-    # and in the middle of a run that is held
+    # and in the middle of a halted run
     assert all(observer.trigger(f"/{n}/reset").success for n in ("reference_generator", "motion_controller"))
     assert all(observer.trigger(f"/{n}/reset").success for n in ("hysteresis_compensator", "plant_simulator"))
     until(lambda: len(heard) > 810)
@@ -145,7 +145,7 @@ def test_reset_of_all_nodes_gives_the_same_numbers_again(inside, observer):
 
 
 def test_nodes_activated_in_any_order_and_again(inside, observer):
-    """Lifecycle by the standard services: the plant first, so that sample 0 is there before the others work."""
+    """Lifecycle by the standard services; the plant is first, so sample 0 exists before the others are active."""
     axis = shortened(real_axis(autostart=False), 200)
     nodes = compose(inside, axis, autostart=False)
     for node in nodes:

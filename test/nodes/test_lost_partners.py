@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A node that is lost stops the axis, latched, whichever it is and at any rate; nobody takes its place unasked."""
+"""The loss of any node at any rate stops the axis, latched; no other node replaces it without ~/start."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LAG = {"A": (0.5,), "B": (0.5,), "C": (1.0,)}
 
 
 def axis_at(rate: float):
-    """Return an axis of simple dynamics in the open loop at 6 µm, 60 V; any number of single voltages may be late."""
+    """Return an open-loop axis with simple dynamics at 6 µm, 60 V; any number of single voltages may be late."""
     plant = {**LINEAR, "late_limit": 10**6} | {f"dynamics__{name}": matrix for name, matrix in LAG.items()}
     controller = {"type": "open_loop", "safe_slew_rate": 1e-3}
     controller |= {f"model__dynamics__{name}": matrix for name, matrix in LAG.items()}
@@ -46,7 +46,7 @@ def axis_at(rate: float):
 
 
 class Graph:
-    """Four processes in real time, and what the plant says of each sample."""
+    """Four processes in real time, and the plant's state at each sample."""
 
     def __init__(self, processes, observer, folder, rate: float):
         from sensor_msgs.msg import JointState
@@ -76,7 +76,7 @@ class Graph:
         return "\n".join(f"{name}:\n{node.output}" for name, node in self.nodes.items())
 
     def rests(self) -> bool:
-        """Return whether the voltage is no other than in the sample before: the displacement follows it later."""
+        """Return whether the voltage equals that of the previous sample; the displacement follows it later."""
         return len(self.states) < 2 or abs(self.states[-1].position[2] - self.states[-2].position[2]) < 1e-9
 
     def more(self, samples: int) -> None:
@@ -84,13 +84,13 @@ class Graph:
         until(lambda: len(self.states) > since + samples, what=f"{samples} more samples")
 
     def at_work(self) -> None:
-        """Wait until all are taken to be at work: for longer than the time in which nodes start."""
+        """Wait until all nodes count as running, longer than the time in which nodes start."""
         begun = time.monotonic()
         until(lambda: time.monotonic() > begun + STARTING + 0.5, what="the nodes to be at work")
         self.more(AT_WORK)
 
     def be_patient(self) -> None:
-        """Let no part go to safe when a machine that starts further processes stands still for a while."""
+        """Prevent parts from going to safe while a machine that starts more processes is blocked for a moment."""
         waits = {"plant_simulator": "voltage", "hysteresis_compensator": "command", "motion_controller": "measurement"}
         for node, what in waits.items():
             assert self.observer.set_parameters(f"/{node}", **{f"{what}_timeout": 20.0}) == (True, "")
@@ -102,7 +102,7 @@ class Graph:
         return self.start_of("plant_simulator")
 
     def start_until_at(self, place: float) -> None:
-        """Start the axis, again where a node on a busy machine has noticed the loss only after that."""
+        """Start the axis, repeatedly if a node on a busy machine noticed the loss only after the start."""
 
         def there() -> bool:
             return (abs(self.place() - place) < 1e-8 and self.rests()) or bool(
@@ -145,7 +145,7 @@ def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph):
 @pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
 @pytest.mark.parametrize("victim", NODES)
 def test_a_node_killed_as_soon_as_the_axis_runs_stops_it_too(graph, victim):
-    """In the time in which nodes start silence has to last longer; it is a loss for that."""
+    """While nodes start, silence must last longer, and then counts as a loss."""
     graph.nodes[victim].kill()
     others = [graph.nodes[name] for name in NODES if name != victim]
     until(lambda: any(f"{victim} is lost" in other.output for other in others), what="the loss")
@@ -164,7 +164,7 @@ def test_a_node_killed_as_soon_as_the_axis_runs_stops_it_too(graph, victim):
 @pytest.mark.parametrize("graph", [10.0], indirect=True)
 @pytest.mark.parametrize("victim", ["motion_controller", "hysteresis_compensator"])
 def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, victim):
-    """At most as long as nodes start: what comes from another process of it is no continuation."""
+    """At most as long as nodes take to start: messages of its new process are not a continuation."""
     began = len(graph.states)
     graph.nodes[victim].kill()
     graph.nodes[victim] = graph.processes.node(victim, graph.path)
@@ -274,7 +274,7 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
 
 @pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
 def test_a_node_that_joins_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path):
-    """The path asks for 12 V/s, the limit is 24 V/s: a sample that waits makes up for it at no more than that."""
+    """The path requires 12 V/s, the limit is 24 V/s: after a late sample the voltage catches up within this limit."""
     graph.be_patient()
     for node in ("hysteresis_compensator", "plant_simulator"):
         assert graph.observer.set_parameters(f"/{node}", limits__slew_rate=24.0, safe_slew_rate=24.0) == (True, "")
@@ -297,7 +297,7 @@ def test_a_node_that_joins_a_moving_axis_makes_no_larger_step_of_its_voltage(gra
         allowed = bit + 24.0 * max(stamp_of(after) - stamp_of(before), 1.0 / graph.rate)
         assert abs(after.position[2] - before.position[2]) <= allowed * (1.0 + 1e-6)
     assert longest_gap(states) < 0.45 and not graph.tripped()
-    assert max(state.position[2] for state in states) - min(state.position[2] for state in states) > 1.0, "it moved"
+    assert max(state.position[2] for state in states) - min(state.position[2] for state in states) > 1.0, "no motion"
 
 
 @pytest.mark.parametrize("graph", [10.0], indirect=True)
@@ -312,7 +312,7 @@ def test_services_answer_what_has_happened_also_between_two_samples(graph):
         until(lambda: not graph.start_of("motion_controller").success, what="a controller that knows it")
         assert "the plant has stopped the axis" in graph.start_of("reference_generator").message
         assert graph.start().success
-        for node in NODES[1:]:  # their next sample comes 0.1 s later at the earliest
+        for node in NODES[1:]:  # their next sample comes at least 0.1 s later
             answer = graph.start_of(node)
             assert answer.success and answer.message == "running", f"{node}: {answer.message}"
         graph.until_at(SETPOINT)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: an input is fed by one publisher, known by its identity; a second one moves nothing."""
+"""One axis, one master: an input accepts one publisher, known by its identity; a second one has no effect."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Clock:
 
 
 class FakeNode:
-    """What masters ask of their node."""
+    """The interface of a node to its masters."""
 
     patience = 0.2
     parameters = SimpleNamespace(joint="stage")
@@ -77,7 +77,7 @@ class FakeNode:
 
 @pytest.fixture
 def led(monkeypatch):
-    """Return a clock, a node, its masters, one input of it, and what was let through."""
+    """Return a clock, a node, its masters, one of its inputs, and the accepted messages."""
     clock, node, taken = Clock(), FakeNode(), []
     monkeypatch.setattr(masters, "time", clock)
     found = Masters(node)
@@ -87,7 +87,7 @@ def led(monkeypatch):
 
 
 def pass_time(led, duration: float) -> None:
-    """Let time pass for a process that is at work."""
+    """Advance the time of a running process."""
     for _ in range(round(duration / LOOK)):
         led.clock.now += LOOK
         led.masters.look()
@@ -104,11 +104,11 @@ def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allow
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 1.0 and not led.node.told
     for _ in range(100):
-        pass_time(led, 0.1)  # it is over, and the other one goes on and on
+        pass_time(led, 0.1)  # it has stopped, and the other one continues
         led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 1.0 and not led.node.told
     led.masters.release()
-    led.master.take(1.0, OURS)  # it was back before the other one was heard
+    led.master.take(1.0, OURS)  # it was back before the other one was received
     pass_time(led, 1.0)
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 1.0
@@ -117,7 +117,7 @@ def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allow
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 2.0 and "/voltage is now accepted from /stranger" in led.node.told[0]
     assert "allowed by ~/reset" in led.node.told[0] and not led.node.replaced
-    led.master.take(1.0, OURS)  # now it is the second one
+    led.master.take(1.0, OURS)  # now it is the second publisher
     assert led.taken[-1] == 2.0
 
 
@@ -136,19 +136,19 @@ def test_the_same_node_restarted_follows_a_silent_one(led):
 
 @pytest.mark.parametrize("known", ["at once", "later"])
 def test_who_has_left_the_graph_is_followed_by_another_at_once_and_who_is_in_it_by_nobody(led, known):
-    if known == "later":  # the first message comes before the graph tells of its publisher
+    if known == "later":  # the first message comes before the graph contains its publisher
         led.node.names = {THEIRS: "compensator"}
     led.master.take(1.0, OURS)
     led.master.take(2.0, THEIRS)
     led.node.names = {OURS: "compensator", THEIRS: "compensator"}
     if known == "later":
-        assert led.taken == [1.0]  # nobody has seen him come: he cannot be seen to leave
+        assert led.taken == [1.0]  # its appearance was not observed, so its exit cannot be observed
         led.masters.complaint()
-    for _ in range(3):  # both are there
+    for _ in range(3):  # both are present
         pass_time(led, 0.03)
         led.master.take(2.0, THEIRS)
     assert led.taken == [1.0]
-    led.node.names = {THEIRS: "stranger"}  # what has left the graph leaves its place to its like only
+    led.node.names = {THEIRS: "stranger"}  # only a publisher of the same name may take its place
     pass_time(led, 0.03)
     led.master.take(2.0, THEIRS)
     assert led.taken == [1.0]
@@ -156,7 +156,7 @@ def test_who_has_left_the_graph_is_followed_by_another_at_once_and_who_is_in_it_
     pass_time(led, 0.03)
     led.master.take(2.0, THEIRS)
     assert led.taken == [1.0, 2.0] and "/voltage is now accepted from /compensator" in led.node.told[0]
-    led.node.names |= {OURS: "compensator"}  # and now he is the second one
+    led.node.names |= {OURS: "compensator"}  # and now it is the second publisher
     pass_time(led, 0.03)
     led.master.take(1.0, OURS)
     assert led.taken == [1.0, 2.0]
@@ -175,7 +175,7 @@ def test_a_flood_of_somebody_else_does_not_ask_the_graph_for_each_message(led, m
 def test_both_are_named_as_long_as_there_are_two(led):
     led.node.publishers = 1
     assert led.masters.complaint() == ""
-    led.node.publishers = 2  # the second has said nothing yet
+    led.node.publishers = 2  # the second publisher has not sent a message yet
     assert "/voltage is published by /compensator and /stranger: stop one" in led.masters.complaint()
     led.master.take(1.0, OURS)
     led.master.take(2.0, THEIRS)
@@ -191,7 +191,7 @@ def test_both_are_named_as_long_as_there_are_two(led):
 
 def test_a_process_that_stood_still_takes_nobody_for_silent(led):
     led.master.take(1.0, OURS)
-    led.clock.now += 3.0  # SIGSTOP: both have talked meanwhile, and the stranger's message comes first
+    led.clock.now += 3.0  # SIGSTOP: both have sent messages meanwhile, and that of the stranger comes first
     led.master.take(2.0, THEIRS)
     led.master.take(1.0, OURS)
     assert led.taken == [1.0, 1.0]
@@ -208,7 +208,7 @@ def test_a_process_that_stood_still_takes_nobody_for_silent(led):
 
 def test_joint_states_of_other_joints_are_nobodys(led):
     gripper, stage = JointState(name=["gripper"]), JointState(name=["gripper", "stage"])
-    led.master.take(gripper, THEIRS)  # says what is missing, but leads nothing
+    led.master.take(gripper, THEIRS)  # is reported as incomplete, but does not lead
     led.master.take(stage, OURS)
     led.master.take(gripper, THEIRS)
     led.master.take(gripper, OURS)
@@ -280,7 +280,7 @@ def observers(domain):
 
 @pytest.mark.parametrize("told", [True, False])
 def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(inside, observers, monkeypatch, told):
-    """Also where ROS does not tell who sends: then nobody is heard while there are two."""
+    """Also if ROS does not identify senders: then no publisher is accepted while there are two."""
     if not told:
         monkeypatch.setattr(identified.ctypes, "PyDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
     overrides = {"plant_simulator": {"voltage_timeout": 600.0, "late_limit": -1, "real_time_factor": 1.0}}
@@ -321,7 +321,7 @@ def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(insi
         return 52.0 in seen
 
     until(followed, what="the other one's voltage, long before the time-out")
-    assert 50.0 not in seen  # the last 51.0 may have been under way when it was allowed
+    assert 50.0 not in seen  # the last 51.0 may have been sent while it was allowed
 
 
 def test_a_node_does_not_go_to_work_where_somebody_leads(inside, observer, monkeypatch):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Messages with more in them than an axis can mean are refused with words, and cost no more than that."""
+"""Messages with more content than an axis can use are refused with a reason, at little cost."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hysteresis_ros.references.trajectory import MOST_POINTS  # noqa: E402
 
 
 def test_a_trajectory_of_too_many_points_is_refused_before_it_is_looked_at():
-    # points without positions: whoever looked at them would complain of those
+    # points without positions: a check of the points would report the missing positions
     message = JointTrajectory(joint_names=["tip"], points=[JointTrajectoryPoint()] * (MOST_POINTS + 1))
     with pytest.raises(ParameterError, match=f"{MOST_POINTS + 1} points.*at most {MOST_POINTS}"):
         points_of(message, "tip")

@@ -41,7 +41,7 @@ from hysteresis_ros.loop.reach import single_axis
 
 
 class Axis:
-    """An axis that moves at 2 µm/s to the setpoint in force; what was asked of it stands in ``asked``."""
+    """An axis that moves at 2 µm/s to the active setpoint; received setpoints are in ``asked``."""
 
     def __init__(self):
         self.position = self.setpoint = 0.0
@@ -65,7 +65,7 @@ class Axis:
 
 
 class Bench:
-    """A record and its axis, with a clock of the test."""
+    """A record and its axis, with a clock controlled by the test."""
 
     def __init__(self, **settings):
         self.axis, self.now = Axis(), 0.0
@@ -88,7 +88,7 @@ class Bench:
         begun = self.now
         while not self["DMOV"]:
             self.wait(0.02)
-            assert self.now < begun + 60.0, "it never ends"
+            assert self.now < begun + 60.0, "the move does not end"
         return self.now - begun
 
 
@@ -99,7 +99,7 @@ def test_a_move_is_over_when_the_axis_has_stayed_near_and_not_before():
     assert bench.done() == pytest.approx((4.0 - 0.02) / 2.0 + 0.1, abs=0.041)
     assert bench["RBV"] == pytest.approx(4.0) and (bench["MOVN"], bench["MISS"]) == (0, 0)
     assert bench.record.alarm == Alarm()
-    bench.put("VAL", 4.0)  # to where it is: a move as well
+    bench.put("VAL", 4.0)  # a move to the current position is a move, too
     assert bench["DMOV"] == 0 and bench.done() == pytest.approx(0.12, abs=0.03)
 
 
@@ -233,7 +233,7 @@ def test_a_move_that_somebody_replaces_or_nobody_takes_or_that_never_settles_is_
     bench.axis.deaf = True
     bench.put("VAL", 5.0)
     assert bench.done() == pytest.approx(2.0, abs=0.05) and bench.record.alarm == MISSED
-    bench.put("VAL", 2.01)  # near enough, but nobody has taken it
+    bench.put("VAL", 2.01)  # near enough, but the setpoint was not accepted
     assert bench.done() == pytest.approx(2.0, abs=0.05) and bench.record.alarm == MISSED
     bench.axis.deaf, bench.axis.error = False, 1e-7
     bench.put("VAL", 2.0)
@@ -254,7 +254,7 @@ def test_what_the_axis_itself_says_stays():
 
 
 def axis_of(name):
-    """Return the parameters of an axis of the package."""
+    """Return the parameters of an axis shipped with the package."""
     return single_axis(load_configuration(name))
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files that are named over the graph lie in stated folders; what the node was started with is its user's affair."""
+"""Files named over the graph must be in stated folders; files given at the start of a node are not restricted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.nodes.parameters import FOLDERS, misplaced  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
 
-#: Parameters that are texts of any kind, and no paths.
+#: Parameters with arbitrary text that is not a path.
 NO_PATHS = {"joint", "extender_joint", "force_joint", "faults", "topics", "waveform.file.column", "waveform.scan.kind"}
 NO_PATHS |= {"gcs.host", "gcs.identification", "gcs.axis", "gcs.channel", "nv200.host", "nv200.actuator"}
 NO_PATHS |= {"iio.output_channel", "iio.input_channel", "calibration.sensor.unit", "calibration.amplifier.unit"}
@@ -42,7 +42,7 @@ def row(node: str, name: str):
 
 @pytest.fixture
 def work(tmp_path, monkeypatch):
-    """The folder a node is started in."""
+    """The folder in which a node is started."""
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -97,7 +97,7 @@ def test_every_text_is_known_to_be_a_path_or_none():
         if item.type in (str, tuple[str, ...]) and (item.paths or not item.choices)
     }
     assert {name for name, place in texts.items() if not place} == NO_PATHS
-    # a scan along a path from a file names it among its values
+    # a scan along a path from a file contains the file's name in its values
     started = {name for name, place in texts.items() if place == "start"}
     assert started == {"driver", "driver_options", "waveform.scan.values"}
 
@@ -118,7 +118,7 @@ def test_a_node_refuses_them_in_any_state_and_keeps_what_it_was_started_with(ins
         answer = put(**values)
         assert not answer.successful and FOLDERS in answer.reason, values
     assert node.get_parameter("path").value == given
-    assert put(path="bag").successful and put(path=given).successful, "what was given at the start may be given again"
+    assert put(path="bag").successful and put(path=given).successful, "a path given at the start may be given again"
     assert not node.get_parameter("configuration").value
 
 

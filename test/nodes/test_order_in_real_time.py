@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real time has the order of lockstep within a sample: every answer is to its own measurement and reference."""
+"""Real time has the order of lockstep within a sample: every answer belongs to its own measurement and reference."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SAMPLES = 200
 
 
 def moving_axis():
-    """Return an axis that follows a sine by preview alone, at 60 samples a second of the wall clock."""
+    """Return an axis that follows a sine with preview alone, at 60 samples per second of wall time."""
     overrides = {
         "reference_generator": {"waveform__type": "sine", "waveform__amplitude": 4.0e-6, "waveform__frequency": 20.0},
         "plant_simulator": {"real_time_factor": 0.02, "late_limit": -1},
     }
     overrides["reference_generator"] |= {"waveform__offset": 5.0e-6}
-    # a machine that stands still for a moment is no silence here: after one, references are faded to
+    # a blocked machine must not count as silence here, because references are then faded to
     overrides["motion_controller"] = {"measurement_timeout": 60.0}
     axis = axis_parameters(overrides=overrides, exit_at_end=True)
     ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=3)
@@ -63,22 +63,22 @@ def test_every_command_answers_the_reference_of_its_own_sample(processes, tmp_pa
     both = sorted(set(references[0]) & set(references[1]))
     assert len(both) > 0.5 * SAMPLES
     same = np.array([references[0][stamp] == references[1][stamp] for stamp in both])
-    # a busy machine may be late for some; one sample off in the order would leave none
+    # a busy machine may delay some samples; a wrong order would leave no equal sample
     assert np.count_nonzero(same) > 0.5 * len(both)
-    # the inverse gives the commands that it gives offline; one sample late they would be off by the change in a sample
+    # the inverse gives the offline commands; one sample late, the error would be the change in one sample
     recorded, twin = load_run(tmp_path / "bag"), simulate(axis, duration=SAMPLES / axis.plant_simulator.sample_rate)
     shift = min(range(SAMPLES // 3), key=lambda samples: off(recorded["reference"], twin["reference"], samples))
-    assert off(recorded["reference"], twin["reference"], shift) == 0.0  # the source begins when it is there
+    assert off(recorded["reference"], twin["reference"], shift) == 0.0  # the source begins when it is present
     change = np.median(np.abs(np.diff(twin["command"])))
     assert off(recorded["command"], twin["command"], shift) < 0.1 * change
 
 
 def off(recorded, twin, shift: int) -> float:
-    """Return the median difference from the twin, which began so many samples earlier."""
+    """Return the median difference from the twin, which began ``shift`` samples earlier."""
     return float(np.nanmedian(np.abs(recorded[shift:] - twin[: len(twin) - shift])))
 
 
-# -- messages that do not come as they should, without DDS ----------------------------------------------------------
+# -- irregular messages, without DDS ---------------------------------------------------------------------------------
 
 
 def test_awake_time_leaves_out_what_the_process_was_halted_for(monkeypatch):
@@ -89,7 +89,7 @@ def test_awake_time_leaves_out_what_the_process_was_halted_for(monkeypatch):
         moment += 0.01
         assert awake.look(moment) == pytest.approx(moment - 100.0)
     heard = awake.at(moment)
-    # halted for a second: before the next check and at it no more than the longest interval has passed
+    # suspended for a second: before and at the next check, at most the longest interval has passed
     assert awake.at(moment + 1.0) - heard == pytest.approx(0.02)
     assert awake.look(moment + 1.0) - heard == pytest.approx(0.02)
     assert awake.at(moment + 1.005) - heard == pytest.approx(0.025)
@@ -97,8 +97,8 @@ def test_awake_time_leaves_out_what_the_process_was_halted_for(monkeypatch):
 
 def test_a_message_waits_for_its_measurement_and_a_measurement_for_its_message():
     follower = Follower(strict=False)
-    assert follower.ready and math.isnan(follower.give())  # nobody is there: nobody is waited for
-    follower.take(0.0)  # belongs to what has been answered
+    assert follower.ready and math.isnan(follower.give())  # no node is present, and no node is waited for
+    follower.take(0.0)  # belongs to a sample that was answered
     assert not follower.ready
     follower.take(1.0)
     assert follower.ready and follower.give() == 1.0
@@ -113,7 +113,7 @@ def test_a_late_message_is_not_taken_for_the_next_one(strict):
     given = follower.give()  # 1.0 is late
     assert math.isnan(given) if strict else given == 0.0
     follower.take(1.0)
-    assert not follower.ready  # the next measurement waits for its own
+    assert not follower.ready  # the next measurement waits for its own message
     follower.take(2.0)
     assert follower.give() == 2.0
 
@@ -128,7 +128,7 @@ def test_a_lost_message_costs_a_few_samples_and_heals():
             follower.take(float(sample))
         answered.append((sample, follower.give()))
     wrong = [sample for sample, value in answered if value != sample]
-    assert wrong == [5]  # those that are owed are shown at once, as the last that came
+    assert wrong == [5]  # missing ones are published at once, with the last received values
 
 
 def test_who_is_silent_is_given_up_and_waited_for_again_when_he_is_back():
@@ -156,7 +156,7 @@ def test_a_message_too_many_is_dropped_when_every_measurement_finds_it():
 
 
 class Node:
-    """What a RealTimeResponder needs of its node: a row, inputs, and answers that are kept."""
+    """The interface of a node to a RealTimeResponder: a row, inputs, and stored answers."""
 
     triggered_by_measurement = True
     active = True
@@ -232,7 +232,7 @@ def test_measurements_that_waited_while_the_process_stood_still_are_not_answered
         now[0] += 1e-4
     assert len(node.answers) == 20
     live(20)
-    # all but, at most, the first one that does not wait any more
+    # all except possibly the first one, which does not wait any longer
     assert len(node.answers) >= 39 and node.answers[-1][0] == sample
 
 
@@ -256,7 +256,7 @@ def test_a_silent_plant_or_a_short_delay_lets_no_measurement_go(monkeypatch):
 
 
 def deliver(order: str) -> Node:
-    """Deliver measurements (m) and references (r), each numbered from 1 on; M and R are lost."""
+    """Deliver measurements (m) and references (r), each numbered from 1; M and R are lost."""
     node = Node()
     runner = RealTimeResponder(node)
     counts = dict.fromkeys("mr", 0)
@@ -291,16 +291,16 @@ def test_what_is_lost_or_comes_twice_heals(order):
     stamps = [answer[0] for answer in answers]
     assert stamps == sorted(set(stamps))
     shift = answers[-1][2] - answers[-1][1]
-    assert shift == (1.0 if "rr" in order and "M" not in order else 0.0)  # the numbers of what came twice go on
+    assert shift == (1.0 if "rr" in order and "M" not in order else 0.0)  # duplicates shift the numbers
     assert all(answer[2] - answer[1] == shift for answer in answers[-15:])
-    assert deliver(order + "m").answers[-1] == answers[-1]  # and waits for its own again
+    assert deliver(order + "m").answers[-1] == answers[-1]  # and it waits for its own message again
 
 
 def test_a_source_that_stops_and_comes_back_is_followed_again():
     node = deliver("mr" * 10 + "mR" * 20 + "mr" * 20)
     answers = node.answers
     assert len(answers) >= 49
-    assert all(answer[2] == 10.0 for answer in answers[10:29])  # the last one serves
+    assert all(answer[2] == 10.0 for answer in answers[10:29])  # the last message is used
     assert all(answer[1] == answer[2] for answer in answers[33:])
 
 

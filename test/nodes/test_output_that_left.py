@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node by node a bag holds what left for the device, in lockstep, in real time and behind a Python driver."""
+"""With separate nodes a bag contains the device's actual input, in lockstep, in real time and with a Python driver."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_voltage_that_was_held_back_is_recorded_as_what_left(processes, tmp_pa
     said = limited_text(run)
     assert "the ramp to safe_voltage at safe_slew_rate" in said
     assert f"warning: {said}" in output
-    # what the compensator asked for is what its topic says
+    # the requested voltage is in the topic of the compensator
     topic = decode_float64s(read_bag(tmp_path / "bag").topics["/voltage"].data, "/voltage")
     assert set(run["asked_voltage"][told]) <= set(topic)
     if time_mode == "lockstep":

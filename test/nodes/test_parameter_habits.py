@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameters as users of ROS handle them: dumped and given back, on the command line, described with their ranges."""
+"""Parameters as used in ROS: dumped and loaded, on the command line, described with their ranges."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def set_(node, **values):
 
 
 def dumped(node) -> list[Parameter]:
-    """Return what ``ros2 param dump`` would write, as ``--params-file`` would have it: [] is nothing, 1e-6 a word."""
+    """Return the output of ``ros2 param dump`` as ``--params-file`` reads it: [] is nothing, 1e-6 is a text."""
     found = node.get_parameters(node.list_parameters([], 0).names)
     own = [one for one in found if one.name not in ("use_sim_time", "start_type_description_service")]
     return [Parameter(one.name, value=one.value or None if one.value == [] else one.value) for one in own]
@@ -39,7 +39,7 @@ def dumped(node) -> list[Parameter]:
 def test_what_is_dumped_is_taken_back_at_the_start_and_live(inside):
     node = inside.add(HysteresisCompensatorNode, axis_parameters().hysteresis_compensator)
     names = node.list_parameters([], 0).names
-    assert "hysteresis.duhem.alpha" not in names  # without a value there is nothing to dump
+    assert "hysteresis.duhem.alpha" not in names  # a parameter without a value is not dumped
     assert all(one.type_ != Parameter.Type.NOT_SET for one in node.get_parameters(names))
     given = dumped(node)
     again = HysteresisCompensatorNode(context=inside.context, parameter_overrides=given)
@@ -97,7 +97,7 @@ def test_ranges_are_described_and_refused_in_words(inside):
 
 
 def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(inside):
-    """What is connected is protected by them; a slip on the command line must not undo that."""
+    """They protect the connected device; a typing error on the command line must not remove the protection."""
     overrides = {"hysteresis_compensator": {"limits__minimum": -30.0, "limits__maximum": 90.0}}
     node = inside.add(HysteresisCompensatorNode, axis_parameters(overrides=overrides).hysteresis_compensator)
     refused = set_(node, **{"limits.maximum": 10000.0})

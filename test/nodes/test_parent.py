@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Nodes that ``ros2 launch`` or ``ros2 run`` has started leave with it, however it ends; others stay."""
+"""Nodes started by ``ros2 launch`` or ``ros2 run`` exit with it, however it ends; other nodes continue."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
 from hysteresis_ros.nodes.launcher import starts_nodes  # noqa: E402
 
-#: What ``ros2`` does: start something and wait for it.
+#: The behaviour of ``ros2``: start a process and wait for it.
 STARTER = "import subprocess, sys\nsys.exit(subprocess.call(sys.argv[2:]))\n"
 CHILD = """
 from hysteresis_ros.nodes.launcher import leave_with_ros2
@@ -50,7 +50,7 @@ def test_who_starts_nodes_for_somebody_is_known_by_its_command_line(command, the
     assert starts_nodes(command.split()) == theirs
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux tells a process of its parent's end")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux informs a process of its parent's exit")
 def test_a_node_leaves_with_ros2_that_is_killed_and_another_child_of_others_stays(processes, tmp_path):
     import psutil
 

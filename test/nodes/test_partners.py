@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Partners that vanish, fall silent or come back, and axes side by side."""
+"""Partners that vanish, become silent or return, and axes side by side."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "refe
 
 @pytest.fixture
 def running(processes, observer, tmp_path, request):
-    """Four processes in lockstep that are under way; name → process."""
+    """Four running processes in lockstep; name → process."""
     from sensor_msgs.msg import JointState
 
     timeout = getattr(request, "param", 5.0)
@@ -62,7 +62,7 @@ def test_run_ends_with_an_error_that_names_the_partner(running, victim, number):
 
 @pytest.mark.parametrize(("sample", "seconds", "fails"), [(0, 119, 0), (1, 119, 0), (1, 121, 1), (2, 9, 0), (2, 11, 1)])
 def test_who_is_still_loading_at_the_first_sample_is_waited_for(sample, seconds, fails):
-    """With a recorder the others begin without a partner that loads; they have done their part of sample 0 then."""
+    """With a recorder the others begin without a partner that still loads; by then they have finished sample 0."""
     said, now = [], [0]
     node = SimpleNamespace(sample=sample, share=1.0, parameters=SimpleNamespace(partner_timeout=10.0), fail=said.append)
     node.active, node.failure, node.finished, node.holds_time, node.end_of_run = True, "", False, False, -1
@@ -86,7 +86,7 @@ def test_restarted_node_cannot_silently_rejoin(running, processes, victim):
     assert [process.wait(20.0) for process in others] == [1, 1, 1], [process.output for process in others]
     told = [process for process in others if victim in process.output]
     assert told and all("start or reset all nodes together" in process.output for process in told)
-    # who looks late may see only that one who was told has left
+    # a node that checks late may see only that the informed node has exited
     assert all("vanished" in process.output for process in others if process not in told)
 
 

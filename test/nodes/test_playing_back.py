@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a bag holds of the inputs of nodes, played to fresh ones, makes them say what they said when it was recorded."""
+"""The inputs of nodes in a bag, played to new nodes, cause the same outputs as in the recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INPUTS, OUTPUTS = ("/joint_states", "/reference"), ("/command", "/applied", "/vo
 
 
 def recorded(axis, path):
-    """Record an axis; return the messages of each topic, and what its publisher offers by the bag's metadata.yaml."""
+    """Record an axis; return the messages of each topic, and its offered quality of service by metadata.yaml."""
     from rosbags.rosbag2 import Reader
 
     from hysteresis_ros.nodes.domain import Domain
@@ -43,7 +43,7 @@ def recorded(axis, path):
 
 
 def profile(offered):
-    """Return the quality of service with which a player publishes what was recorded so."""
+    """Return the quality of service with which a player publishes a recorded topic."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     (found,) = offered

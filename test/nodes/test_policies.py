@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Policies of SROS 2: exactly what the nodes use, whoever looks; nobody but the compensator may say ``voltage``."""
+"""Policies of SROS 2 contain exactly what the nodes use; only the compensator may publish ``voltage``."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ from hysteresis_ros.nodes.security.policy import (  # noqa: E402
 
 LOOP = {"/left/reference", "/left/command", "/left/applied", "/left/voltage", "/left/joint_states"}
 
-#: Heard while an axis begins, and not any more when it has: where it is, for who has been restarted.
+#: Subscribed only while an axis begins: its position, for a restarted node.
 AT_THE_BEGINNING = {"reference_generator": ("/left/motion_controller/state",)}
 
 
 def slow(time_mode: str, **more):
-    """Return an axis that a busy machine holds, with all that a node may use beside its loop."""
+    """Return an axis that a busy machine can run, with all optional interfaces of its nodes."""
     overrides = {"plant_simulator": {"late_limit": -1, "publish_clock": True}, "reference_generator": {}}
     axis = axis_parameters("/left", overrides, sample_rate=100.0, time_mode=time_mode, **more)
     return axis.with_recorder("recording")
@@ -59,7 +59,7 @@ def slow(time_mode: str, **more):
 
 @pytest.fixture(scope="module")
 def policies():
-    """The enclaves of an axis in each way of running it."""
+    """The enclaves of an axis for each way of running it."""
     with entered():
         ways = {mode: enclaves_of([slow(mode)], record=True) for mode in ("realtime", "fused")}
         external = slow("realtime", external_plant=True)
@@ -87,7 +87,7 @@ def test_a_running_axis_uses_what_its_policy_allows_neither_more_nor_less(inside
     plant = inside.nodes[1]
     until(lambda: (joined.loop.sample if joined else plant.sample) > 5, what="samples")
     for name in names:
-        # who looks is another participant: what it sees is what others could use
+        # the observer is another participant, so it sees what others could use
         seen = lambda name=name: used_by(observer.node, name, "/left")  # noqa: E731
         lasting = tuple(topic for topic in allowed[name].hears if topic not in AT_THE_BEGINNING.get(name, ()))
         wanted = replace(allowed[name], hears=lasting)
@@ -97,7 +97,7 @@ def test_a_running_axis_uses_what_its_policy_allows_neither_more_nor_less(inside
 
 
 def compare_with_a_page(observer, allowed: Profile, folder) -> None:
-    """Let a page do all it can, and compare what it then uses."""
+    """Execute all actions of a page, and compare what it then uses."""
     context, over = Context(), threading.Event()
     rclpy.init(context=context, domain_id=observer.node.context.get_domain_id())
     link = AxisLink("/left", folder, context)
@@ -116,7 +116,7 @@ def compare_with_a_page(observer, allowed: Profile, folder) -> None:
         for job in asked:
             link.ask(job).result(PATIENCE)
         own = link.node.get_name()
-        lasting = tuple(topic for topic in allowed.hears if topic != "/left/joint_states")  # only as a recording begins
+        lasting = tuple(topic for topic in allowed.hears if topic != "/left/joint_states")  # only as recording begins
         wanted = replace(allowed, hears=lasting, node=own)
         wanted = replace(wanted, serves=tuple(name.replace("_hysteresis_*", own) for name in allowed.serves))
         until(lambda: own in observer.node.get_node_names(), what="a page that is seen")
@@ -213,7 +213,7 @@ def test_processes_and_commands_say_whose_key_they_have(observer):
 
 
 def test_security_that_is_asked_for_and_not_there_ends_a_node(tmp_path, domain):
-    """Never unprotected: without a keystore, and where Fast DDS was built without security, nothing starts."""
+    """A node never runs unprotected: without a keystore, or without security in Fast DDS, it does not start."""
     asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
     environment = node_environment() | asked | {"ROS_SECURITY_KEYSTORE": str(tmp_path), "ROS_DOMAIN_ID": str(domain)}
     command = [sys.executable, "-m", "hysteresis_ros.nodes.recorder", "--ros-args", "-p", f"path:={tmp_path}/bag"]

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A lockstep run that nodes made on one processor is repeated bit for bit on another."""
+"""A lockstep run of nodes on one processor is repeated bit for bit on another processor."""
 
 import subprocess
 import sys

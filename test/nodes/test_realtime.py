@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Real time: setpoints by hand, watchdogs, live parameters, lifecycle and diagnostics of nodes among strangers."""
+"""Real time: setpoints by hand, watchdogs, live parameters, lifecycle and diagnostics, with other publishers."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def generator(inside):
 
 
 def at_work():
-    """Return a condition that holds when a sender is taken to be at work: longer than nodes need to start."""
+    """Return a condition that is true once a sender counts as running: longer than nodes take to start."""
     begun = time.monotonic()
     return lambda: time.monotonic() > begun + STARTING + 0.5
 
 
 def keep_sending(send, condition, what: str = "") -> None:
-    """Send until the condition holds."""
+    """Send repeatedly until the condition is true."""
     until(lambda: (send(), condition())[1], what=what)
 
 
@@ -72,7 +72,7 @@ def keep_sending(send, condition, what: str = "") -> None:
 def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused(
     processes, observer, tmp_path, durability
 ):
-    """`ros2 topic pub` is reliable, keeps one message, and is volatile or transient-local depending on its version."""
+    """`ros2 topic pub` is reliable, keeps one message, and is volatile or transient-local, depending on its version."""
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from sensor_msgs.msg import JointState
@@ -91,8 +91,8 @@ def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused
         setpoint.publish(Float64(data=wrong))
     until(lambda: diagnostics(reports, "/reference_generator"))
     until(lambda: diagnostics(reports, "/reference_generator")[2]["setpoints_refused"] == "3")
-    assert references[-1].position[0] == 5.0e-6  # the last good one is kept
-    # throttled: one warning of the three, with value and range
+    assert references[-1].position[0] == 5.0e-6  # the last valid setpoint is kept
+    # throttled: one warning for the three messages, with value and range
     assert node.output.count("refused") == 1
     assert "nan" in node.output and "1.2e-05" in node.output and "5e-06 m is kept" in node.output
     names = {f"/{name}" for name in ("plant_simulator", "reference_generator", "motion_controller")}
@@ -107,7 +107,7 @@ def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused
 
 @pytest.mark.parametrize("fault", ["stops", "nan", "goes back", "wrong joint"])
 def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_jump(controller, observer, fault):
-    """Measurements that stop altogether are the loss of a node: then a person lets it go on."""
+    """A complete loss of measurements counts as a lost node, which needs ~/start; this test is about bad ones."""
     from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import Float64
 
@@ -129,13 +129,13 @@ def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_ju
     since = len(commands)
     start = time.monotonic()
     if fault == "goes back":
-        # after its timeout the controller takes the new time for the right one, so it may be over before we look
+        # after its time-out the controller accepts the new time, so the fault may be over before the test looks
         keep_sending(bad, lambda: controller.rejected > 0)
         until(lambda: controller.stale)
     else:
         keep_sending(bad, lambda: controller.stale)
-    assert time.monotonic() - start >= 0.2  # patience first
-    # bad ones go on: where nothing came any more the sender would be lost, too
+    assert time.monotonic() - start >= 0.2  # not before the time-out
+    # bad measurements continue: without any message the sender would count as lost, too
     lost = fault in ("stops", "goes back")
     still = (lambda: None) if lost else bad
     keep_sending(still, lambda: commands[-1].data == 0.0, what="the safe command")
@@ -155,7 +155,7 @@ def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_ju
     keep_sending(driver.send, lambda: abs(commands[-1].data - 8.0e-6) < 1e-9, what="the command to come back")
     moved = [c.data for c in commands[since - 1 :]]
     steps = [abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)]
-    # down: safe_slew_rate · 0.01 s; up: the hand-over's time constant of 0.05 s at 200 samples a second
+    # down: safe_slew_rate · 0.01 s; up: the hand-over's time constant of 0.05 s at 200 samples per second
     assert max(steps) <= max(1.0e-4 * 0.01, 8.0e-6 * (1 - math.exp(-0.1))) * 1.01
     keep_sending(driver.send, lambda: diagnostics(reports, "/motion_controller")[0] < 2, what="diagnostics to recover")
 
@@ -169,19 +169,19 @@ def test_command_that_stops_makes_the_voltage_go_safe_and_come_back_without_a_ju
     high = voltages[-1].data
     since = len(voltages)
     until(lambda: voltages[-1].data == 0.0, what="the safe voltage")
-    # not finite is silence too
+    # a value that is not finite also counts as silence
     for _ in range(3):
         command.publish(Float64(data=math.nan))
     until(lambda: compensator.refused == 3)
     assert voltages[-1].data == 0.0 and (compensator.silent or compensator.runner.latched)
     since_then = len(voltages)
     keep_sending(lambda: command.publish(Float64(data=8.0e-6)), lambda: len(voltages) > since_then + 100)
-    assert {voltage.data for voltage in voltages[since_then:]} == {0.0}  # latched until a person lets it go on
+    assert {voltage.data for voltage in voltages[since_then:]} == {0.0}  # latched until ~/start
     assert observer.trigger("/hysteresis_compensator/start").success
     keep_sending(lambda: command.publish(Float64(data=8.0e-6)), lambda: abs(voltages[-1].data - high) < 0.5)
     moved = [v.data for v in voltages[since - 1 :]]
     steps = [abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)]
-    # down 1000 V/s · 0.01 s; up with handover_time 0.1 s at 200 samples a second
+    # down 1000 V/s · 0.01 s; up with handover_time 0.1 s at 200 samples per second
     assert max(steps) <= max(10.0, 80.0 * (1 - math.exp(-0.05))) * 1.05
     assert not compensator.failure
 
@@ -202,18 +202,18 @@ def test_voltage_that_stops_lets_the_plant_go_safe_and_follow_again_without_a_ju
     until(lambda: abs(state[-1].position[2]) < 0.01, what="the safe voltage")
     assert plant.part.tripped
     late = plant.late
-    assert late > 0  # commands that did not come in time are held and counted
+    assert late > 0  # the output is held for commands that did not come in time, and they are counted
     voltage.publish(Float64(data=math.inf))
     answer = observer.trigger("/plant_simulator/start")
     assert not answer.success and "hysteresis_compensator is lost" in answer.message
     since_then = len(state)
     keep_sending(lambda: voltage.publish(Float64(data=60.0)), lambda: len(state) > since_then + 50)
-    assert abs(state[-1].position[2]) < 0.01  # latched until a person lets it go on
+    assert abs(state[-1].position[2]) < 0.01  # latched until ~/start
     assert observer.trigger("/plant_simulator/start").success
     keep_sending(lambda: voltage.publish(Float64(data=60.0)), lambda: abs(state[-1].position[2] - 60) < 0.01)
     moved = [s.position[2] for s in state[since - 1 :]]
     assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= 1000.0 / RATE + 0.01
-    voltage.publish(Float64(data=20.0))  # when it has caught up it follows at once
+    voltage.publish(Float64(data=20.0))  # once the output has caught up, it follows at once
     until(lambda: abs(state[-1].position[2] - 20) < 0.01)
 
 
@@ -252,7 +252,7 @@ def test_parameters_change_live_without_a_jump_or_not_at_all(controller, observe
         assert success, reason
         assert controller.controller_type == kind
         keep_sending(lambda: driver.send(4e-6), lambda since=since: len(commands) > since + 2)
-        # where it was, but for the rounding of a command that may still have been under way
+        # the same as before, except for the rounding of a command that may still have been on the way
         assert commands[since].data == pytest.approx(commands[since - 1].data, abs=1e-18)
         assert max(abs(c.data - 4e-6) for c in commands[since : since + 2]) < 0.2 * 4e-6
     assert observer.set_parameters(node, type="sliding_mode")[0]
@@ -365,7 +365,7 @@ def test_a_controller_that_is_deactivated_lets_the_voltage_slew_to_safe(inside, 
     assert observer.transition("/motion_controller", "deactivate")
     until(lambda: abs(voltages[-1].data - slow.safe_voltage) < 1e-9, what="the safe voltage")
     moved = [message.data for message in voltages[since - 1 :]]
-    # a watchdog looks every 10 ms
+    # a watchdog checks every 10 ms
     assert max(abs(b - a) for a, b in zip(moved, moved[1:], strict=False)) < 1.5 * 200.0 * 0.01 + 1e-9
 
 
@@ -400,7 +400,7 @@ def test_services_answer_in_every_state(inside, observer):
         until(lambda: compensator.sample > 20 and plant.sample > 20, what="the loop to run again")
         for name in names:
             assert observer.transition(name, "deactivate")
-        assert plant.runner.thread is None  # nothing publishes on what cleanup destroys
+        assert plant.runner.thread is None  # nothing publishes on objects that cleanup destroys
         before = plant.sample
         for name in names:
             assert observer.transition(name, "activate")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The recorder: it waits for what is said late, and when it cannot go on the axis does."""
+"""The recorder waits for late messages, and if it cannot continue, the axis does."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from nodes_support import (  # noqa: E402
 
 
 def change_often(fused, least: int) -> None:
-    """Change the controller of a fused axis, a few samples after each other, until it has made so many samples."""
+    """Change the controller of a fused axis every few samples, until it has run a number of samples."""
     values = itertools.cycle([0.9, 0.8])
     while fused.loop.sample < least:
         fused.apply("motion_controller", "retune", {"sliding_mode.phi": next(values)})
@@ -48,7 +48,7 @@ def change_often(fused, least: int) -> None:
 @pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for this axis")
 @pytest.mark.parametrize("ending", ["stopped", "killed"])
 def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_come(inside, tmp_path, ending):
-    """Nobody spins: what a busy machine delivers late does not come at all here."""
+    """No node is spun, so messages that a busy machine delays do not arrive at all here."""
     from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.nodes.fused import FusedAxis
     from hysteresis_ros.nodes.recorder import RecorderNode
@@ -67,7 +67,7 @@ def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_c
     if ending == "killed":
         recorder.take_samples()
         change_often(fused, 2000)
-        # what the operating system has by now is what a SIGKILL leaves
+        # after SIGKILL, only the data already given to the operating system remain
         shutil.copytree(tmp_path / "bag", tmp_path / "left")
     for node in reversed(nodes):
         node.leaving = True
@@ -80,7 +80,7 @@ def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_c
 
 
 def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp_path):
-    """A message that was lost on the way comes again when the run may be over long since."""
+    """A lost message is repeated, possibly long after the end of the run."""
     from rclpy.parameter import Parameter
 
     from hysteresis_ros.loop.simulation import differences
@@ -136,7 +136,7 @@ def test_a_run_in_lockstep_that_is_stopped_keeps_its_last_change_however_late_it
     drained, found = run._recorder.drained, []
 
     def silent():
-        """It comes when all has been silent for so long that a recorder left."""
+        """The message comes after a silence in which a recorder would have exited."""
         run._recorder._arrived, run._recorder._last_arrival = False, time.monotonic() - 2 * spin.QUIET
         found.append(drained())
         while held and not found[-1]:
@@ -147,7 +147,7 @@ def test_a_run_in_lockstep_that_is_stopped_keeps_its_last_change_however_late_it
     while run.controller.sample <= 80:
         inside.executor.spin_once(timeout_sec=0.02)
     spin._leave(inside.executor, inside.nodes, regular=False)
-    assert not held and found[-1]  # it left because all was said, and not because it had waited long enough
+    assert not held and found[-1]  # it exited because everything had arrived, not because of its time-out
     recorded = load_run(tmp_path / "bag", further=True)
     assert [change["parameters"] for change in recorded.metadata["changes"]] == [{"pid.Ki": 33.0}]
     assert len(recorded) > 60 and recorded.metadata["missing_samples"] == 0
@@ -189,7 +189,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_axis(inside, observer, tmp_p
 
 
 def test_parameters_versions_and_the_twin_are_in_the_bag_itself(inside, tmp_path):
-    """Nobody gives the recorder a parameter file, and a parameter is other than everywhere else."""
+    """The recorder gets no parameter file, and one parameter differs from all other places."""
     from rclpy.parameter import Parameter
 
     from hysteresis_ros.configuration import parse_configuration
@@ -214,7 +214,7 @@ def test_parameters_versions_and_the_twin_are_in_the_bag_itself(inside, tmp_path
 
 
 def sleeper():
-    """Start a process that only lives, in a node's place."""
+    """Start an idle process instead of a node."""
     return subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], start_new_session=True)
 
 
@@ -242,7 +242,7 @@ def test_a_killed_recorder_ends_a_run_in_lockstep_only(tmp_path, mode):
 
 
 def test_every_setpoint_that_was_taken_is_in_the_bag_and_no_other(inside, tmp_path):
-    """However it came: by the service, by a topic, and whoever sent it has left before the recorder knew it."""
+    """For each way of sending: by service, by topic, and from a publisher that left before the recorder knew it."""
     from rclpy.serialization import deserialize_message
     from std_msgs.msg import Float64
 
@@ -262,7 +262,7 @@ def test_every_setpoint_that_was_taken_is_in_the_bag_and_no_other(inside, tmp_pa
     recorder.bag.write = noted
     inside.spin()
     until(lambda: source._taken.get_subscription_count() and recorder.sample > 3, what="a recorded axis")
-    asked = [1e-6, 2e-6, 5e-2, 2e-6, 3e-6, 4e-6]  # one is out of range
+    asked = [1e-6, 2e-6, 5e-2, 2e-6, 3e-6, 4e-6]  # one is outside the range
     for value in asked:
         source._take(value)
     until(lambda: len(written) >= 5, what="setpoints in the bag")

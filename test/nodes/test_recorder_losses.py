@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Samples that a fused loop overwrote before the recorder took them are named and counted, not passed over."""
+"""Samples that a fused loop overwrote before the recorder read them are named and counted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
 
 
 class Written:
-    """Takes the place of bag and writer, and notes the numbers of samples."""
+    """Replaces bag and writer, and stores the numbers of samples."""
 
     def __init__(self):
         self.samples = []
@@ -59,7 +59,7 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
     )
     RecorderNode.take_samples(recorder)
     assert written.samples == list(range(10 + lost, 15 + lost))
-    # 15 were made before and with these: those that were lost are not in the bag
+    # 15 were run before and together with these; the lost samples are not in the bag
     assert recorder._counts == [15, 15]
     assert len(said) == (1 if lost else 0)
     if lost:
@@ -68,7 +68,7 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
 
 
 def recorder_of(counts, **values):
-    """Return a recorder that has taken so many messages of each topic."""
+    """Return a recorder that has received a number of messages of each topic."""
     sent = []
     given = {
         "_counts": list(counts),
@@ -81,7 +81,7 @@ def recorder_of(counts, **values):
 
 
 def test_only_samples_of_which_every_topic_is_in_the_bag_are_acknowledged():
-    """The plant goes on by the acknowledgement: what is acknowledged too early is lost when it does."""
+    """The plant continues on acknowledgement, so a sample acknowledged too early is lost if the recorder ends."""
     recorder = recorder_of([32, 17, 40])
     RecorderNode._send_acknowledgement(recorder)
     assert recorder.sent == [17] and recorder._acknowledged == 17

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis that runs, steered without `ros2`: what is asked for is done or refused where it was asked, nothing hangs."""
+"""A running axis, controlled without `ros2`: each request is executed or refused with an answer, and nothing hangs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from hysteresis_ros.nodes.remote.commands import (  # noqa: E402  # noqa: E402
 )
 
 RATE = 50.0
-#: A client gives up after so long [s] where it is to find nothing.
+#: A client gives up after this time [s] if there is nothing to find.
 SHORT = 0.3
 
 
@@ -43,7 +43,7 @@ SHORT = 0.3
 def axis(domain_of_module):
     """A composed axis in /left, in real time."""
     inside = InProcess(domain_of_module)
-    # what a busy machine makes late must not stop the axis here
+    # late voltages of a busy machine must not stop the axis here
     overrides = {"plant_simulator": {"late_limit": -1}}
     compose(inside, axis_parameters("/left", overrides, sample_rate=RATE, time_mode="realtime"))
     inside.spin()
@@ -111,7 +111,7 @@ def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
         get(hasty, "motion_controler", [])
     with pytest.raises(AbsentError, match=r"/left/jont_states has no publisher .* did you mean /left/joint_states"):
         echo(hasty, "jont_states", 1)
-    # a plant that stands still: the subscription is there, and no sample comes
+    # a suspended plant: the subscription exists, but no sample arrives
     call(client, "plant_simulator", "deactivate")
     patient = client.timeout
     try:
@@ -158,7 +158,7 @@ def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
     call(client, "motion_controller", "stop")
     call(client, "motion_controller", "start")
     said, running = capsys.readouterr().out.splitlines()
-    # where the command goes is said unless it is there already
+    # the target of a command is reported unless the axis is already there
     assert said in (
         "/left/motion_controller: stopped",
         "/left/motion_controller: stopped: the command goes to safe_command = 0 m",
@@ -175,7 +175,7 @@ def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
 
 
 def test_status_says_who_is_there_and_where_the_axis_is(axis, client, capsys):
-    assert status(client, as_json=True) in (0, 1)  # a busy machine makes voltages late
+    assert status(client, as_json=True) in (0, 1)  # a busy machine may cause late voltages
     found = json.loads(capsys.readouterr().out)["/left"]
     assert {name: one["state"] for name, one in found["nodes"].items()} == {
         f"/left/{one.kind}": "active" for one in axis.nodes
@@ -224,7 +224,7 @@ def test_echo_ends_when_its_publisher_leaves(axis, capsys):
 
 
 def test_commands_end_with_a_line_and_their_exit_code(processes):
-    """In processes of their own: nobody there is wrong input, Ctrl-C is Ctrl-C."""
+    """In separate processes: a missing axis is wrong input, and Ctrl-C is handled."""
     waiting = processes.command("echo", "joint_states", "--timeout", "100")
     alone = processes.command("setpoint", "1um", "--timeout", "0.5")
     assert alone.wait() == 1, alone.output
@@ -239,7 +239,7 @@ def test_a_namespace_that_is_none_is_refused_in_a_line():
 
 
 def test_a_setpoint_is_the_source_s_to_take_and_not_a_listener_s(axis, client, hasty, capsys):
-    """A page or a recorder that subscribes is no source: without the source the setpoint is not known to be taken."""
+    """A page or a recorder that subscribes does not accept setpoints: without the source, acceptance is unknown."""
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
@@ -295,7 +295,7 @@ def test_the_service_of_a_setpoint_survives_what_is_no_setpoint(axis, client):
 
 
 def test_a_node_whose_messages_come_is_not_absent(axis, client, capsys, monkeypatch):
-    """Discovery may name a node late: its report says that it is there."""
+    """Discovery may find a node late; its report shows that it is present."""
     known = Client.nodes
 
     monkeypatch.setattr(Client, "nodes", lambda self: [name for name in known(self) if "compensator" not in name])
@@ -305,7 +305,7 @@ def test_a_node_whose_messages_come_is_not_absent(axis, client, capsys, monkeypa
 
 
 def test_status_waits_until_every_node_is_found(axis, client, capsys, monkeypatch):
-    """The node that discovery names last is waited for, however long the others are known."""
+    """It waits for the node that discovery finds last, however long the others are known."""
     import time
 
     known, begun = Client.nodes, time.monotonic()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A controller whose commands the limits cut says so in its diagnostics, and stops saying so."""
+"""A controller with saturated commands reports this in its diagnostics, and stops reporting it afterwards."""
 
 from __future__ import annotations
 

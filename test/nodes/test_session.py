@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The session that an axis keeps on the graph, and commands that it does."""
+"""The session that an axis keeps on the graph, and commands executed by it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RATE = 50.0
 
 @pytest.fixture
 def kept(processes, monkeypatch, tmp_path):
-    """An axis that runs, and its session."""
+    """A running axis and its session."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(processes.domain))
     axis = axis_parameters(overrides={"plant_simulator": {"late_limit": -1}}, sample_rate=RATE, time_mode="realtime")
     run = processes.command("up", write_axis(tmp_path / "axis.yaml", axis), "--composed")
@@ -43,7 +43,7 @@ def _is_there() -> bool:
 
 
 def _without_ros(processes, *words: str):
-    """Run a command in a process that cannot start another one, and so has nothing but the session."""
+    """Run a command in a process that cannot start another one, and therefore can only use the session."""
     code = (
         "import subprocess, sys\n"
         "subprocess.run = subprocess.Popen = None\n"
@@ -54,7 +54,7 @@ def _without_ros(processes, *words: str):
 
 
 def test_commands_are_done_by_the_session_of_the_axis(kept, processes):
-    """What a command prints, its exit code and its refusals are those of a command of its own."""
+    """Output, exit code and refusals are those of a command without the session."""
     taken = _without_ros(processes, "setpoint", "5um")
     assert taken.wait() == 0 and taken.output.endswith("setpoint 5 µm taken by /reference_generator\n")
     refused = _without_ros(processes, "setpoint", "5mm")
@@ -82,7 +82,7 @@ def test_a_command_of_another_domain_is_not_the_session_s(kept, monkeypatch, pro
 
 
 def test_a_session_that_ends_amid_a_command_is_said(monkeypatch, capsys):
-    """The setpoint may have been taken or not: exit code 1."""
+    """It is unknown whether the setpoint was accepted: exit code 1."""
     from hysteresis_ros.nodes.remote import door
 
     name = b"\0hysteresis_ros/test" + str(id(capsys)).encode()

@@ -27,7 +27,7 @@ from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.models.block import COMPILED  # noqa: E402
 
 SAMPLES = 300
-#: Both axes move within some hundred samples, and no matrix is the same when its axes are exchanged.
+#: Both axes move within some hundred samples, and every matrix changes if its axes are exchanged.
 MOVING = {
     "stage": {"sensor_matrix": [1.0, 0.02, -0.01, 1.0], "decoupling": [1.0, -0.05, -0.03, 1.0]},
     "x/reference_generator": {"waveform__type": "sine", "waveform__frequency": 100.0, "waveform__amplitude": 2e-6},
@@ -36,7 +36,7 @@ MOVING = {
 
 
 def stage(overrides: dict, samples: int = SAMPLES, **common) -> StageParameters:
-    """Return xy_scanner with other values, by node with double underscores for dots."""
+    """Return xy_scanner with other values, by node, with double underscores for dots."""
     configuration = load_configuration("xy_scanner").override("", **({"time_mode": "lockstep"} | common))
     for node, values in overrides.items():
         configuration = configuration.override(node, **values)
@@ -57,7 +57,7 @@ def test_a_recorded_run_of_a_stage_equals_its_offline_twin_bit_for_bit(processes
 
     parameters = stage(MOVING)
     path, bag = write(tmp_path / "stage.yaml", parameters), tmp_path / "bag"
-    twin = simulate_stage(parameters)  # before the run: the first one compiles the loop, which takes a minute
+    twin = simulate_stage(parameters)  # before the run: the first one compiles the loop in a minute
     run = processes.command("up", path, how, "--record", str(bag), "--verify")
     assert run.wait() == 0, run.output
     assert f"{SAMPLES} samples equal the offline twin bit for bit, none missing" in run.output
@@ -94,7 +94,7 @@ def test_an_axis_that_trips_stops_the_stage_in_the_nodes_as_in_the_twin(processe
         stopped = np.flatnonzero(recorded[f"{name}/tripped"])
         assert 100 < stopped[0] < 110
         assert stopped[-1] == SAMPLES - 1
-        # to the safe voltage, 0 V, at the safe slew rate of 0.1 V a sample
+        # to the safe voltage, 0 V, at the safe slew rate of 0.1 V per sample
         assert np.max(np.diff(recorded[f"{name}/plant_voltage"][stopped])) <= 0.0
 
 
@@ -110,7 +110,7 @@ def test_while_the_measurement_of_an_axis_is_lost_the_whole_stage_goes_to_safe(p
     recorded = load_run(tmp_path / "bag", further=True)
     lost = recorded["x/controller_mode"] == STALE
     assert np.array_equal(np.flatnonzero(lost), np.arange(99, 180))
-    # the other axis from the next sample on, and until the sample after
+    # the other axis stops from the next sample on, until the sample after the start
     held = recorded["y/controller_mode"] == STOPPED
     assert np.array_equal(np.flatnonzero(held), np.arange(100, 181))
     for name, stopped in (("x", lost), ("y", held)):
@@ -206,7 +206,7 @@ def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_star
     until(lambda: all(one[-1].header.frame_id for one in heard.values()), what="a stage that is stopped")
     assert observer.trigger("/y/plant_simulator/start").success
     until(lambda: not any(one[-1].header.frame_id for one in heard.values()), what="a stage that goes on")
-    # ~/stop of one plant holds the time of both
+    # ~/stop of one plant stops the time of both
     assert observer.trigger("/y/plant_simulator/stop").success
     counts = {name: len(one) for name, one in heard.items()}
     assert observer.trigger("/x/plant_simulator/start").success
@@ -217,7 +217,7 @@ def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_star
     assert recorded.axes == ("x", "y")
     assert len(recorded) > 50
     for name in "xy":
-        # the last samples may not have reached the recorder: they are no numbers
+        # the last samples may not have reached the recorder and are then NaN
         stopped = np.flatnonzero(recorded[f"{name}/tripped"] > 0.0)
         assert 0 < stopped.size < len(recorded) - 20
     # the plant of the other axis stops one sample later
@@ -266,7 +266,7 @@ def test_a_fused_stage_is_steered_and_stopped_as_a_whole_and_repeated_bit_for_bi
     until(lambda: now("y", "displacement") < 5e-6, what="y without its controller")
     assert observer.trigger("/y/motion_controller/start").success
     at("y", 25e-6)
-    # an emergency stop of one axis stops all in the same sample; a start of the other one's plant lets all go on
+    # an emergency stop of one axis stops all axes in the same sample; ~/start of the other axis' plant restarts all
     estop.publish(Bool(data=True))
     until(lambda: all(now(name, "tripped") and abs(now(name, "voltage")) < 0.01 for name in "xy"), what="a safe stage")
     assert "another axis of the stage" in run.output or "emergency stop" in run.output
@@ -337,7 +337,7 @@ def test_a_killed_process_ends_the_stage_with_an_error_that_names_it(domain, obs
 def test_in_real_time_the_stage_is_safe_when_a_process_is_killed_and_no_one_stops_the_rest(
     processes, observer, tmp_path
 ):
-    """As with nodes that were started one by one: nothing restarts or stops them."""
+    """As with nodes started one by one: no launcher restarts or stops them."""
     states = {name: observer.listen(JointState, f"/{name}/plant_simulator/state") for name in "xy"}
     path = write(
         tmp_path / "stage.yaml", stage({"plant_simulator": {"real_time_factor": 0.01}}, 0, time_mode="realtime")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Stamps in real time stand for the wall clock, whatever becomes of it and of the schedule."""
+"""Stamps in real time follow the wall clock, for any change of the clock and of the schedule."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def plant_of(inside, **more) -> PlantSimulatorNode:
 
 
 def next_stamp(plant) -> int:
-    """Make a sample as the thread does that keeps the time, and return its stamp."""
+    """Run a sample like the thread that keeps the time, and return its stamp."""
     plant.publish_sample()
     stamp = plant._message.header.stamp
     plant.finish_sample()
@@ -53,9 +53,9 @@ def test_stamps_follow_a_clock_that_is_set_and_never_go_back(inside, monkeypatch
         stamps.append(next_stamp(plant))
         now[0] += step
     assert stamps[:6] == [stamps[0] + k * PERIOD for k in range(6)] and stamps[0] == 1_700_000_000 * SECOND
-    assert stamps[7] - stamps[5] == pytest.approx(3600 * SECOND, abs=3 * PERIOD), "an hour forward is followed"
+    assert stamps[7] - stamps[5] == pytest.approx(3600 * SECOND, abs=3 * PERIOD), "a jump forward is followed"
     assert all(later - earlier >= PERIOD for earlier, later in zip(stamps[:-1], stamps[1:], strict=True))
-    assert stamps[-1] - stamps[11] == (len(stamps) - 12) * PERIOD, "an hour back is waited for"
+    assert stamps[-1] - stamps[11] == (len(stamps) - 12) * PERIOD, "after a jump back, stamps continue"
 
 
 def test_a_clock_that_cannot_be_read_stops_nothing(inside, monkeypatch):
@@ -91,7 +91,7 @@ def test_stamps_stay_on_the_clock_when_samples_come_late(inside):
     assert plant.configure_now() and plant.activate_now()
     until(lambda: plant.sample > 2, what="samples")
     with plant.lock:
-        # nobody makes samples meanwhile
+        # no samples are run meanwhile
         until(lambda: time.time_ns() - plant.stamps.last > 16 * PERIOD, what="16 periods without a sample")
     late = plant.sample
     until(lambda: plant.sample > late + 1, what="further samples")

@@ -25,7 +25,7 @@ TYPES += ("integral_sliding_mode", "pid", "open_loop")
 
 
 def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(inside, observer):
-    """Noise makes every command differ from the last one, save where a hand-over begins."""
+    """With noise every command differs from the last one, except where a hand-over begins."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
@@ -76,6 +76,6 @@ def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(
     assert len(begun) == len(TYPES)
     for first in begun:
         assert abs(command[first + 1] - command[first]) < 0.01 * STEP
-    level = displacement[1400 : begun[-1]]  # the last one is open loop, whose level is off by the mismatch
+    level = displacement[1400 : begun[-1]]  # the last type is open loop, whose level has the error of the mismatch
     assert np.max(np.abs(level - STEP)) < 0.03e-6
     assert abs(displacement[-1] - STEP) > 0.05e-6

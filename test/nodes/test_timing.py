@@ -67,7 +67,7 @@ def test_the_first_answer_belongs_to_the_last_measurement_after_nobody_answered(
 
 
 def test_answers_that_run_ahead_fall_back():
-    """Answer k was taken for that of measurement k + 1: from then on every measurement finds one waiting."""
+    """Answer k was assigned to measurement k + 1, so every later measurement finds an answer already waiting."""
     events = [(0.0, "answer", 0)] + [
         (k * 1e-3 + 1e-4 * late, kind, k) for k in range(1, 300) for late, kind in enumerate(("measurement", "answer"))
     ]
@@ -89,7 +89,7 @@ def test_who_does_not_keep_the_time_counts_overruns_by_the_usual_interval(monkey
 
 
 def test_a_burst_is_no_rate(monkeypatch):
-    """What a busy machine delivers together after a pause came at the rate at which it was made."""
+    """Messages that a busy machine delivers together after a pause do not change the measured rate."""
     now = [1]
     monkeypatch.setattr(timing.time, "monotonic_ns", lambda: now[0])
     pace = Pace(1e-2, keeps_time=False)
@@ -100,7 +100,7 @@ def test_a_burst_is_no_rate(monkeypatch):
             now[0] += 10_000  # 100 samples in 1 ms
         assert pace.read()[0] < 110.0
     assert pace.read()[0] == pytest.approx(100.0, rel=0.05)
-    for _ in range(3):  # and who asks often is not fooled either
+    for _ in range(3):  # the same for frequent queries
         now[0] += 1_000_000
         pace.tick()
         assert pace.read()[0] == pytest.approx(100.0, rel=0.05)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Trajectories over ROS: followed to their end, answered when they have arrived, replaced, cancelled, refused."""
+"""Trajectories over ROS: followed to the end, answered on arrival, replaced, cancelled, refused."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hysteresis_ros.nodes.trajectories import TrajectoryAction, action_type  # n
 from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 
 SOURCE = "reference_generator"
-#: Slow enough for a busy machine, and no trips.
+#: Slow enough for a busy machine, and without trips.
 SLOW = {
     **SOON_AT_REST,
     "plant_simulator": {"late_limit": -1, **SOON_AT_REST["plant_simulator"]},
@@ -50,7 +50,7 @@ def trajectory(*points, joint="extender", velocities=()) -> JointTrajectory:
 
 
 class Axis:
-    """A composed axis at 200 Hz in real time, with somebody who sends it trajectories."""
+    """A composed axis at 200 Hz in real time, and a publisher of trajectories."""
 
     def __init__(self, inside, observer):
         axis = axis_parameters(overrides=SLOW, sample_rate=200.0, time_mode="realtime")
@@ -63,7 +63,7 @@ class Axis:
         until(lambda: self.source.count_subscribers(f"/{SOURCE}/trajectory") and self.source.sample > 3)
 
     def send(self, message, *words: str) -> str:
-        """Send a trajectory and return the next answer that has one of these words in it."""
+        """Send a trajectory, and return the next answer that contains one of these words."""
         known = len(self.said)
         self.sender.publish(message)
         return self.hear(known, *words)
@@ -155,7 +155,7 @@ def test_tools_of_ros2_control_drive_the_axis_by_the_topics_of_a_controller(axis
 
 
 class Goal:
-    """Stands in for a goal handle of rclpy: what was asked of it, and the states it may be in."""
+    """Replaces a goal handle of rclpy: stores requests, and has its states."""
 
     def __init__(self, server, message, **tolerances):
         self.request = SimpleNamespace(
@@ -185,7 +185,7 @@ class Goal:
 
 
 class StandIn:
-    """The part of control_msgs/FollowJointTrajectory that is used."""
+    """The used part of control_msgs/FollowJointTrajectory."""
 
     class Result(SimpleNamespace):
         SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
@@ -194,7 +194,7 @@ class StandIn:
 
 
 def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):
-    """With a stand-in for the message class and rclpy's server, in the thread of the node."""
+    """With a replacement of the message class and of rclpy's server, in the thread of the node."""
     import hysteresis_ros.nodes.trajectories as module
 
     monkeypatch.setattr(module, "ActionServer", lambda *arguments, **options: SimpleNamespace(destroy=lambda: None))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the page remembers of an axis: losses, errors against the reference that is followed, and samples in parts."""
+"""The page's memory of an axis: losses, errors against the delayed reference, and assembled samples."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NODES = ("plant_simulator", "reference_generator", "motion_controller", "hystere
 
 
 def block(first: int, **columns) -> Block:
-    """Return samples from a number on, of which these signals are known."""
+    """Return samples from a number on with these known signals."""
     count = len(next(iter(columns.values())))
     table = np.zeros((len(signals.ACTUATOR.row), count))
     for name, values in columns.items():
@@ -54,7 +54,7 @@ def test_samples_that_never_came_are_counted_as_lost_and_are_no_error():
     assert memory.lost == 3 and memory.skipped == 2
     error = memory.last("error", 1.0)
     assert error.size == 18 and np.isnan(error[10:13]).all() and np.isfinite(error[13:]).all()
-    # numbers that begin anew are another run
+    # numbers that restart belong to another run
     assert not memory.add(block(2, measured=[0.0]))
     assert memory.lost == 3
 
@@ -68,7 +68,7 @@ def test_the_error_is_the_root_of_its_mean_square_and_its_largest():
 
 @pytest.mark.parametrize("cut", [1, 4, 9])
 def test_under_a_preview_the_error_is_against_the_reference_of_so_many_samples_before(cut):
-    """The stage follows the published reference three samples late, and nothing else is wrong."""
+    """The stage follows the published reference three samples late, without any other error."""
     published = 1e-6 * np.arange(1.0, 11.0)
     measured = np.concatenate([np.zeros(3), published[:-3]])
     memory = Memory(rate=1000.0, preview=3)
@@ -87,12 +87,12 @@ def said(number: int, stamp: int, node: str) -> JointState:
 
 
 def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_younger():
-    """A node that has gone does not hold back what the others say."""
+    """A node that has exited must not delay the display of the others."""
     collector = Collector(signals.ACTUATOR)
     for number, stamp in enumerate((1_000, 2_000)):
         for node in NODES[:-1]:
             collector.add(node, said(number, stamp, node))
-    assert collector.take().numbers.size == 0, "its part may still come"
+    assert collector.take().numbers.size == 0, "the missing part may still arrive"
     for node in NODES[:-1]:
         collector.add(node, said(2, 2_001 + PART_PATIENCE, node))
     found = collector.take()
@@ -113,7 +113,7 @@ def test_an_origin_that_only_begins_like_the_page_is_another_page(origin):
 
 
 def test_the_rate_is_that_of_the_samples_between_the_arrivals(monkeypatch):
-    """Ten samples each hundredth of a second are 1000 a second; those of the first arrival came before it."""
+    """Ten samples per hundredth of a second are 1000 per second; those of the first arrival are from before."""
     memory, now = Memory(rate=1000.0), [100.0]
     monkeypatch.setattr("hysteresis_ros.laboratory.watch.memory.time.monotonic", lambda: now[0])
     for number in range(6):
@@ -133,7 +133,7 @@ def test_the_plane_of_two_axes_puts_samples_of_one_stamp_together():
     assert plane.told() is None and plane.axes == ()
     plane.choose({"/s/x": 0, "/s/y": 2})
     numbers = np.arange(10)
-    # x comes earlier than y, and the reference of y is published two samples ahead
+    # x arrives earlier than y, and the reference of y is published two samples ahead
     plane.add("/s/x", block(0, reference=1.0 * numbers, measured=1.0 * numbers))
     plane.add("/s/z", block(0, reference=9.0 * numbers, measured=9.0 * numbers))
     plane.add("/s/y", block(4, reference=10.0 * np.arange(6, 9), measured=10.0 * np.arange(4, 7) + 3.0))
@@ -145,7 +145,7 @@ def test_the_plane_of_two_axes_puts_samples_of_one_stamp_together():
     np.testing.assert_array_equal(told["path"], [[6, 7, 8, 9], [63, 66, 76, 86]])
     assert told["error"] == [3, 4, 4, 4] and told["largest"] == 4.0
     assert told["rms"] == pytest.approx(np.sqrt((9 + 3 * 16) / 4))
-    # a run that begins anew is another path
+    # a restarted run is another path
     plane.add("/s/x", block(0, reference=[0.0], measured=[0.0]))
     assert plane.told()["error"] == [] and plane.told()["rms"] is None
     plane.choose({})

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of an inchworm motor: what it gets of the slider, the extender and the gait, and what it may ask for."""
+"""The page of an inchworm motor: its data of the slider, the extender and the gait, and its allowed requests."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from hysteresis_ros.references.inchworm_layout import CARRYING, PHASE_NAMES, POS
 
 @pytest.fixture(scope="module")
 def motor() -> dict:
-    """What a page is told of the motor of the shipped configuration."""
+    """Constants of the motor of the shipped configuration, as sent to a page."""
     found = motor_facts(AxisParameters.from_configuration(load_configuration("inchworm_travel")))
     assert found is not None
     return found
@@ -54,7 +54,7 @@ def test_the_error_of_a_motor_is_that_of_what_its_controller_follows(motor):
     assert last["error"] == pytest.approx(0.1e-6) and last["setpoint"] == pytest.approx(5e-3)
     assert last["measured"] == pytest.approx(1.002e-3) and last["extender"] == pytest.approx(3e-6)
     loop = numbers[-3 * header["points"] :].reshape(3, -1)[:, -1]
-    assert loop == pytest.approx([40.0, 2e-6, 3e-6])  # of the extender: the slider is millimetres away
+    assert loop == pytest.approx([40.0, 2e-6, 3e-6])  # of the extender; the slider is millimetres away
     assert link.memory.figures()["largest"] == pytest.approx(0.1e-6)
 
 
@@ -108,14 +108,14 @@ def test_a_motor_has_its_charts_and_its_card_on_the_page(motor, tmp_path):
             card = "document.getElementById('motor').textContent"
             for number, phase in enumerate((CARRYING, POSITIONING)):
                 values = {"setpoint": 5e-3, "measured": 4e-3, "front_voltage": 100.0, "phase": phase, "steps": number}
-                for _ in range(50):  # a column of the screen stands for some samples
+                for _ in range(50):  # a column of the screen represents several samples
                     bench.link.put(**values)
                 name = PHASE_NAMES[phase]
                 await browser.until(f"{card}.includes('{name}')")
                 await browser.until(f"document.getElementById('legend-phase').textContent === '{name}'")
             legend = await browser.value("document.getElementById('legend-drive').textContent")
             assert "front clamp" in legend and "100.0 V" in legend and "rear clamp" in legend
-            # what does not learn over the phase has no buttons for it
+            # a motor that does not learn over the phase has no buttons for learning
             buttons = "[...document.querySelectorAll('#services button')]"
             shown = f"{buttons}.filter((one) => one.checkVisibility()).map((one) => one.id)"
             assert await browser.value(shown) == ["home", "release"]

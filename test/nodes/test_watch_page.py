@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of an axis that really runs: over its socket, and in a browser."""
+"""The page of a running axis: over its socket, and in a browser."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ PLACE = "[hysteresis.loops.command.at(-1), hysteresis.loops.measured.at(-1), hys
 
 
 class Watched:
-    """A page without an axis yet, and axes for it."""
+    """A page without an axis at first, and axes for it."""
 
     def __init__(self, processes: Processes):
         self.processes, self.folder = processes, processes.folder
-        # what a busy machine makes late must not stop the axis here
+        # late voltages of a busy machine must not stop the axis here
         axis = axis_parameters(overrides={"plant_simulator": {"late_limit": -1}, **BEGIN}, time_mode="fused")
         self._path = write_axis(self.folder / "axis.yaml", axis)
         options = ("--port", "0", "--folder", str(self.folder))
@@ -61,7 +61,7 @@ class Watched:
 def watched(folder, domain_of_module):
     processes = Processes(folder, domain_of_module)
     yield Watched(processes)
-    for process in processes.started:  # shown where a test has failed
+    for process in processes.started:  # printed if a test fails
         print(process.log, process.popen.poll(), process.output, sep="\n")
     processes.close()
 
@@ -108,7 +108,7 @@ def test_a_page_steers_and_records_an_axis_that_may_leave_and_return(watched):
         await page.until(lambda: page.status.get("live") and GAIN in page.values.get("hysteresis_compensator", {}))
         await page.until(lambda: page.status["health"])
         assert not page.status["tripped"]
-        # what it asks of the axis, and the words of the nodes
+        # requests to the axis, and messages of the nodes
         assert (await page.ask(do="setpoint", value="4um"))[0]
         ok, why = await page.ask(do="setpoint", value="400um")
         assert not ok and "setpoint 0.0004 m refused: out of range, allowed: 0 … 1.2e-05 m" in why
@@ -130,12 +130,12 @@ def test_a_page_steers_and_records_an_axis_that_may_leave_and_return(watched):
         run = load_run(bag)
         assert len(run) > 600 and run["setpoint"][-1] == 4e-6 and len(set(run.time.round(6))) == len(run)
         assert read_bag(bag).of_type("/marker", "std_msgs/msg/String") is not None
-        # stop, and go on
+        # stop and restart
         assert (await page.ask(do="stop"))[0]
         await page.until(lambda: page.status["tripped"])
         assert (await page.ask(do="start"))[0]
         await page.until(lambda: not page.status["tripped"])
-        # the axis leaves, and another one comes
+        # the axis exits, and another one starts
         watched.axis.leave(signal.SIGINT)
         await page.until(lambda: not page.status["live"])
         ok, why = await page.ask(do="setpoint", value="4um")
@@ -159,7 +159,7 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
     picture = "document.querySelector('#after canvas').toDataURL()"
 
     async def moved(browser: Browser, key: str) -> list[float]:
-        """Move the axis by the keys of the setpoint's slider; return command and displacement of before."""
+        """Move the axis with the keys of the setpoint's slider; return command and displacement before."""
         begun = await browser.value(PLACE)
         await browser.value("document.getElementById('setpoint-slider').focus()")
         await browser.press(key, 2)
@@ -168,7 +168,7 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
         async def rests() -> bool:
             nonlocal last
             now = await browser.value(PLACE)
-            if now[2] < last[2] + 900:  # a third of a second of the axis
+            if now[2] < last[2] + 900:  # a third of a second of axis time
                 return False
             before, last = last, now
             return abs(now[1] - begun[1]) > 1e-6 and abs(now[1] - before[1]) < 1e-8
@@ -177,7 +177,7 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
         return begun
 
     async def slope(browser: Browser, begun: list[float]) -> float:
-        """Return how much of the command a displacement takes."""
+        """Return the ratio of displacement to command."""
         command, displacement, _ = await browser.value(PLACE)
         return (command - begun[0]) / (displacement - begun[1])
 
@@ -190,9 +190,9 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
             given = float(await browser.value(FIELD))
             begun = await moved(browser, "PageDown")
             before = await slope(browser, begun)
-            # a page that pauses stays as it is, whatever comes
+            # a paused page does not change when data arrive
             await browser.value("document.getElementById('pause').click()")
-            # what was on its way is drawn still
+            # data on the way are still drawn
             await browser.until(f"{picture} === window.before || ((window.before = {picture}), false)")
             still, end = await browser.value(f"[{picture}, hysteresis.state.heard]")
             await browser.until(f"hysteresis.state.heard > {end} + 300")
@@ -204,20 +204,20 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
             wanted = float(await browser.value(FIELD))
             assert wanted < 0.9 * given
             await browser.until(f"{SLIDER}.closest('.parameter').matches('.changed')")
-            # the model is another one now, without a jump; from here on less of the command is needed
+            # the model has changed without a jump; from now on less command is needed
             begun = await moved(browser, "PageUp")
             assert await slope(browser, begun) < 0.9 * before
             assert await browser.value(picture) != still
             assert await browser.value("document.querySelectorAll('.parameter.refused').length") == 0
             got = watched.processes.command("get", "hysteresis_compensator", GAIN)
             assert got.wait() == 0 and float(got.output.split(":")[1]) == wanted
-            # the key that stops everything, and the button that lets it go on
+            # the key that stops everything, and the button that restarts it
             await browser.value("document.activeElement.blur()")
             await browser.press("Escape")
             await browser.until("document.getElementById('headline').textContent.startsWith('stopped')")
             await browser.value("document.getElementById('start').click()")
             await browser.until("!document.getElementById('headline').textContent.startsWith('stopped')")
-            # a page without a mistake of its own
+            # the page has reported no errors
             assert browser.errors == []
 
     asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))
@@ -233,7 +233,7 @@ def test_a_slider_ends_at_the_limits_and_goes_back_after_a_refusal(watched):
             await browser.until("Boolean(window.hysteresis) && hysteresis.state.live && hysteresis.state.mine")
             await browser.until(f"{field}.value !== '' && hysteresis.state.limits.slider !== undefined")
             assert await browser.value(f"[Number({slider}.min), Number({slider}.max)]") == pytest.approx([0.0, 12.0])
-            # a limit of more than four digits: the end of the slider is taken, not rounded beyond it
+            # a limit with more than four digits: the end of the slider is sent exactly, not rounded beyond the limit
             await browser.value(
                 f"hysteresis.state.limits.slider = [0, 11.99967e-6], {slider}.step = 'any',"
                 f"{slider}.max = 11.99967, {slider}.focus(), 0"
@@ -241,14 +241,14 @@ def test_a_slider_ends_at_the_limits_and_goes_back_after_a_refusal(watched):
             await browser.press("End")
             await browser.until(f"{said}.textContent.includes('11.9997')")
             assert not await browser.value(f"{said}.classList.contains('bad')")
-            # a refused value does not stay, though slider or field have the focus
+            # a refused value is replaced, even if slider or field have the focus
             for element in (slider, field):
                 await browser.value(f"{element}.focus(), {field}.value = '400', 0")
                 await browser.value(f"{slider}.value = 3, {field}.dispatchEvent(new Event('change')), 0")
                 await browser.until(f"{said}.classList.contains('bad') && {said}.textContent.includes('0.0004')")
                 await browser.until(f"Number({field}.value) === 11.9997 && Math.abs({slider}.value - 11.99967) < 1e-3")
                 await browser.value(f"{said}.classList.remove('bad'), {said}.textContent = ''")
-            # the same of a parameter
+            # the same for a parameter
             field_ = FIELD.removesuffix(".value")
             given = await browser.value(FIELD)
             await browser.value(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a page may ask for, who may, and what it gets: without nodes, without a web server."""
+"""Allowed requests of a page, its access rights, and its data: without nodes, without a web server."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_a_page_gets_every_bin_once_however_its_frames_come(counts, columns, win
     found = np.concatenate(heard, axis=1)
     expected = extremes(whole[:, begun * length : (begun + found.shape[1]) * length], length)
     assert np.array_equal(found, expected.astype("f4"))
-    assert whole.shape[1] - (begun + found.shape[1]) * length < length, "a bin that is whole is missing"
+    assert whole.shape[1] - (begun + found.shape[1]) * length < length, "a complete bin is missing"
 
 
 def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change():
@@ -174,7 +174,7 @@ def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change()
     assert "pid.Kp" in rows and not any(name.startswith("sliding_mode.") for name in rows)
     table = NODE_PARAMETERS["motion_controller"].table()
     fixed = {row.name for row in table if row.read_only} - {row.name for row in NodeParameters.table()}
-    assert fixed and not fixed & set(rows), "what is read only cannot be tuned"
+    assert fixed and not fixed & set(rows), "read-only parameters cannot be tuned"
     row = next(row for row in table if row.name == "pid.Kp")
     assert rows["pid.Kp"] | {"allowed": row.allowed(), "unit": row.unit, "low": row.low} == rows["pid.Kp"]
     assert json.dumps(list(rows.values()))

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The server of the page with an axis that is only pretended: who is let in, who may write, and what garbage does."""
+"""The server of the page with an emulated axis: access, write access, and invalid data."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ def test_connections_that_ask_for_nothing_are_closed_and_pages_are_few(monkeypat
             await bench.page()
         assert caught.value.status == 503
         reader, writer = await asyncio.open_connection(host, int(port))
-        writer.write(b"GET / HTTP/1.1\r\nHost: ")  # the rest of the head never comes
+        writer.write(b"GET / HTTP/1.1\r\nHost: ")  # the rest of the header never comes
         assert await asyncio.wait_for(reader.read(), 60.0) == b"", "the server closes the connection"
         writer.close()
-        # older than the connection that was closed
-        assert (await pages[0].ask(do="start"))["ok"], "what has asked for something stays"
+        # opened before the connection that was closed
+        assert (await pages[0].ask(do="start"))["ok"], "a connection with a request stays open"
         monkeypatch.setattr(server, "CONNECTIONS", 0)
         reader, writer = await asyncio.open_connection(host, int(port))
         assert await asyncio.wait_for(reader.read(), 60.0) == b""
@@ -147,9 +147,9 @@ def test_a_setpoint_is_answered_and_a_refusal_is_the_nodes_own():
 def test_a_page_that_leaves_before_its_answer_ends_nothing():
     left: Future = Future()
     assert left.cancel()
-    AxisLink._do(lambda: pytest.fail("nobody waits for it"), left)
+    AxisLink._do(lambda: pytest.fail("a cancelled request was executed"), left)
     stays: Future = Future()
-    AxisLink._do(lambda: [] + 1, stays)  # a mistake of ours is an answer too
+    AxisLink._do(lambda: [] + 1, stays)  # an internal error also gives an answer
     with pytest.raises(HysteresisError, match="TypeError"):
         stays.result()
 
@@ -163,7 +163,7 @@ def test_garbage_is_answered_and_the_page_goes_on():
         await page.socket.send_bytes(b"\xff\x00garbage")
         assert "text" in (await page.until(lambda said: "answer" in said))["text"]
         assert (await page.ask(do="start"))["ok"]
-        # more than any request is long: that page is closed, another one goes on
+        # longer than any valid request: that page is closed, another page continues
         other = await bench.page()
         await page.socket.send_str("x" * 70_000)
         with pytest.raises(ConnectionError):
@@ -177,14 +177,14 @@ def test_garbage_is_answered_and_the_page_goes_on():
 def test_samples_of_nodes_that_exchange_messages_are_put_together_by_their_stamps():
     nodes = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
     collector = Collector(signals.ACTUATOR)
-    # a plant that is late moves its schedule: stamps come closer, and no sample is taken twice
+    # a late plant shifts its schedule: stamps come closer together, and no sample is used twice
     stamps = [0, 5_000_000, 12_000_000, 13_000_000, 18_000_000]
     for number, stamp in enumerate(stamps):
         for node in nodes:
             names = list(signals.ACTUATOR.state(node))
             message = JointState(name=names, position=[float(number)] * len(names))
             message.header.stamp.nanosec = stamp
-            if (node, number) != (nodes[-1], 1):  # who says nothing of a sample is missing in it, and the rest is there
+            if (node, number) != (nodes[-1], 1):  # only the part of the silent node is missing
                 collector.add(node, message)
     block = collector.take()
     assert block.stamps.tolist() == stamps and block.numbers.tolist() == [0, 1, 2, 3, 4]

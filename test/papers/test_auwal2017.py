@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Auwal et al. 2017 come out as stated; rows under realistic conditions show what does not."""
+"""The experiments of Auwal et al. 2017 give the stated results; rows under realistic conditions show the limits."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "auwal2017.md"
 
-#: Rows that do not hold, each with its reason in the table. A row that changes sides must be noticed.
+#: Rows that do not hold, each with its reason in the table. A change of any row must be noticed.
 NOT_HOLDING = {
     "model.fpe",
     "frequency.1.combined",
@@ -84,7 +84,7 @@ def test_the_papers_case_needs_a_voltage_the_stack_must_not_have(measured):
 
 
 def test_the_error_behind_the_inverse_is_the_lag_of_the_mass(found):
-    """A ramp through 1/(m s² + b s + K) of unit DC gain comes b/K late; the hold adds half a sample."""
+    """A ramp through 1/(m s² + b s + K) with unit DC gain is delayed by b/K; the hold adds half a sample."""
     run = found.runs["inverse"]
     middle = (run.time > 10.0) & (run.time < 20.0)
     slope = 2.0 * auwal.HEIGHT / auwal.PERIOD
@@ -110,7 +110,7 @@ def test_dynamics_inverted_follow_a_sine_within_the_limits(measured):
 
 
 def test_literal_equation_runs_away_by_the_same_amount_as_its_closed_form():
-    """Rising, h is negative soon: dh/dV = α − β V − γ |h|; then |V̇| V falls further while V comes back."""
+    """While V rises, h soon becomes negative: dh/dV = α − β V − γ |h|; then |V̇| V falls further while V returns."""
     assert model.misprinted(auwal.PEAK_VOLTAGE) == pytest.approx(93.93e-6, rel=1e-3)
 
 
@@ -130,7 +130,7 @@ def test_a_triangle_of_10_hz_is_refused_by_name_before_anything_moves(axis):
 
 
 def test_what_zero_volt_leaves_is_on_the_falling_branch():
-    """IAE of a ramp that ends ``left`` too high: a triangle of that height, ``left`` over the slope long."""
+    """IAE of a ramp that ends ``left`` too high: a triangle of this height, with a length of ``left`` over slope."""
     slope = 2.0 * auwal.HEIGHT / auwal.PERIOD
     left = np.sqrt(2.0 * slope * control.unavoidable())
     element = BoucWenHysteresis(model.PUBLISHED_BOUC_WEN, 1.0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Claims beside what was found: judged, printed and written without loss."""
+"""Claims and their reproduction: evaluated, printed and written without loss."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_table_shows_micrometres_and_numbers_assumptions_once():
 
 
 def steps_run(answer):
-    """Return a run of a step of 1 µm up at 0.1 s and back at 0.6 s; ``answer(t)`` is the step answer."""
+    """Return a run of a step of 1 µm up at 0.1 s and back at 0.6 s; ``answer(t)`` is the step response."""
     time = np.arange(1100) / RATE
     reference = np.where((time >= 0.1) & (time < 0.6), 1e-6, 0.0)
     displacement = np.where(time >= 0.1, answer(time - 0.1), 0.0) - np.where(time >= 0.6, answer(time - 0.6), 0.0)
@@ -109,7 +109,7 @@ def test_runs_without_steps_or_loop_are_refused():
 
 @pytest.mark.parametrize("width", [0.0, 0.1])
 def test_loop_width_of_parabolic_branches_and_the_delay_of_a_sample(width):
-    """Branches u ± 2 w u (1 − u) are open by w at half the stroke; a plant answers one sample later."""
+    """Branches u ± 2 w u (1 − u) have the width w at half the stroke; a plant responds one sample later."""
     up = np.linspace(0.0, 1.0, 501)
     reference = np.concatenate([up, up[::-1][1:], up[1:], up[::-1][1:]])
     direction = np.concatenate([-np.ones(501), np.ones(500), -np.ones(500), np.ones(500)])
@@ -122,7 +122,7 @@ def test_no_picard_step_leaves_the_opening_of_the_branches():
     stack = assumed_stack(opening=0.1)
     stroke = 120.0 * stack.virgin[1]
     assert picard_width(stack, 120.0, stroke, 0, 1.0) == pytest.approx(10.0)
-    # the iteration contracts, though not at every step
+    # the iteration contracts, but not at every step
     assert picard_width(stack, 120.0, stroke, 40, 1.0) < 1e-3
 
 

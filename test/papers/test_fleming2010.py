@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the abstract of Fleming et al. 2010 claims comes out as stated, and the rows that do not hold say why."""
+"""The claims of the abstract of Fleming et al. 2010 give the stated results; rows that do not hold have a reason."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_configuration_has_the_gains_that_the_reproduction_finds():
 
 
 def test_law_and_damping_are_the_integrator_in_front_of_the_papers_second_order_controller():
-    # gain/s · k/(s − k D_f), on the outer loop, at frequencies far below the sample rate
+    # gain/s · k/(s − k D_f) in the outer loop, at frequencies far below the sample rate
     model, k, gain = fleming.scanner(934.0, 1e-5), 3000.0, 700.0
     from hysteresis_ros.control.linearisation import linear_loop
 

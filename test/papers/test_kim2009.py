@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Kim, Kim & Park 2009 come out as stated; rows under realistic conditions show what does not."""
+"""The experiments of Kim, Kim & Park 2009 give the stated results; rows under realistic conditions show the limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hysteresis_ros.laboratory.papers.kim2009 import tracking
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "kim2009.md"
 
-#: Rows that do not hold, each with its reason in the table. A row that changes sides must be noticed.
+#: Rows that do not hold, each with its reason in the table. A change of any row must be noticed.
 NOT_HOLDING = {
     "b.dynamics.exact",
     "honest.b.opening",
@@ -71,7 +71,7 @@ def test_exactly_the_known_rows_do_not_hold_and_say_why(found):
 
 
 def test_every_claim_of_the_paper_at_perfect_knowledge_holds(found):
-    """What is left out is the 2 Hz triangle with the dynamics' own lag, which no inverse of hysteresis removes."""
+    """Except for the 2 Hz triangle with the lag of the dynamics, which no inverse of hysteresis removes."""
     groups = ("model", "identification", "a", "b", "c", "d", "preload")
     own = [claim for claim in found.claims if claim.id.split(".")[0] in groups]
     assert [claim.id for claim in own if claim.holds is False] == ["b.dynamics.exact"]
@@ -117,7 +117,7 @@ def test_identification_meets_the_papers_error_order_and_resonance(measured):
 
 
 def test_without_negative_voltage_the_residual_of_the_falling_branch_stays(measured):
-    """The lower corner of the loop to 20 V lies at 20 V · 0.0125 µm/V."""
+    """The lower corner of the loop to 20 V is at 20 V · 0.0125 µm/V."""
     assert measured["honest.limits_positive.error"] == pytest.approx(0.25e-6, rel=1e-3)
     assert measured["honest.limits_positive.estimated"] == pytest.approx(0.25e-6, rel=1e-3)
 
@@ -125,7 +125,7 @@ def test_without_negative_voltage_the_residual_of_the_falling_branch_stays(measu
 def test_a_limit_below_the_step_costs_what_it_does_not_reach_and_winds_nothing_up(measured):
     missing = kim.DC_GAIN * kim.STEP * (1.0 - tracking.LOW_LIMIT / (kim.AMPLIFIER * kim.STEP))
     assert measured["honest.limits_low.error"] == pytest.approx(missing, rel=1e-3)
-    # the compensator believes in a peak of 20 V; the corner of the loop moves by 0.0125 µm a volt of the peak
+    # the compensator's memory contains a peak of 20 V; the corner of the loop moves by 0.0125 µm per volt of the peak
     assert measured["honest.limits_low.residual"] == pytest.approx(0.0125e-6 * (20.0 - tracking.LOW_LIMIT), rel=0.05)
     assert measured["honest.limits_low.residual_estimated"] < 1e-9
 
@@ -150,7 +150,7 @@ def test_another_structure_moves_the_resonance_and_keeps_damping_and_real_pole(m
 
 
 def test_conditions_change_the_compensator_and_never_the_plant():
-    """The plant is never the model: a mismatch belongs to one of them alone."""
+    """The plant always differs from the model: a mismatch changes only one of them."""
     axis = load_configuration("kim2009")
     start = "hysteresis.polynomial."
     before = {name: value for name, value in axis.node("plant_simulator").items() if name.startswith(start)}

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The figures of the papers' linear parts, as the module prints them."""
+"""The figures of the papers' linear parts, as printed by the module."""
 
 import pytest
 

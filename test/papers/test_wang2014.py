@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The experiments of Wang, Alici & Tan 2014 come out as stated; the files are what identification gives."""
+"""The experiments of Wang, Alici & Tan 2014 give the stated results; the files equal the identification's results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.models.linear import LinearDynamics
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "wang2014.md"
 SAMPLE_TIME = 0.005
 
-#: Rows that do not hold, each with its reason in the table. A row that changes sides must be noticed.
+#: Rows that do not hold, each with its reason in the table. A change of any row must be noticed.
 NOT_HOLDING = {"w3.alpha_3.g_sign", "w3.alpha_80.g_sign", "honest.gain_5.pi"}
 
 

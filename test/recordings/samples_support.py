@@ -28,7 +28,7 @@ AXES = [pytest.param(ACTUATOR, id="actuator"), pytest.param(MOTOR, id="motor")]
 
 
 def make_samples(axis, count, seed=1):
-    """Return stamps, table and joints of some samples; the plant stops the axis now and then."""
+    """Return stamps, table and joints of some samples, in which the plant sometimes stops the axis."""
     random = np.random.default_rng(seed)
     table = random.normal(size=(len(axis.kind.row), count)) * 1e-6
     table[random.integers(len(table), size=count // 7), random.integers(count, size=count // 7)] = np.nan

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags: what the nodes publish becomes the columns of a run, whoever wrote the bag and however it ended."""
+"""Bags: the topics of the nodes become the columns of a run, for any writer and any end of the bag."""
 
 import json
 
@@ -108,7 +108,7 @@ def test_a_database_without_metadata_is_read(tmp_path):
 
 
 def test_what_was_flushed_survives_a_kill(tmp_path):
-    """A writer that is never closed leaves what a killed process leaves: neither index nor metadata.yaml."""
+    """A writer that is not closed leaves the same as a killed process: neither index nor metadata.yaml."""
     writer = BagWriter(tmp_path / "bag", chunk_bytes=1000)
     for k in range(200):
         writer.write_float64("/setpoint", float(k), k)
@@ -126,7 +126,7 @@ def test_what_was_flushed_survives_a_kill(tmp_path):
 
 @pytest.fixture(scope="module", params=["", "zstd"])
 def stream(request, tmp_path_factory):
-    """An MCAP of many chunks, as bytes, with the place at which each chunk ends and the messages there are by then."""
+    """An MCAP of many chunks, as bytes, with the end of each chunk and the messages until there."""
     folder = tmp_path_factory.mktemp("stream")
     writer = Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
     if request.param:
@@ -458,7 +458,7 @@ def test_a_compressed_file_is_read_without_metadata_bare_and_as_far_as_it_goes(t
     (tmp_path / "copy" / "metadata.yaml").unlink()
     assert_same_run(read_recording(tmp_path / "copy"), original)
     assert_same_run(read_recording(packed), original)
-    assert sorted((tmp_path / "copy").iterdir()) == [packed], "something was left beside it"
+    assert sorted((tmp_path / "copy").iterdir()) == [packed], "another file was left in the folder"
     damaged = packed.with_name(f"damaged{''.join(packed.suffixes)}")
     damaged.write_bytes(b"\x00" * 100)
     with pytest.raises(RecordingError, match="damaged"):

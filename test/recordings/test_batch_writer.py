@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Samples written in batches: the messages the nodes would publish one by one, whatever the batches and the end."""
+"""Samples written in batches equal the messages of the nodes one by one, for any batches and any end."""
 
 from __future__ import annotations
 
@@ -116,12 +116,12 @@ def test_batches_and_chunks_change_nothing(tmp_path_factory, axis, cuts, block):
 
 @pytest.mark.parametrize("axis", AXES)
 def test_the_index_leads_to_every_message(tmp_path, axis):
-    """What reads by the index, by time and topic, finds what reading the file in its order finds."""
+    """Reading by the index, by time and topic, finds the same as reading the file in its order."""
     samples = make_samples(axis, 500)
     times = samples[0] + np.random.default_rng(2).integers(0, 900_000, 500)  # not in order
     with BagWriter(tmp_path / "bag") as bag:
         writer = SampleWriter(bag, axis, block_bytes=100_000)
-        # times outside those of the samples beside them
+        # times different from those of the neighbouring samples
         notes = {text: int(time_ns) for text, time_ns in (("late", times.max() - 1), ("early", times.min() + 1))}
         bag.write_string("/note", "late", notes["late"])
         write_batches(writer, [part[..., :250] if part is not None else None for part in samples], times=times[:250])
@@ -143,7 +143,7 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
             pairs = zip(in_order[topic].times, in_order[topic].data, strict=True)
             expected = sorted((pair for pair in pairs if pair[0] < times[250]), key=lambda pair: pair[0])
             assert some == expected
-        # every entry of every message index, by hand
+        # every entry of every message index, checked by hand
         for chunk in summary.chunk_indexes:
             check_chunk(path.read_bytes(), chunk)
     with Reader(tmp_path / "bag") as bag:
@@ -158,7 +158,7 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
 
 
 def test_single_messages_share_a_topic_with_samples(tmp_path):
-    """Order in the file is the order of writing, and the index knows both."""
+    """The order in the file is the order of writing, and the index contains both."""
     stamps, table, _ = make_samples(ACTUATOR, 20)
     table[signals.TRIPPED] = 0.0
     table[signals.COMMAND] = np.arange(20.0)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Samples written in batches, and the end of it: a cut file, a full disk, a kill."""
+"""Samples written in batches, with an irregular end: a truncated file, a full disk, a kill."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def cut_source(tmp_path_factory):
 @settings(max_examples=40)
 @given(room=st.integers(0, 400_000))
 def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factory, room):
-    """The file takes ``room`` bytes; a record that did not fit is taken back."""
+    """The file can hold ``room`` bytes; a record that does not fit is removed."""
     folder = tmp_path_factory.mktemp("full")
     stamps, table, joints = make_samples(MOTOR, 150)
     failed = None
@@ -98,7 +98,7 @@ def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factor
 
 
 def limited(writev, room):
-    """Return a writev of a disk with so much room."""
+    """Return a writev for a disk with ``room`` free bytes."""
 
     def write(file, pieces):
         left = room - os.fstat(file).st_size

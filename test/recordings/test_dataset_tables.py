@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The dataset type and its tables: what goes in comes out bit for bit, and what is wrong is named."""
+"""The dataset type and its tables: data are preserved bit for bit, and errors are named."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Recordings in several files, with a disk that fills up, with what made them: one dataset all the same."""
+"""Recordings in several files, with a disk that becomes full, and with their origin: always one dataset."""
 
 import errno
 import hashlib
@@ -35,7 +35,7 @@ STEP = 100_000  # ns between two samples
 
 
 def write_run(path, **split):
-    """Batches, single messages between them, and words."""
+    """Write batches, single messages between them, and texts."""
     stamps, table, _ = make_samples(ACTUATOR, SAMPLES)
     with BagWriter(path, **split) as bag:
         bag.describe(RECORD, provenance())
@@ -61,7 +61,7 @@ def test_a_split_recording_is_one_dataset_of_whole_files(tmp_path, split):
             assert {item.name: item.metadata for item in reader.iter_metadata()}[RECORD]["python"]
         counted += len(times)
         if "max_bag_size" in split:
-            assert path.stat().st_size < split["max_bag_size"] + 16_000  # what stands at its end
+            assert path.stat().st_size < split["max_bag_size"] + 16_000  # the index at its end
         else:
             assert max(times) - min(times) <= 1e9 * split["max_bag_duration"] + 10 * STEP
     with Reader(parts) as reader, Reader(whole) as one:
@@ -153,7 +153,7 @@ def test_a_full_disk_ends_the_recording_and_what_was_written_stays(tmp_path, mon
     monkeypatch.setattr(os, "writev", full)
     recording.attempt(lambda bag: [bag.write_string("/note", "x" * 1000, k) for k in range(1000)])
     assert recording.bag is None and os.strerror(errno.ENOSPC) in recording.stopped
-    # without room for the end of the file the words say what helps
+    # without space for the end of the file the message contains the remedy
     assert ("hysteresis repair" in recording.stopped) == (room == 0), recording.stopped
     assert (tmp_path / "run" / "metadata.yaml").exists() == (room > 0)
     values = cdr.decode_float64s(read_bag(tmp_path / "run").topics["/voltage"].data, "/voltage")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Layouts of other tools name topics that an axis has, and in them what their legends say."""
+"""Layouts for other tools use topics that an axis has, and fields that match their legends."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def known() -> dict[str, list[str]]:
 
 
 def values(tree, key: str):
-    """Yield everything that stands below a key, however deep."""
+    """Yield all values of a key, at any depth."""
     for name, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
         if name == key:
             yield value
@@ -55,7 +55,7 @@ def test_foxglove_shows_what_its_legends_say(known):
         assert (names[int(found["index"])] if found["index"] else found["topic"].strip("/")) == label, value
     assert {*values(layout, "topicToRender")} == {"/diagnostics"}
     placed = {word for key in ("first", "second") for word in values(layout["layout"], key) if isinstance(word, str)}
-    assert placed == set(layout["configById"]), "every panel has a place, and every place a panel"
+    assert placed == set(layout["configById"]), "every panel has a position, and every position a panel"
 
 
 def test_plotjuggler_shows_curves_of_topics_that_there_are(known):

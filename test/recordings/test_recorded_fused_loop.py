@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a fused loop makes, recorded in batches beside it, is repeated offline bit for bit: skipped samples included."""
+"""A fused loop, recorded in batches while it runs, is repeated offline bit for bit, including skipped samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SAMPLES = 3000
 
 
 def record(loop, bag, writer):
-    """Take what the loop makes until it ends, and write it."""
+    """Read the samples of a loop until it ends, and write them."""
     axis, start, first = writer.axis, None, 0
     while True:
         running = loop.running
@@ -72,7 +72,7 @@ def test_a_fused_run_is_recorded_whole_and_repeated_offline(tmp_path, name, fact
     assert differences(recorded, parameters) == {}
     assert np.count_nonzero(recorded.signals.get("skipped", 0)) == loop.missed
     columns = {signal.name for signal in kind.row}
-    # where a deadline was missed the device kept its voltage: what was asked then is a column of its own
+    # at a missed deadline the device kept its voltage; the requested voltage is a separate column
     assert set(recorded.signals) - columns <= ({signals.ASKED_VOLTAGE} if loop.missed else set())
     assert columns <= set(recorded.signals)
     assert np.ptp(simulate(parameters, duration=SAMPLES / plant.sample_rate)["displacement"]) > 1e-6

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is recorded as voltage is what left for the device, also where nobody could tell the compensator in time."""
+"""The recorded voltage is the device's input, even if the compensator could not be informed in time."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOST = ("lost_voltage:0.5:0.3",)
 
 
 def axis(faults=LOST, **plant):
-    """Kim's axis on a sine in messages, whose plant is without a voltage from 0.5 to 0.8 s."""
+    """Kim's axis on a sine with messages; its plant receives no voltage from 0.5 to 0.8 s."""
     quick = {"voltage_timeout": 0.05, "safe_slew_rate": 40.0, "late_limit": -1}
     common = {"sample_rate": RATE, "time_mode": "lockstep", "faults": list(faults)}
     configuration = load_configuration("kim2009").override("", **common)
@@ -54,7 +54,7 @@ def test_a_run_of_messages_holds_what_left_and_what_was_asked_and_is_its_own_twi
     away = mode == STALE
     back = (mode == RUNNING) & (np.abs(left - asked) > 1e-6)
     late = mode == HOLDING
-    # to safe, the way back from there, and voltages that were only late: all three were tried
+    # the way to safe, the return, and merely late voltages all occur
     assert np.sum(away) > 40 and np.sum(back) > 5 and np.sum(late) == 9
     assert np.all(run["saturated"][away | back] == 1.0) and not np.any(run["saturated"][late])
     still = ~(away | back | late)
@@ -112,9 +112,9 @@ def test_what_nobody_said_is_left_as_it_was():
     note_output(signals, np.full(5, np.nan), np.full(5, np.nan), 0.0)
     assert signals == {"voltage": asked}
     limits = {"limits.minimum": 0.0, "limits.maximum": 100.0}
-    # no word of the converters: any difference may be theirs
+    # without data of the converters, any difference may be theirs
     assert output_tolerance({}, limits) == output_tolerance(limits, {}) == np.inf
     assert output_tolerance({**limits, "limits.bits": "x"}, limits) == np.inf
-    # a device rounds by itself, and says what it was given
+    # a device rounds by itself, and reports the voltage that it was given
     bits = {**limits, "limits.bits": 4, "driver": "x:Y"}
     assert output_tolerance(bits, limits) == output_tolerance(limits, limits) < 1e-8

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags cut off anywhere are read up to their last whole message, and made whole for every other reader."""
+"""Bags truncated at any point are read up to their last complete message, and repaired for all other readers."""
 
 import errno
 import os
@@ -40,7 +40,7 @@ WORDS = {"hysteresis_ros": "1.2.3"}
 
 
 def write_plain(path):
-    """Batches of samples, single messages and words, with an attachment between them."""
+    """Write batches of samples, single messages and texts, with an attachment between them."""
     with BagWriter(path, chunk_bytes=900) as bag:
         bag.describe("hysteresis_ros", WORDS)
         for k in range(20):
@@ -53,7 +53,7 @@ def write_plain(path):
 
 
 def write_packed(path):
-    """What ``ros2 bag record`` writes with compressed chunks."""
+    """Write a bag like ``ros2 bag record`` with compressed chunks."""
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
@@ -88,7 +88,7 @@ def source(request, tmp_path_factory):
 
 
 def cut_bag(source, folder, size):
-    """Copy a bag as a kill leaves it: its last file ends early, and there is no metadata.yaml."""
+    """Copy a bag as after a kill: its last file is truncated, and there is no metadata.yaml."""
     shutil.copytree(source[0], folder)
     os.truncate(folder / source[1].name, size)
     (folder / "metadata.yaml").unlink()
@@ -133,7 +133,7 @@ def test_a_bag_cut_anywhere_is_whole_again_for_every_reader(source, tmp_path_fac
 
 
 def indexed_messages(folder):
-    """Return how many messages of a bag the ``mcap`` package reaches by index."""
+    """Return the number of messages of a bag that the ``mcap`` package finds by index."""
     found = 0
     for path in folder.glob("*.mcap"):
         with path.open("rb") as stream:
@@ -194,7 +194,7 @@ def test_a_whole_bag_is_left_alone_and_a_whole_file_gets_its_metadata(tmp_path):
 
 
 def refusal(*words):
-    """Return the one line in which a repair is refused."""
+    """Return the one line with which a repair is refused."""
     result = CliRunner().invoke(main, ["repair", *map(str, words)])
     assert result.exit_code == 2 and "Traceback" not in result.output
     (line,) = result.output.splitlines()

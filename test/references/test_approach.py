@@ -26,7 +26,7 @@ from hysteresis_ros.references.approach import RINGS, SLEWED, STEP, WINDOW1, WIN
 
 TS = 1e-3
 STROKE = 15e-6
-#: Rounding of positions up to STROKE, of which the third difference takes eight.
+#: Rounding error of positions up to STROKE; the third difference contains eight times this error.
 ROUNDING = 8 * 2.0**-48 * STROKE
 
 limits = st.tuples(
@@ -42,7 +42,7 @@ def build(velocity, acceleration, jerk, initial=0.0):
 
 
 def rest(a):
-    """Samples that are enough to settle anywhere."""
+    """Number of samples in which the reference settles from any state."""
     return round(a.duration(STROKE) / TS) + 1
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A waveform in words is the waveform that the same numbers in SI give; what is no waveform is refused by name."""
+"""A waveform as text equals the waveform with the same numbers in SI; invalid texts are refused by name."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_units_as_people_write_them_are_the_numbers_in_si():
 
 @pytest.mark.parametrize("kind", WAVEFORMS)
 def test_nothing_of_the_waveform_before_stays(kind, tmp_path):
-    """All parameters that a waveform has are said, so that an override leaves none of a file's own."""
+    """All parameters of a waveform are given, so that an override keeps none of the file's values."""
     example = WAVEFORMS[kind].example
     own = {} if example is None else {f"{kind}.{name}": value for name, value in example.to_mapping().items()}
     own = {"file.path": str(tmp_path / "a.csv")} if kind == "file" else own

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The gait: its cycle in numbers, smooth profiles, and what is refused with which number."""
+"""The gait: its cycle in numbers, smooth profiles, and refusals with the value."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inchworm sequencer on an ideal motor: an extender that is where it should be, clamps that hold or do not."""
+"""The inchworm sequencer on an ideal motor: an extender without error, clamps that hold or fail."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ CLOSED = PARAMETERS.gait.threshold_voltage
 
 
 class Motor:
-    """Slider and extender without dynamics; ``carried`` is the part of the motion that reaches the slider."""
+    """Slider and extender without dynamics; ``carried`` is the fraction of the motion that reaches the slider."""
 
     def __init__(self, parameters=PARAMETERS, **changes):
         self.sequencer = InchwormSequencer(replace(parameters, **changes), 1.0 / RATE)
         self.slider = self.extender = 0.0
         self.carried = 1.0
-        self.drift = 0.0  # of the extender's sensor [m a sample]
+        self.drift = 0.0  # of the extender's sensor [m per sample]
         self.drifted = 0.0
         self.blind = False
         self.log = []
@@ -225,11 +225,11 @@ def test_drift_is_no_slip_however_far_it_goes(part, direction):
     motor.drift = direction * part * guard.drift / RATE
     motor.run(0.9e-6, 1.0)
     assert abs(motor.drifted) > 20.0 * guard.slip
-    # slower than the guard's drift it may go on for ever; faster the clamp must be slipping
+    # a drift slower than the guard's limit may last forever; a faster one means that the clamp slips
     assert (phases(motor.log) == [at.POSITIONING]) == (part < 1.0)
     if part < 1.0:
         assert np.ptp([row[3] for row in motor.log]) < 1e-12
-        # a slip is found all the same
+        # a slip is nevertheless detected
         motor.extender += 1.5 * guard.slip
         motor.run(0.9e-6, 0.1)
         assert at.GRIPPING_REAR in phases(motor.log)
@@ -306,7 +306,7 @@ def test_full_steps_alone_leave_the_gain_where_it_was():
 def test_a_wrong_model_that_wants_no_extension_gives_up_instead_of_stepping_on_the_spot():
     motor = Motor()
     motor.run(0.0, 0.2, lambda: motor.sequencer.arrived)
-    motor.x[at.FORWARD_MODEL + inchworm_steps.OFFSET] = 1.0  # as if a load carried the slider by itself
+    motor.x[at.FORWARD_MODEL + inchworm_steps.OFFSET] = 1.0  # as if a load moved the slider
     motor.x[at.FORWARD_MODEL + inchworm_steps.COVARIANCE] = motor.x[
         at.FORWARD_MODEL + inchworm_steps.COVARIANCE + 2
     ] = 0.0

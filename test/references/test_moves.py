@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Moves that somebody waits for: when they have ended, and how."""
+"""Moves with a waiting caller: their end, and their result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEAR = Tolerances(goal=1e-8, dwell=0.02, goal_time=0.5, path=1e-6)
 
 
 def looked(outcomes_and_errors, number=3, step=0.01):
-    """Return the sample at which a move ended, and how."""
+    """Return the sample at which a move ended, and its result."""
     move = Move(3, NEAR)
     for k, (outcome, error) in enumerate(outcomes_and_errors):
         found = move.look(step * k, (number, outcome), error)

@@ -61,7 +61,7 @@ def test_with_approach_steps_a_waveform_keeps_the_limits_and_arrives(shape):
     limits = [LIMITED[f"approach.maximum_{name}"] for name in ("velocity", "acceleration", "jerk")]
     for order, limit in enumerate(limits, start=1):
         assert np.max(np.abs(np.diff(found, order))) / TS**order <= limit * (1.0 + 1e-6)
-    # where the waveform has stood long enough, the reference is its level
+    # if the waveform has been constant for long enough, the reference is its level
     late = round(kept.approach.duration(9e-6) / TS)
     stood = [k for k in range(late, 1001) if np.ptp(first[k - late + 1 : k + 1]) == 0.0]
     assert len(stood) > 100 and np.array_equal(found[stood], first[stood])
@@ -165,7 +165,7 @@ def test_start_runs_from_the_beginning_without_a_jump(limits):
 @pytest.mark.parametrize("limits", [{}, LIMITED])
 @pytest.mark.parametrize("position", [0.0, 3.1e-6, 11.9e-6])
 def test_a_beginning_amid_a_run_stays_there_until_somebody_asks(limits, position):
-    """At 11.9 µm the waveform would lead out of the range: no setpoint, but the place stays."""
+    """At 11.9 µm the waveform would leave the range: there is no setpoint, but the position is kept."""
     g = build(SINE, limits, initial_setpoint=1e-6)
     g.begin_at(position)
     assert g.unasked and g.running and not g.moving

@@ -61,7 +61,7 @@ def dense(scan, count=40_000):
 
 
 def path_file(folder, closed: bool, kind: str = "csv"):
-    """A file with a curve of 60 points in uneven times, closed or not."""
+    """A file with a curve of 60 points at uneven times, closed or not."""
     angle = np.linspace(0.0, 2.0 * math.pi * (1.0 if closed else 0.8), 60)
     time = 0.5 * (angle + 0.2 * np.sin(angle)) / angle[-1]
     x, y = 30.0 * np.cos(angle), 20.0 * np.sin(2.0 * angle)
@@ -85,7 +85,7 @@ def scan(request, tmp_path):
 
 
 def test_derivatives_belong_to_each_other(scan):
-    """Central differences, where no piece ends within the step."""
+    """Central differences, where no piece of the path ends within the step."""
     time, step = dense(scan, 4000), 1e-6 * scan.period
     for order in (1, 2, 3):
         before, after = (scan.derivative(time + sign * step, order - 1) for sign in (-1.0, 1.0))
@@ -119,7 +119,7 @@ def test_peaks_are_reached_and_never_exceeded(scan):
         assert np.all(found <= stated * (1.0 + 1e-9))
         if "parabolic" in str(scan) and order == 3:
             assert np.all(np.isinf(stated))
-        else:  # of a spiral the vector, which may point between the axes there
+        else:  # for a spiral the vector, which may point between the axes
             assert np.max(found / stated) > (0.7 if hasattr(scan, "turns") else 0.98)
 
 
@@ -232,7 +232,7 @@ def test_a_raster_is_at_constant_velocity_for_the_part_it_states(name):
     on = clock.line >= 0
     assert np.allclose(np.abs(along[on]), scan.line_velocity, rtol=1e-9, atol=0.0)
     assert np.mean(on) == pytest.approx(scan.constant_share, abs=1e-4)
-    # and nowhere else: what is at that velocity beside the lines belongs to the flyback
+    # and nowhere else: samples with this velocity outside the lines belong to the flyback
     lines = time * scan.rate < scan.lines / (scan.lines + scan.flyback)
     same = np.isclose(np.abs(along), scan.line_velocity, rtol=1e-9, atol=0.0) & lines
     assert np.mean(same) == pytest.approx(scan.constant_share, abs=1e-4)
@@ -247,7 +247,7 @@ def test_a_raster_is_at_constant_velocity_for_the_part_it_states(name):
 
 @pytest.mark.parametrize("rotation", [5e-324, 2e-308, 1e-17, 0.5 * math.pi])
 def test_a_rotation_of_almost_nothing_changes_nothing(rotation):
-    """The smaller part of the other coordinate must not make the roots of the larger one overflow."""
+    """The small part of the other coordinate must not make the roots of the larger one overflow."""
     peaks = [made("raster", rotation=rotation).peak(order) for order in (1, 2, 3)]
     straight = [made("raster", rotation=0.0).peak(order) for order in (1, 2, 3)]
     assert np.allclose(peaks, np.flip(straight, axis=1) if rotation > 1.0 else straight, rtol=1e-12)
@@ -277,7 +277,7 @@ def test_a_spiral_of_constant_linear_velocity_is_one():
     assert np.mean(free) == pytest.approx(scan.constant_share, abs=0.02)
     assert np.allclose(speed[free], np.mean(speed[free]), rtol=1e-9, atol=0.0)
     assert np.max(speed) < 1.3 * np.mean(speed[free])
-    # the core keeps the angular velocity small: less than 3 times that of the angle where it ends
+    # the core limits the angular velocity to less than 3 times that of the angle at its end
     unlimited = scan_of("spiral", ALL["spiral clv"] | SHARED | dict(core=0.05))
     assert np.max(scan.peak(2)) < 0.5 * np.max(unlimited.peak(2))
 
@@ -329,7 +329,7 @@ def test_the_tips_of_a_rosette_are_evenly_spaced_on_the_rim():
 
 def test_the_circles_of_a_cycloid_are_as_far_apart_as_stated():
     scan = scan_of("cycloid", dict(width=80e-6, diameter=20e-6, lines=20, turn=0.1))
-    time = np.arange(2, 18) / 20 * scan.frame_time  # the same phase of circle after circle, drift at its velocity
+    time = np.arange(2, 18) / 20 * scan.frame_time  # the same phase of consecutive circles, drifting at its velocity
     assert np.allclose(np.diff(scan.position(time)[0]), scan.gap)
     low, high = scan.extent()
     swing = 5.0 / 16.0 * 60e-6 / 0.9 * 0.1
@@ -351,7 +351,7 @@ def test_clock_and_marks_are_complete_and_in_order(scan):
     for frame in range(count):
         numbers = pixels.line[pixels.frame == frame] * scan.pixels + pixels.pixel[pixels.frame == frame]
         assert set(numbers) == set(range(scan.lines_per_frame * scan.pixels)), "every pixel of every frame"
-    # what has begun is what the clock says, in the middle of the first pixels of all lines
+    # the clock shows the lines that have begun, in the middle of the first pixels of all lines
     inside = np.flatnonzero(pixels.pixel == 0)
     width = np.tile(scan.passes.duration, 2) / scan.rate / scan.pixels
     clock = scan.clock(pixels.time[inside] + 0.5 * width)
@@ -371,7 +371,7 @@ def test_the_pixels_of_trace_and_retrace_are_in_the_same_places():
 
 
 def test_harmonics_are_those_of_the_path(scan):
-    """Of the strongest first: the discrete Fourier transform of samples, and the path that they add up to."""
+    """The strongest first: the discrete Fourier transform of samples, and the path that the harmonics add up to."""
     found = harmonics(scan, 100)
     count = 1 << 16
     lines = np.fft.rfft(scan.samples(count, scan.period / count), axis=1) / count
@@ -381,7 +381,7 @@ def test_harmonics_are_those_of_the_path(scan):
     size = np.linalg.norm(lines, axis=0)[1:]
     least = np.min(np.linalg.norm(found.amplitudes, axis=0)) / 2.0
     assert np.count_nonzero(size > 1.001 * least + 1e-12 * size.max()) <= orders.size, (
-        "none that is stronger is missing"
+        "all stronger harmonics are listed"
     )
     time = dense(scan, 3000)
     waves = np.exp(2j * math.pi * found.frequencies * time[:, None])
@@ -421,7 +421,7 @@ def test_a_path_of_a_file_goes_through_its_points(tmp_path, kind):
 
 
 def test_a_path_that_a_scan_wrote_is_that_scan(tmp_path):
-    """A whole period of samples closes by itself, a step after the last one."""
+    """A complete period of samples closes by itself, one step after the last sample."""
     scan = scan_of("lissajous", dict(width=80e-6, depth=50e-6, lines=6))
     time = np.arange(4000) * (scan.period / 4000)
     x, y = scan.position(time)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""When an axis has settled: closed forms of step responses and ramps, and the definition itself on any samples."""
+"""Settling of an axis: closed forms of step responses and ramps, and the definition itself on any samples."""
 
 from __future__ import annotations
 

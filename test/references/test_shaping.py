@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Input shaping: no vibration of the mode is left, little of one that is off, and what rests stays where it is."""
+"""Input shaping: no residual vibration of the mode, little with a wrong frequency, and no motion at rest."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ T = 1e-3
 
 
 def left(kind: str, frequency: float, damping: float, actual: float) -> float:
-    """Vibration left by a unit step, as part of what the step alone excites at the same time."""
+    """Vibration after a unit step, as a fraction of the vibration that the unshaped step causes at the same time."""
     omega = 2.0 * math.pi * actual
     A, B = zero_order_hold([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]], [[0.0], [omega**2]], T)
     shaper = Shaper(ShapingParameters(type=kind, frequency=frequency, damping=damping), T)
@@ -51,7 +51,7 @@ def test_of_the_mode_it_is_for_nothing_is_left(kind, frequency, damping):
 
 
 def test_what_a_wrong_frequency_leaves_is_that_of_the_two_impulses_and_its_square():
-    # two equal impulses half a period apart leave |cos(π/2 f/f₀)| of an undamped mode, three leave the square
+    # two equal impulses half a period apart leave |cos(π/2 f/f₀)| of an undamped mode, three leave the square of it
     for actual in (9.0, 10.0, 11.0):
         wanted = abs(math.cos(0.5 * math.pi * actual / 10.0))
         assert left("zv", 10.0, 0.0, actual) == pytest.approx(wanted, abs=1e-3)

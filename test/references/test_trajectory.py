@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Trajectories: through their points, as smooth as these say, within the bounds, and out of any motion."""
+"""Trajectories: through their points, with the stated smoothness, within the bounds, and from any motion."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_it_goes_through_its_points_with_their_velocities_and_accelerations(fiel
     try:
         made.follow(**asked)
     except ParameterError as error:
-        assert "out of range" in str(error)  # a cubic that swings out between its points
+        assert "out of range" in str(error)  # a cubic that leaves the range between its points
         return
     reference = play(made, round(times[-1] / TS) + 5)
     assert reference[np.rint(times / TS).astype(int) - 1] == pytest.approx(positions, abs=1e-18)
@@ -95,8 +95,8 @@ def test_it_ends_at_a_new_setpoint_of_which_an_old_one_is_none():
     made.follow([0.05], [9e-6])
     play(made, 80, START)
     assert made.trajectory == (1, ENDED) and made.step(START) == 9e-6
-    assert made.step(9e-6) == 9e-6  # what the trajectory has put in the setpoint's place, echoed
-    assert made.step(START) == START  # now it is another one
+    assert made.step(9e-6) == 9e-6  # the trajectory's own setpoint, received again
+    assert made.step(START) == START  # now it is another setpoint
     made.follow([0.05], [7e-6])
     play(made, 1, START)
     play(made, 49, 7e-6)  # echoed on the way

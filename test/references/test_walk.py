@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Continuous walking over the phase of the cycle, on an ideal motor whose extender is off by the same everywhere."""
+"""Continuous walking over the phase of the cycle, on an ideal motor whose extender has the same error everywhere."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ GAIT, WALK = PARAMETERS.gait, PARAMETERS.walk
 
 
 class Motor:
-    """The slider is on the extender's tip while the rear clamp does not touch it, a sample after the outputs."""
+    """The slider is on the extender's tip while the rear clamp is open, one sample after the outputs."""
 
     def __init__(self, **walk):
         parameters = replace(PARAMETERS, walk=replace(WALK, **walk))
@@ -49,12 +49,12 @@ class Motor:
         return self.sequencer.x
 
     def wrong(self, extension):
-        """Where the tip really is: 2 % too long, and curved."""
+        """Return the true position of the tip: 2 % too long, and nonlinear."""
         return 1.02 * extension + 0.1e-6 * math.sin(extension / 1.1e-6)
 
     def step(self, setpoint=0.0, blind=False):
         s = self.sequencer
-        # the tip of this sample is between what was held before and what is held now: half a sample late
+        # the tip of this sample is the mean of the previous and the current output: half a sample late
         s.step(setpoint, math.nan if blind else self.slider, self.tip)
         front, rear = s.front_voltage, s.rear_voltage
         before, self.tip = self.tip, self.wrong(self.x[at.TIP])
@@ -134,7 +134,7 @@ def test_a_motor_that_is_as_the_models_say_is_on_its_path_at_any_speed(part):
     motor.wrong = lambda extension: extension
     fastest = WALK.fastest(GAIT)
     error = motor.walk(part * fastest, 4)[round(WALK.step / abs(part * fastest) * RATE) :]
-    # the outputs are ahead by half a sample, and this motor is late by a whole one
+    # the outputs are half a sample ahead, and this motor is a whole sample late
     speed = abs(part) * WALK.step / (1.0 - WALK.blend) / GAIT.extend
     assert np.max(np.abs(error)) < 0.51 * speed / RATE
     steps = motor.x[at.STEPS]
@@ -311,13 +311,13 @@ def test_speeds_beyond_the_walk_are_refused_with_the_number():
 
 
 def test_the_learning_finds_what_the_response_says_it_can():
-    """A disturbance that the extender can undo is undone to what the weights leave; the mode of no effect stays."""
+    """A disturbance that the extender can cancel is reduced to the limit of the weights; other modes stay."""
     learning, moved = walks.learning_matrix(WALK, GAIT, 1), walks.response(WALK, GAIT, 1)
     np.testing.assert_allclose(moved @ np.ones(WALK.splines), 0.0, atol=1e-12)
     wanted = moved @ np.random.default_rng(2).normal(size=WALK.splines)
     rest = wanted - moved @ (learning @ wanted)
     assert np.std(rest) < 0.2 * np.std(wanted)
-    # before the rear clamp is open the slider does not follow, and behind the last grip it keeps what it has
+    # before the rear clamp is open the slider does not follow, and after the last grip it keeps its position
     bounds = walks.phase_bounds(GAIT, 1)
     phases = (np.arange(len(moved)) + 0.5) / len(moved)
     assert not np.any(moved[phases < bounds[at.OPEN_REAR]])

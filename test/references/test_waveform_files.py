@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Waveforms from files: units, sample time, and what a wrong file says."""
+"""Waveforms from files: units, sample time, and messages for wrong files."""
 
 from __future__ import annotations
 

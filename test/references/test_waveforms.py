@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Waveforms against their closed forms, at small and at huge sample counters."""
+"""Waveforms compared with their closed forms, for small and huge sample counters."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_multisine_has_a_flat_spectrum_on_its_harmonics_only(phases):
 
 
 def test_schroeder_phases_keep_the_crest_factor_low():
-    """Schroeder (1970): near that of a swept sine, far below √(2 M) of equal phases."""
+    """Schroeder (1970): near the crest factor of a swept sine, far below √(2 M) of equal phases."""
     w = waveform(type="multisine", amplitude=A, frequency=1.0, multisine__last_harmonic=100)
     assert math.sqrt(2) < w.crest_factor < 1.8
 
@@ -188,7 +188,7 @@ def test_output_repeats_bit_for_bit_at_huge_counters(kind):
 def test_position_is_accurate_after_two_milliard_samples(frequency, rate, k):
     w = waveform(1.0 / rate, type="triangle", amplitude=1.0, frequency=frequency)
     exact = Fraction(frequency) * Fraction(1.0 / rate) * k
-    # The rule may take frequency · sample time as the fraction it is within the rounding of the two.
+    # The rule may use frequency · sample time as the fraction that agrees within the rounding of the two.
     allowed = 1e-14 + float(exact) * 2.0**-51
     difference = declaration.turns(w.p, float(k)) - float(exact - math.floor(exact))
     assert abs(difference - round(difference)) <= allowed

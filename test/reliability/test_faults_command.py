@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis faults``: what it refuses, and one mishap done to real processes."""
+"""``hysteresis faults``: refusals, and one fault case with real processes."""
 
 from __future__ import annotations
 

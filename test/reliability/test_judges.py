@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Judges of a campaign: what a trace comes to, and which claims it breaks."""
+"""Evaluation of a campaign: figures of a trace, and violated claims."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from hysteresis_ros.laboratory.campaign.judging import (
 from hysteresis_ros.laboratory.campaign.mishaps import CATALOGUE, FUSED, WAYS, Mishap, chosen, chosen_ways
 from hysteresis_ros.laboratory.campaign.results import Results, conditions, line, load_results, page
 
-#: 0 … 10 V, 0.1 V a sample of 1 ms, places of 0 … 100 µm.
+#: 0 … 10 V, 0.1 V per sample of 1 ms, displacements of 0 … 100 µm.
 BOUNDS = Bounds(
     0.0, 10.0, 0.0, 0.1, 1e-3, 20e-6, 80e-6, 100e-6, dict.fromkeys(("measurement", "command", "voltage"), 0.5), 0.15
 )
 MISHAP = Mishap("drop", "Machine", "it falls", "it is safe", "drop", safe="command")
-#: A second and a half: 5 V, from 0.2 s on down to 0 at the slew rate; the fault begins at 0.1 and ends at 1 s.
+#: 1.5 s: 5 V, from 0.2 s on down to 0 at the slew rate; the fault begins at 0.1 s and ends at 1 s.
 TIMES = np.arange(1500) * 1e-3
 
 
@@ -61,7 +61,7 @@ def failures(**other) -> str:
 def test_a_return_at_the_slew_rate_holds_and_its_time_is_that_until_the_last_unsafe_sample():
     verdict = judged(trace(), MISHAP, BOUNDS)
     assert verdict.failures == ()
-    # safe is within 1 % of the range, 0.1 V: from 5 V that takes 49 steps from 0.2 s on
+    # safe means within 1 % of the range, 0.1 V: from 5 V at 0.2 s this takes 49 steps
     assert verdict.figures.safe == pytest.approx(0.2 + 0.049 - 0.1, abs=1.5e-3)
     assert verdict.figures.recovery == pytest.approx(0.4)
     assert verdict.figures.step == pytest.approx(1.0)
@@ -116,7 +116,7 @@ def test_a_displacement_beyond_what_was_asked_for_is_not_held_where_it_is_bounde
     assert judged(trace(seen), replace(MISHAP, bounded=False), BOUNDS).failures == ()
     assert "exceeds the setpoints" not in failures(seen=samples(displacement=np.where(TIMES == 0.5, -1.4e-5, 0.0)))
     assert "exceeds the setpoints" not in failures(seen=samples(displacement=np.full(1500, np.nan)))
-    unknown = np.where(TIMES > 0.5, np.nan, 6.6e-5)  # where a device says something it counts
+    unknown = np.where(TIMES > 0.5, np.nan, 6.6e-5)  # if a device reports a position, it counts
     assert "setpoints by 16 % of the stroke" in failures(seen=samples(displacement=unknown))
 
 
@@ -161,10 +161,10 @@ def test_the_axis_of_a_campaign_is_simulated_holds_setpoints_and_has_a_slew_rate
     assert plant.real_time_factor == pytest.approx(factor)
     crossing = (bounds.maximum - bounds.minimum) / plant.limits.slew_rate
     assert crossing == pytest.approx(0.25) and axis.hysteresis_compensator.limits.slew_rate == plant.limits.slew_rate
-    # as long as it waits, and the way back, on the wall's clock
+    # the waiting time and the return, in wall time
     least = (plant.voltage_timeout + (bounds.maximum - bounds.minimum) / plant.safe_slew_rate) / factor
     assert least <= bounds.timeouts["voltage"] <= least + 1.0
-    # 20 of 200 samples a second, or 150 of 3000, may be late before it trips
+    # 20 of 200 samples per second, or 150 of 3000, may be late before it trips
     assert bounds.beyond == pytest.approx(0.1 + {"picma_stage": 0.1, "kim2009": 0.05}[config] / crossing)
 
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Folders and videos become recordings; how many metres a pixel is follows from a known motion or target."""
+"""Folders and videos become recordings; the scale of a pixel follows from a known motion or target."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOTION = 10.0e-6 * np.sin(np.arange(12) / 2.0)
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory):
-    """A folder of twelve numbered pictures, the fifth of which is missing, a video of all, and their motion."""
+    """A folder of twelve numbered pictures without the fifth, a video of all, and their motion."""
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: no pictures and videos")
     folder = tmp_path_factory.mktemp("footage")
     (folder / "pictures").mkdir()
@@ -65,7 +65,7 @@ def test_a_folder_and_a_video_become_a_recording_and_a_lost_frame_stays_lost(foo
     assert np.flatnonzero(np.isnan(seen["measured"])).tolist() == ([4] if lost else [])
     assert ("1 of 12 frames give no displacement: lost or not readable" in done.output) == lost
     error = seen["measured"] - 80.0 * 0.5e-6 - MOTION
-    # a video's compression is a noise, too
+    # the compression of a video adds noise
     assert math.sqrt(np.nanmean(error**2)) < (0.02 if lost else 0.05) * 0.5e-6
     assert seen.sample_time == pytest.approx(0.04)
 

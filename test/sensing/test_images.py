@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Images as cameras send them become grey levels, or are refused."""
+"""Images in the formats of cameras become grey levels, or are refused."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LEVELS = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 
 
 def packed(encoding: str, big_endian: bool = False, padding: int = 3):
-    """Return the bytes of the levels in an encoding, and their step; all colours are alike."""
+    """Return the bytes of grey levels in an encoding, and their row length; all colours are equal."""
     size, channels, _ = ENCODINGS[encoding]
     kind = np.uint8 if size == 1 else np.dtype(">u2" if big_endian else "<u2")
     scaled = LEVELS.astype(float) * (1.0 if size == 1 else 200.0)

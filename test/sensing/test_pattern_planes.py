@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Patterns whose details run aslant: the place along the rows does not depend on a motion across them."""
+"""Patterns with slanted details: the position along the rows does not depend on a motion across them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def slanted(slope: float) -> np.ndarray:
 
 
 def picture(spectrum, column: float, row: float) -> np.ndarray:
-    """Return the picture moved by parts of a pixel: exactly, by the phases of its lines."""
+    """Return the picture shifted by fractions of a pixel: exactly, by the phases of its spectral lines."""
     u, v = fft.fftfreq(SIZE), fft.fftfreq(SIZE)[:, np.newaxis]
     grey = fft.ifft2(spectrum * np.exp(-2j * np.pi * (u * column + v * row))).real
     return 128.0 + 30.0 * grey / np.std(grey)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Places in rendered frames of known motion: to 0.02 pixel, or not at all and why."""
+"""Positions in rendered frames with known motion: to 0.02 pixel, or a refusal with the reason."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
 from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 
-#: A small frame: what is asked of methods and refusals does not depend on the size.
+#: A small frame: methods and refusals do not depend on the size.
 SMALL = {"width": 160, "height": 96, "zero": 80.0, "scale": 1.0e-6}
 
 
@@ -33,7 +33,7 @@ def tracker(**values) -> Tracker:
 
 
 def errors(scene: Scene, eye: Tracker, pixels, zero: float) -> np.ndarray:
-    """Return measured less true place of the frames of a motion [px]; every frame gives one."""
+    """Return measured minus true position in the frames of a motion [px]; every frame gives one."""
     scale = scene.parameters.scale
     found = []
     for number, place in enumerate(pixels):
@@ -83,7 +83,7 @@ def test_a_frame_that_is_shifted_by_whole_pixels_shifts_the_place_by_as_many(who
     frame = Scene(SceneParameters(**SMALL)).frame(part * 1e-6)
     eye = tracker(tracking__frozen_frames=0)
     (_, here), (_, there) = (eye.see(frame[:, first : first + 120]) for first in (20, 20 - whole))
-    # whether a pixel at the rim of the fitted range belongs to it may be decided by rounding: 7e-4 px with NumPy 2.5
+    # rounding may decide whether a pixel at the edge of the fitted range belongs to it: 7e-4 px with NumPy 2.5
     assert there.pixels - here.pixels == pytest.approx(whole, abs=1e-3)
 
 
@@ -93,7 +93,7 @@ def test_motion_along_the_columns_is_the_same_thing_turned():
     upright, turned = tracker(), tracker(tracking__along="y")
     assert upright.see(frame)[0] == turned.see(np.ascontiguousarray(frame.T))[0]
     inner = tracker(tracking__along="y", tracking__region=(8.0, 30.0, 80.0, 110.0))
-    assert inner.see(frame.T)[0] == pytest.approx(upright.see(frame)[0], abs=0.3e-6), "the place counts from the frame"
+    assert inner.see(frame.T)[0] == pytest.approx(upright.see(frame)[0], abs=0.3e-6), "relative to the frame"
 
 
 def test_the_uncertainty_is_that_of_the_scatter_of_places():
@@ -129,7 +129,7 @@ def test_a_frame_half_of_whose_rows_are_covered_is_refused_and_a_little_dust_is_
     clean = tracker().see(frame)[1].pixels
     dusty = frame.copy()
     dusty[20:30, 60:100] = 20
-    dusty[60:70, 70:90] = 40  # a nick in the edge
+    dusty[60:70, 70:90] = 40  # a notch in the edge
     assert tracker().see(dusty)[1].pixels == pytest.approx(clean, abs=0.03)
     frame[:60] = 100
     assert math.isnan(tracker().see(frame)[0])
@@ -143,7 +143,7 @@ def test_a_pattern_that_is_blurred_covered_or_gone_is_refused():
     assert place.refusal.startswith("blurred: ") and math.isnan(place.pixels)
     for frame in (np.full((96, 160), 128, np.uint8), sharp.frame(0.0, 2)[::-1]):
         assert "pattern of the first frame is not found again" in eye.see(np.ascontiguousarray(frame))[1].refusal
-    assert eye.see(sharp.frame(2.0e-6, 3))[0] == pytest.approx(2.0e-6, abs=0.05e-6), "it is not found any more"
+    assert eye.see(sharp.frame(2.0e-6, 3))[0] == pytest.approx(2.0e-6, abs=0.05e-6), "the edge is not found again"
     blank = tracker(tracking__method="pattern")
     assert "shows no pattern that can be tracked" in blank.see(np.full((96, 160), 128, np.uint8))[1].refusal
 
@@ -169,7 +169,7 @@ def test_a_relative_place_counts_from_the_first_frames():
 
 
 def test_the_renderer_covers_as_many_pixels_as_the_tip_is_long():
-    """Each row's light is what its length asks for, at any blur: the frame is that of the displacement it is told."""
+    """The light of each row follows from its length, for any blur: the frame shows the given displacement."""
     for blur in (0.4, 3.0):
         scene = Scene(SceneParameters(**SMALL, blur=blur, noise=0.0, light_drift=0.0, tilt=0.0))
         for pixels in (-7.25, 0.0, 3.6):

@@ -35,7 +35,7 @@ from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 
-#: Kim's axis under a PI-D of moderate gains; a sensor of 0.5 nm.
+#: Kim's axis with a PID of moderate gains, and a sensor of 0.5 nm.
 GAINS = {"pid__Kp": -0.1225, "pid__Ki": 410.8, "pid__Kd": 5.522e-5, "pid__derivative_filter": 3770.0}
 SHORT = Experiment(period=0.1, realisations=4, periods=3, settle=3)
 
@@ -63,9 +63,9 @@ def test_the_open_loop_at_the_command_is_the_linear_part_and_at_the_voltage_the_
     assert plan.first == 6000 and (plan.loop, plan.at) == ("open", "voltage")
     assert bare.plant.response.input_unit == "V" and "nm/V" in "\n".join(bare.lines())
     levels = bare.figures
-    # the branches of this polynomial are those of one range of voltage, in which smaller loops are not odd alone
+    # the branches of this polynomial are those of one range of voltage; smaller loops in it also have even harmonics
     assert levels["odd_db"] > levels["even_db"] + 5.0 > levels["noise_db"] + 40.0
-    assert levels["odd_db"] > through.figures.get("odd_db", -np.inf) + 20.0, "the inverse takes it away"
+    assert levels["odd_db"] > through.figures.get("odd_db", -np.inf) + 20.0, "the inverse removes the distortion"
 
 
 @pytest.mark.parametrize("at, kind", [("reference", "multisine"), ("command", "multisine"), ("reference", "noise")])
@@ -80,7 +80,7 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     low = found.plant.response.frequency < 400.0
     assert np.median(np.abs(loop.loop / found.model_loop - 1.0)[low]) < 0.06
     if at == "command":
-        # the reference is such that its part of the command is flat
+        # the reference gives its part of the command a flat spectrum
         controller, _ = measured_loop_parts(single_axis(axis_file()))
         part = run["reference"][plan.first : plan.first + 300]
         own = np.abs(controller.response(np.exp(2j * np.pi * np.array(plan.lines) / 300))[:, 0, 0])
@@ -88,7 +88,7 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
         np.testing.assert_allclose(sizes, sizes[0], rtol=1e-6)
     if (at, kind) != ("reference", "multisine"):
         return
-    # what a recording says by itself, and what it says without the name of its controller
+    # results of a recording itself, and without the name of its controller
     path = tmp_path / "run.npz"
     save_run(run, path)
     again = recorded_response(load_run(path), plan)
@@ -98,14 +98,14 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     foreign = Recording(run.time, {name: run[name] for name in names})
     unknown = recorded_response(foreign, plan)
     assert unknown.margins is None and unknown.plan.loop == "closed"
-    # its law does not act on reference − measured alone: that loop has T where this axis has its response
+    # its law does not act on reference − measured alone: that loop has T where this axis has a different response
     assert np.median(np.abs(unknown.loop.complementary[low])) > 0.5
     with pytest.raises(ConfigurationError, match="was made with --loop closed --at reference"):
         recorded_response(foreign, plan, "open")
 
 
 def test_a_damping_is_part_of_the_loop_that_was_measured_and_of_no_open_one(tmp_path):
-    # at the command, where the sum of law and damping is
+    # at the command, which is the sum of law and damping
     damped = axis_file(damping__type="irc", damping__irc__k=1578.0, damping__irc__feedthrough=-15.52)
     _, _, found = measured(tmp_path, ResponseRequest(SHORT, "closed", amplitude="600nm"), damped)
     near = np.abs(found.plant.response.frequency - 635.0) < 60.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parameter files: read as ROS reads them, and refused with the place that is wrong."""
+"""Parameter files: read as by ROS, and refused with the place of the error."""
 
 import math
 
@@ -168,7 +168,7 @@ def test_a_driver_is_found_beside_the_file_that_names_it(tmp_path):
     file = tmp_path / "axis.yaml"
     for driver, found in (
         ("./drivers/mine.py", str(tmp_path / "drivers" / "mine.py")),
-        ("drivers/other.py", "drivers/other.py"),  # said to be missing as it was written
+        ("drivers/other.py", "drivers/other.py"),  # reported as missing with the path as written
         (str(tmp_path / "drivers" / "mine.py"), str(tmp_path / "drivers" / "mine.py")),
         ("simulated", "simulated"),
     ):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Designs on a model that knows nothing of two light resonances, closed around plants that have them."""
+"""Designs on a model without two light resonances, in loops with plants that have them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hysteresis_ros.models.linear import LinearParameters, StateSpace
 RATE = 3000.0
 STEP = 1.0 / RATE
 LAG = 0.0015
-#: What slow triangles leave: the response to 20 Hz, to 30 %.
+#: Result of slow triangles: the response up to 20 Hz, to 30 %.
 SLOW = ResponseUncertainty(np.array([1.0, 5.0, 20.0]), np.array([0.05, 0.1, 0.3]), 20.0)
 CONTROLLERS = ("pid", "offset_free", "integral_smc")
 
@@ -45,7 +45,7 @@ def axis():
 
 
 def held(dynamics: LinearParameters, gain: float) -> StateSpace:
-    """Return a plant with the input held last, and one sample of delay behind it."""
+    """Return a plant with the input held, and one sample of delay after it."""
     own = dynamics.state_space.held().scaled(gain)
     n = own.order
     A, B, C = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1)), np.zeros((1, n + 1))
@@ -55,7 +55,7 @@ def held(dynamics: LinearParameters, gain: float) -> StateSpace:
 
 
 def plants():
-    """Return plants that answer like the model up to 20 Hz, with modes of the least damping that is assumed."""
+    """Return plants that equal the model up to 20 Hz, with modes of the smallest assumed damping."""
     for frequency, damping in ((35.0, 0.01), (165.0, DAMPING), (421.0, DAMPING), (900.0, DAMPING)):
         for gain in (0.9, 1.1):
             part = LinearPart(modes=(Mode(frequency, damping),), lag=LAG, hold=STEP)
@@ -70,7 +70,7 @@ def radius(parameters, plant: StateSpace) -> float:
 
 @pytest.fixture(scope="module")
 def designs():
-    """Return designs of every controller for what slow triangles leave; None where it is refused."""
+    """Return designs of every controller for the result of slow triangles; None if it is refused."""
     found = {}
     for controller in CONTROLLERS:
         try:
@@ -93,7 +93,7 @@ def test_no_controller_is_unstable_on_resonances_that_the_recording_did_not_show
 def test_without_the_bound_the_same_controllers_are_unstable():
     for controller in ("pid", "offset_free"):
         bold = design_axis(axis(), DesignRequest(controller))
-        assert any(radius(bold.parameters, plant) > 1.0 for _, plant in plants()), "the plants are no test"
+        assert any(radius(bold.parameters, plant) > 1.0 for _, plant in plants()), "the plants are too easy"
 
 
 def test_the_gain_of_the_feedback_stays_below_what_is_printed(designs):
@@ -108,7 +108,7 @@ def test_the_gain_of_the_feedback_stays_below_what_is_printed(designs):
 
 
 def test_the_bound_does_not_follow_the_model_where_nothing_is_known():
-    # a model that falls steeply says nothing of what the plant has there
+    # a model with a steep roll-off does not bound the plant there
     steep = LinearPart(lag=0.02, hold=STEP).dynamics(STEP).state_space.held()
     flat = LinearPart(lag=1e-4, hold=STEP).dynamics(STEP).state_space.held()
     controller = StateSpace(np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((1, 1)), np.array([[0.02, -0.02]]))
@@ -125,13 +125,13 @@ def test_a_known_response_is_not_slowed_down():
 
 # -- in the time domain ------------------------------------------------------------------------------------------------
 
-#: A recording with content to 0.35 of the sample rate, which knew all of it to 5 %.
+#: A recording with content up to 0.35 of the sample rate, with an uncertainty of 5 %.
 FAST = ResponseUncertainty(np.array([1.0, 0.35 * RATE]), np.array([0.05, 0.05]), 0.35 * RATE)
 JUMP, NOISE, SAMPLES = 10e-6, 45e-9, 6000
 
 
 def largest_late(parameters, plant: StateSpace) -> float:
-    """Return the largest displacement in the second half of a jump of the reference with noise, over the jump."""
+    """Return the largest displacement in the second half of a noisy step of the reference, relative to the step."""
     controller, _ = whole_loop(parameters, STEP)
     inside, state = np.zeros(controller.order), np.zeros(plant.order)
     noise = NOISE * np.random.default_rng(3).standard_normal(SAMPLES)
@@ -150,7 +150,7 @@ def largest_late(parameters, plant: StateSpace) -> float:
 
 
 def unseen(frequency: float, damping: float, part: float) -> StateSpace:
-    """Return the model beside a mode through which a part of the displacement passes."""
+    """Return the model with a mode through which a fraction of the displacement passes."""
     lag = held(LinearPart(lag=LAG, hold=STEP).dynamics(STEP), 1.0 - part)
     mode = held(LinearPart(modes=(Mode(frequency, damping),), hold=STEP).dynamics(STEP), part)
     n, m = lag.order, mode.order
@@ -167,7 +167,7 @@ def slow_plants():
 
 
 def fast_plants():
-    """Return plants with modes between 0.35 and 0.5 of the rate that change what is known by 5 % at most."""
+    """Return plants with modes between 0.35 and 0.5 of the rate that change the known response by at most 5 %."""
     for part_of_rate in (0.4, 0.44, 0.48):
         for damping in (DAMPING, 0.02):
             most = 0.05 * ((part_of_rate / 0.35) ** 2 - 1.0)
@@ -188,7 +188,7 @@ def test_loops_on_modes_just_below_half_the_sample_rate_stay_bounded(controller)
     late = [largest_late(design.parameters, plant) for plant in fast_plants()]
     assert max(late) < 2.0, late
     bold = design_axis(axis(), DesignRequest(controller))
-    assert max(largest_late(bold.parameters, plant) for plant in fast_plants()) == np.inf, "the plants are no test"
+    assert max(largest_late(bold.parameters, plant) for plant in fast_plants()) == np.inf, "the plants are too easy"
 
 
 def test_what_an_identification_calls_known_ends_where_the_content_does():

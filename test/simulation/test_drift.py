@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A plant that drifts: in the end it is the one that was asked for, on the way nothing jumps."""
+"""A drifting plant: finally it is the requested plant, and on the way there are no jumps."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_without_drift_a_run_is_as_it_was_and_with_it_the_inverse_follows():
     np.testing.assert_array_equal(plain["displacement"], none["displacement"])
     drifted = simulate(given, duration=80.0, drift=(0.05, 0.0))["adapted_gain"]
     settled = simulate(given, duration=40.0)["adapted_gain"][-1]
-    # eight seconds of memory are a tenth of the drift
+    # a memory of eight seconds is a tenth of the drift
     assert drifted[-1] / settled == pytest.approx(1.05, abs=0.01)
 
 

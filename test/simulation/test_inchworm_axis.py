@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The inchworm axis offline: bits, figures of merit on short moves, the clamps' invariant, and what is refused."""
+"""The inchworm axis offline: bits, figures of merit of short moves, the clamps' invariant, and refusals."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_moves_there_and_back_end_within_nanometres_and_without_overshoot_beyond
     if plant is None:
         assert moves[1].steps == pytest.approx(2e-4 / stroke, abs=2)
     else:
-        # the load bends the extender by 4.9 um, which the steps leave room for
+        # the load bends the extender by 4.9 um, for which the steps leave room
         assert axis.source.sequencer.learned["load_deflection"] < -3e-6
         assert 2e-4 / stroke < moves[1].steps < 3 * 2e-4 / stroke
 
@@ -103,7 +103,7 @@ def test_compensated_hysteresis_spreads_step_lengths_at_least_five_times_less(le
 def test_no_random_sequence_opens_both_clamps_breaks_limits_or_runs_away(plant):
     found = sequences(150, seconds=0.3, plant=plant)
     assert found.both_open == found.beyond_limits == found.unsafe_stops == found.errors == 0
-    # one clamp always presses with four fifths of what a closed clamp presses with
+    # at any time one clamp has at least four fifths of the normal force of a closed clamp
     assert found.least_force > 15.0
     assert found.farthest < inchworm().source.sequencer.parameters.gait.stroke * 2.0
 

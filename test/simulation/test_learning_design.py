@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of the learning over an axis: its closed loop, what it is worth on another plant, and what is refused."""
+"""Design of the learning for an axis: its closed loop, its performance on another plant, and refusals."""
 
 from __future__ import annotations
 

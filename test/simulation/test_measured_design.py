@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a measured response does for a design and for a model: margins on what was measured, dynamics of its own."""
+"""Use of a measured response in a design and in a model: margins from measured lines, and its own dynamics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LINES = np.concatenate([np.arange(1.0, 500.0, 3.0), np.arange(500.0, 800.0, 1.0)
 
 
 def response(late=0, noise=1e-3, gain=1.0, unit="m", rate=3000.0, last=1200.0):
-    """Return what Kim's dynamics would be measured as, some samples later."""
+    """Return the measured response of Kim's dynamics, some samples later."""
     _, plant = measured_loop_parts(single_axis(load_configuration("kim2009")))
     frequency = LINES[: np.searchsorted(LINES, last)]
     z = np.exp(2j * np.pi * frequency / rate)
@@ -89,9 +89,9 @@ def test_the_uncertainty_is_how_far_model_and_measurement_are_apart():
 
 @pytest.mark.slow
 def test_a_design_is_slowed_where_nothing_was_measured():
-    # up to 200 Hz alone: a resonance may stand above
+    # up to 200 Hz only: there may be a resonance above
     _, slow = designed(response(last=200.0))
-    assert slow.margins.bandwidth < 0.8 * 262.6, "what the model alone would allow"
+    assert slow.margins.bandwidth < 0.8 * 262.6, "below the bandwidth that the model alone would allow"
     found = with_measured_dynamics(load_configuration("kim2009"), None, response(last=800.0), "narrow.npz")
     known = response_uncertainty(parse_configuration(found.text, "written"))
     assert known.known_to == 799.0 and known.at([600.0])[0] < 0.02 and known.at([1499.0])[0] > 1.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What an axis cannot follow is refused by name before anything moves: stroke, bandwidth, another sample time."""
+"""References that an axis cannot follow are refused by name before any motion: stroke, bandwidth, sample time."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def sine(amplitude, frequency, offset, kind="sine", **more):
 
 
 def test_reach_of_the_stack_is_its_major_loop():
-    # K7a: upper corner g V_max; lowest before any voltage was there (V_max = 0), falling branch C1 V + C2 V^2 at -30 V
+    # K7a: upper corner g V_max; lowest value without earlier voltage (V_max = 0): falling branch C1 V + C2 V^2 at -30 V
     low, high = reachable_displacements(axis())
     assert high == pytest.approx(0.1025e-6 * 120.0, rel=1e-9)
     falling = 9.0e-8 * -30.0 - 2.5625e-10 * 900.0
@@ -93,7 +93,7 @@ def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are
 
 
 def test_commands_that_the_lag_makes_larger_than_the_stroke_are_named():
-    # the lag of the stage passes 71 % at 12 Hz: 24 µm around the middle need 34, there are 25
+    # the lag of the stage passes 71 % at 12 Hz: 24 µm around the middle need 34 µm, and there are 25 µm
     changed = {"minimum": 0.0, "maximum": 50e-6}
     with pytest.raises(ParameterError, match=r"frequency = 12\.0.*pass 71\.1 % at this frequency: the sine needs"):
         axis("picma_stage", reference_generator=sine(24e-6, 12.0, 25e-6, **changed))
@@ -168,7 +168,7 @@ def test_preview_and_inverse_dynamics_bring_the_loop_to_the_delayed_reference():
     moved = Axis(moved)
     table = moved.run(np.zeros(6000))
     delayed = np.concatenate([np.full(20, table["reference"][0]), table["reference"][:-20]])
-    late = slice(4500, None)  # the plant starts at 0, not at the reference: its resonance rings for a second
+    late = slice(4500, None)  # the plant starts at 0, not at the reference, and its resonance rings for a second
     error = table["displacement"][late] - delayed[late]
     without = table["displacement"][late] - table["reference"][late]
     assert np.std(error) < 0.02 * np.std(without)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""No file hits a stage: the largest step moves the voltage by what the file states, and written files state limits."""
+"""Limited steps: the largest step of the voltage is the one that a file states, and written files state limits."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from hysteresis_ros.models.linear import zero_order_hold
 
 RATE = 2000.0
 CONFIGURATIONS = sorted(path.stem for path in (pathlib.Path(__file__).resolve().parents[2] / "config").glob("*.yaml"))
-#: Motors that walk: a sequencer gives their references.
+#: Walking motors: a sequencer generates their references.
 WALKING = ("inchworm_travel",)
-#: Stages of coupled axes, which are no single axis.
+#: Stages of coupled axes, which are not single axes.
 COUPLED = ("steering_mirror", "xy_scanner")
-#: A stage in a flexure, 380 Hz with 1.5 % of damping, 100 µm over 150 V, which states no limit of motion.
+#: A flexure stage, 380 Hz with 1.5 % damping, 100 µm over 150 V, without stated limits of motion.
 A, B = zero_order_hold(
     [[0.0, 1.0], [-((2 * np.pi * 380.0) ** 2), -2 * 0.015 * 2 * np.pi * 380.0]],
     [[0.0], [(2 * np.pi * 380.0) ** 2]],
@@ -95,7 +95,7 @@ def test_a_motor_that_walks_keeps_what_its_file_states_extender_and_clamps(name)
     configuration = load_configuration(name)
     axis = single_axis(configuration)
     run = simulate(axis, duration=0.4, describe=False)
-    assert np.ptp(run["displacement"]) > 50e-6, "it walks"
+    assert np.ptp(run["displacement"]) > 50e-6, "the motor walks"
     largest = {signal: np.max(np.abs(np.diff(run[signal]))) for signal in ("voltage", "front_voltage", "rear_voltage")}
     assert 0.0 < largest["voltage"] <= stated(configuration.text, axis) + 2.0 * quantum(configuration)
     said = {float(value) for value in re.findall(r"ramps slew: a sample may step by ([0-9.]+) V", configuration.text)}
@@ -113,7 +113,7 @@ def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_
     assert np.max(np.abs(np.diff(steps(configuration, bare=True)))) <= 28.5 * 1.005
     found = setpoint_step(axis)
     assert found.share < 1.0 and found.largest == found.asked < 0.75 * 28.5 and found.overshoot < 0.03
-    # without the limits the same controller hits it
+    # without the limits the same controller causes a large step
     bare = before.override("motion_controller", **configuration.node("motion_controller"))
     hit = setpoint_step(single_axis(bare))
     assert hit.largest > 100.0 and hit.overshoot > 0.2
@@ -126,10 +126,10 @@ def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoint
     levels = {"waveform.steps.values": [0.0, 30e-6], "waveform.steps.times": [0.0, 0.05]}
     waveform = {"waveform.type": shape, "waveform.amplitude": 30e-6, "waveform.frequency": 5.0, **levels}
     run = simulate(single_axis(configuration.override("reference_generator", **waveform)), duration=0.3, describe=False)
-    # bare they overshot by 18 %, and the slew rate cut them
+    # without the approach they overshot by 18 %, and the slew rate saturated
     assert np.max(run["displacement"]) < 1.01 * 30e-6 and np.max(np.abs(np.diff(run["voltage"]))) < 0.5 * 28.5
     assert "approach" not in FLEXURE and configuration.node("reference_generator")["approach.steps"] is True
-    # a file that states an approach of its own gets it too, and one without feedforward does not
+    # a file with its own approach keeps it, and so does one without feedforward
     own = FLEXURE.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_velocity: 0.01}\n")
     for text, fed in ((own, True), (FLEXURE, False)):
         stated = parse_configuration(designed(text, feedforward=fed), "own.yaml").node("reference_generator")
@@ -149,7 +149,7 @@ def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused():
         ConfigurationError, match=r"inverse_dynamics: .* V in a sample, but limits.slew_rate allows 1 V"
     ):
         step_lines(text, None, True)
-    # what was not asked for is said and not refused
+    # an unrequested change is reported and not refused
     assert "cut" in step_lines(text, None, False)[-1]
 
 
@@ -171,7 +171,7 @@ def test_limits_that_a_file_states_are_kept_comments_too_and_nothing_is_added_tw
 def test_the_slew_rate_is_the_least_of_what_is_known():
     assert safe_slew(150.0).rate == 150.0
     assert safe_slew(150.0, excited=1e3).rate == 2e3 and "twice" in safe_slew(150.0, excited=1e3).reason
-    # a slow recording is no reason to be slower than what an unknown stage is moved with
+    # a low sample rate is no reason for a slower motion than the one used for an unknown stage
     assert safe_slew(150.0, excited=10.0).rate == 150.0
     assert safe_slew(150.0, 380.0, True, 1e6).rate == 57e3 and "380 Hz" in safe_slew(150.0, 380.0, True, 1e6).reason
     assert safe_slew(150.0, 380.0, True, 1e4, 700.0).rate == 700.0

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Tuning looks at the model only and improves its criterion; a designed file runs and keeps its bandwidth."""
+"""Tuning uses the model only and improves its criterion; a designed file runs and keeps its bandwidth."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PICMA = ROOT / "config" / "picma_stage.yaml"
 
 
 def picma(**changes):
-    """Return the measured stage with changes of the plant."""
+    """Return the measured stage with changed parameters of the plant."""
     return single_axis(load_configuration(PICMA).override("plant_simulator", **changes))
 
 
@@ -57,7 +57,7 @@ def test_tuning_lowers_the_criterion_within_the_sensitivity():
     assert result.history[0, :3] == pytest.approx([0.3, 20.0, 0.0])
     assert result.history[0, 3] == result.before and result.history[-1, 3] == result.after
     assert np.all(np.diff(result.history[:, 3]) <= 0.0)
-    assert not result.converged, "15 iterations are not enough, and it says so"
+    assert not result.converged, "15 iterations are not enough, which is reported"
     control = part(axis.motion_controller, ControllerParameters)
     assert margins(replace(control, type="pid", pid=result.gains), 0.005).sensitivity_peak < 2.001
 
@@ -104,7 +104,7 @@ def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller)
     assert "gain margin" in result.output and "closed-loop poles" in result.output
     text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
     assert text.startswith("# Controller designed by `hysteresis design picma_stage.yaml --controller " + controller)
-    # everything else stays as it is written, but for the slew rate, which a written file limits
+    # everything else stays as written, except for the slew rate, which a written file limits
     given, written = (
         "".join(line for line in lines.splitlines(keepends=True) if " slew_rate: " not in line)
         for lines in (PICMA.read_text(encoding="utf-8"), text)
@@ -124,11 +124,11 @@ def test_a_design_of_a_design_replaces_its_header_and_section(tmp_path):
     text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
     assert text.count("# Controller designed by") == 1 and "--controller offset_free" in text.splitlines()[0]
     values = load_configuration(tmp_path / "f.yaml").node("motion_controller")
-    assert values["type"] == "sliding_mode" and values["pid.Ki"] > 0.0, "the pid stays for live switching"
+    assert values["type"] == "sliding_mode" and values["pid.Ki"] > 0.0, "the gains of the PID stay for live switching"
 
 
 def test_the_axis_really_has_the_bandwidth(tmp_path):
-    """A sine at the bandwidth comes out 3 dB lower where model and plant are equal."""
+    """A sine at the bandwidth is attenuated by 3 dB if model and plant are equal."""
     assert run(PICMA, "--controller", "pid", "--bandwidth", 10.0, "-o", tmp_path / "f.yaml").exit_code == 0
     values = {"type": "sine", "amplitude": 2e-6, "frequency": 10.0, "offset": 10e-6}
     configuration = load_configuration(tmp_path / "f.yaml").override(
@@ -223,7 +223,7 @@ def test_models_that_cannot_be_designed_for_end_in_one_line(tmp_path, line, repl
 
 
 def test_design_and_comparison_refuse_the_same_inverse_of_the_dynamics():
-    """Zeros next to the circle at a low frequency: neither an inverse that was cut off, nor one refused here only."""
+    """Zeros next to the circle at a low frequency: no truncated inverse, and the same refusal in both."""
     zero, poles = 1.004 * np.exp(0.4j), [0.95 * np.exp(0.3j), 0.6]
     (b0, b1), (a0, a1, a2) = (
         linear_algebra.polynomial([zero, zero.conjugate()])[1:],
@@ -286,7 +286,7 @@ def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, o
 
 
 def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
-    """0.2 % of the stroke may be noise of the command; a nanometre of it decides nothing."""
+    """0.2 % of the stroke may be noise of the command; a nanometre of it has no influence."""
     reached = {}
     for noise, written in ((1e-9, "1nm"), (1e-7, "100nm")):
         result = run(PICMA, "--controller", "pid", "--noise", written, "-o", tmp_path / "f.yaml")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Continuous walking of a motor that is not what the models say, judged between the samples."""
+"""Continuous walking of a motor that differs from its models, evaluated between the samples."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_finer_motor_of_the_figures_is_the_motor():
         coarse.advance(voltage, 100.0, 0.0)
         for _ in range(4):
             fine.advance(voltage, 100.0, 0.0)
-    # creep and friction are divided otherwise, the extender's dynamics are the same
+    # creep and friction are distributed differently, the extender's dynamics are the same
     assert fine.displacement == pytest.approx(coarse.displacement, rel=2e-3)
 
 

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis whose error is known: an actuator without hysteresis, in open loop, at one place.
+"""An axis with a known error: an actuator without hysteresis, in open loop, at a constant setpoint.
 
-Its error is place · (gain − 1) from the first sample on, gain being the plant's over the compensator's.
+Its error is setpoint · (gain − 1) from the first sample on; gain is the plant's gain over the compensator's.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ AXIS = f"""
 /**/reference_generator:
   ros__parameters: {{minimum: 0.0, maximum: 1.0e-5, initial_setpoint: {PLACE}, waveform: {{type: hold}}}}
 """
-#: Off by 10 to 30 %, at 1 to 2 µm.
+#: Errors of 10 to 30 %, at 1 to 2 µm.
 PRODUCT = ("plant_simulator.gain=uniform(1.1,1.3)", "reference_generator.initial_setpoint=uniform(1um,2um)")
 METRICS = ("rms_error_m", "max_error_m")
 
@@ -55,7 +55,7 @@ def asked(varied=PRODUCT, runs=40, seed=1, design="random", metrics=METRICS):
 
 
 def same_bits(one, other) -> bool:
-    """Tell whether two sweeps found the same, to the last bit."""
+    """Return whether two sweeps have the same results, to the last bit."""
     columns, others = one.columns, other.columns
     return list(columns) == list(others) and all(
         np.array_equal(values, others[name]) if values.dtype.kind != "f" else values.tobytes() == others[name].tobytes()

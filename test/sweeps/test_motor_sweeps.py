@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sweeps of inchworm motors: the worst of their moves, and the figures that each kind of axis has."""
+"""Sweeps of inchworm motors: the worst of their moves, and the metrics of each kind of axis."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_motor_is_judged_by_the_worst_of_its_moves():
         assert [move["setpoint_m"] for move in moves] == [6e-6, 4e-6]
         worst = [max(move[name] for move in moves) for name in ("final_error_max_m", "time_s")]
         assert row == [*worst, 0.0, alone["run"]["steps"], alone["voltage_variation_v"], 0.0]
-    assert rows[1][1] < rows[0][1]  # longer steps, sooner there
+    assert rows[1][1] < rows[0][1]  # longer steps reach the setpoint sooner
 
 
 def test_a_motor_that_does_not_arrive_has_no_final_error():

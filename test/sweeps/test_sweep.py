@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sweeps: what varies, the same bits whoever makes the runs, and figures that are known in closed form."""
+"""Sweeps: varied parameters, the same bits for any distribution of the runs, and figures known in closed form."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_arrays_vary_as_a_whole_or_one_element():
 @settings(max_examples=10, deadline=None)
 @given(phi=st.floats(0.1, 0.99), noise=st.floats(0.0, 1e-8))
 def test_a_varied_axis_is_the_one_of_a_file_with_these_values(phi, noise):
-    """The short way to its parameters leads to the same place, and the model's side stays."""
+    """The direct change of the parameters gives the same axis, and the model is unchanged."""
     configuration = load_configuration("kim2009")
     names = {"motion_controller": ("sliding_mode.phi", phi), "plant_simulator": ("sensor.noise", noise)}
     stage = single_axis(configuration)
@@ -135,7 +135,7 @@ def test_a_varied_axis_is_the_one_of_a_file_with_these_values(phi, noise):
 def test_a_plant_that_deviates_leaves_the_models_alone():
     stage = single_axis(load_configuration("kim2009"))
     variations = parse_variations(["plant_simulator=±5%"], stage)
-    assert [one.name for one in variations] == ["gain", "opening", "slowness"]  # it has no creep
+    assert [one.name for one in variations] == ["gain", "opening", "slowness"]  # the plant has no creep
     found = varied(stage, variations, [1.0, 0.5, 0.5])
     assert found.motion_controller == stage.motion_controller
     assert found.hysteresis_compensator == stage.hysteresis_compensator
@@ -157,7 +157,7 @@ def test_all_levels_meet_the_same_draws_and_a_longer_sweep_begins_with_the_short
 
 
 def test_each_run_begins_at_rest_whatever_the_one_before_has_left_behind():
-    """An inverse that adapts goes on from run to run where it is not put back."""
+    """An adapting inverse would continue from run to run if it were not reset."""
     stage = adapting(plant_simulator={"samples": 900})
     variations = parse_variations(["plant_simulator=±20%"], stage)
     study = Study(stage, variations, ("rms_error_m", "max_error_m", "iae_m_s"))
@@ -180,11 +180,11 @@ def test_errors_between_the_samples_are_those_of_the_closed_form():
 
 @pytest.mark.parametrize("preview", [0, 3])
 def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview):
-    """The voltage is held while the reference goes on: r(t) − r_k goes from nothing to a step within each sample."""
+    """The voltage is held while the reference continues: r(t) − r_k grows from zero to a step within each sample."""
     stage, step = axis(), 8e-6 / 1000.0
     waveform = replace(stage.reference_generator.waveform, type="triangle", frequency=1.0, amplitude=4e-6)
     source = replace(stage.reference_generator, initial_setpoint=0.0, waveform=waveform)
-    fed = replace(stage.motion_controller.feedforward, preview=preview)  # so late it follows
+    fed = replace(stage.motion_controller.feedforward, preview=preview)  # the delay with which it follows
     control = replace(stage.motion_controller, feedforward=fed)
     ramp = Axis(replace(stage, reference_generator=source, motion_controller=control).with_duration(0.4))
     found = judged(ramp, ramp.run(ramp.default_setpoints(400)), ("rms_error_m", "max_error_m", "stroke_m"))
@@ -193,7 +193,7 @@ def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview
 
 
 def test_a_jump_is_no_ramp():
-    """Nobody can follow a jump before it comes: there is an error at the instant of its sample, and none before."""
+    """A jump cannot be followed before it occurs: the error begins at the instant of its sample."""
     stage = axis()
     steps = replace(stage.reference_generator.waveform.steps, values=(0.0, 4e-6), times=(0.0, 0.01))
     waveform = replace(stage.reference_generator.waveform, type="steps", steps=steps)
@@ -207,7 +207,7 @@ def test_a_jump_is_no_ramp():
 
 
 def cut_short(study, plan, path, after, **options):
-    """Begin a sweep and interrupt it once so many runs are made."""
+    """Begin a sweep, and interrupt it after a number of runs."""
 
     def interrupt(done):
         if done >= after:
@@ -226,7 +226,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     journal = tmp_path / f"f{kind}{SUFFIX}"
     kept = journal.read_bytes()
     assert not path.exists() and 20 <= sum(len(json.loads(line)["rows"]) for line in kept.splitlines()[1:]) < 40
-    journal.write_bytes(kept[:-7])  # killed while it wrote
+    journal.write_bytes(kept[:-7])  # killed during a write
     with pytest.raises(ConfigurationError, match="contains another sweep, with seed 1 instead of 2"):
         sweep(*asked(runs=40, seed=2), path, workers=1)
     cut_short(*asked(runs=40), path, after=30)
@@ -235,7 +235,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     assert same_bits(sweep(*asked(runs=40), path, workers=1, progress=counted.append), whole)
     assert counted[0] >= 10 and not journal.exists()
     assert same_bits(load(path), whole)
-    assert same_bits(sweep(*asked(runs=40), path), whole)  # nothing to do
+    assert same_bits(sweep(*asked(runs=40), path), whole)  # nothing remains to do
     longer = sweep(*asked(runs=55), path, workers=1)
     assert same_bits(longer, sweep(*asked(runs=55), workers=1))
 
@@ -246,7 +246,7 @@ def test_two_processes_find_what_one_does(tmp_path):
     metrics = ("rms_error_m", "voltage_variation_v", "overshoot_percent")
     one = sweep(*asked(varied_, metrics=metrics), workers=1)
     assert same_bits(sweep(*asked(varied_, metrics=metrics), tmp_path / "two.npz", workers=2), one)
-    assert np.all(np.isnan(one.metrics["overshoot_percent"]))  # nothing steps
+    assert np.all(np.isnan(one.metrics["overshoot_percent"]))  # there are no steps
 
 
 def test_a_run_of_a_sweep_is_that_of_simulate():
@@ -259,7 +259,7 @@ def test_a_run_of_a_sweep_is_that_of_simulate():
         assert row == [*(alone[name] for name in study.metrics), 0.0] and row[0] > 1.0
 
 
-#: Says how many pages of memory the system hands out for each of 30 runs, after as many others.
+#: Prints the number of memory pages that the system provides for each of 30 runs, after as many other runs.
 PAGES = """
 import resource, sys
 sys.path.insert(0, {folder!r})
@@ -272,9 +272,9 @@ print((counted[-1][1] - counted[-2][1]) / 30)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc" or not COMPILED, reason="only there the C library is told so")
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc" or not COMPILED, reason="only glibc has this setting")
 def test_memory_of_a_run_serves_the_next_one():
-    """Tables of 3000 samples are more than 200 pages: had anew for each run, they cost a quarter of its time."""
+    """Tables of 3000 samples are more than 200 pages: provided anew for each run, they take a quarter of its time."""
     script = PAGES.format(folder=str(pathlib.Path(__file__).parent))
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert float(found.stdout) < 100.0
@@ -286,7 +286,7 @@ def test_memory_of_a_run_serves_the_next_one():
 @pytest.mark.parametrize("runs", [1, 7, 50])
 @pytest.mark.parametrize("confidence", [0.9, 0.95])
 def test_the_interval_covers_every_share(runs, confidence):
-    """Summed over all that may be seen: never less than stated, whatever the true share."""
+    """Summed over all possible observations: never less than the stated confidence, for any true fraction."""
     ends = np.array([interval(good, runs, confidence) for good in range(runs + 1)])
     for share in np.linspace(0.01, 0.99, 99):
         chances = scipy.special.comb(runs, np.arange(runs + 1)) * share ** np.arange(runs + 1)
@@ -296,7 +296,7 @@ def test_the_interval_covers_every_share(runs, confidence):
 
 
 def test_the_yield_is_that_of_the_distribution():
-    """Of an error that is evenly distributed; unstable, refused or without a value is not good."""
+    """For an error with uniform distribution; runs that are unstable, refused or without a value are not good."""
     study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=500)
     summed = Summary(sweep(study, plan), plan, (parse_bound(f"max_error_m={0.25 * PLACE}m"),))
     assert summed.yield_.low < 0.25 / 0.4 < summed.yield_.high and summed.yield_.high - summed.yield_.low < 0.1
@@ -307,7 +307,7 @@ def test_the_yield_is_that_of_the_distribution():
 
 @pytest.mark.slow
 def test_sensitivities_after_sobol_are_those_of_a_product():
-    """The error is place times deviation: E[XY | X] and the variances of a product are known."""
+    """The error is setpoint times deviation: E[XY | X] and the variances of a product are known."""
     ranges = ("plant_simulator.gain=uniform(1.0,1.5)", "reference_generator.initial_setpoint=uniform(0um,2um)")
     study, plan = asked(ranges, runs=1024, design="sobol", metrics=("rms_error_m",))
     found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
@@ -323,7 +323,7 @@ def test_effects_after_morris_are_the_slopes():
         (*PRODUCT, "plant_simulator.sensor.seed=uniform(1,9)"), runs=80, design="morris", metrics=("rms_error_m",)
     )
     found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
-    # over the width of each: 0.2 · place, deviation · 1 µm, and nothing of a seed without noise
+    # over the width of each: 0.2 · setpoint, deviation · 1 µm, and no effect of a seed without noise
     assert found.columns["mean"] == pytest.approx([0.2 * 1.5e-6, 0.2e-6, 0.0], rel=0.25)
 
 
@@ -382,7 +382,7 @@ def test_results_of_another_sweep_are_left_alone(config, tmp_path):
 
 
 def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tmp_path):
-    """Each bound of a range is allowed, but not every combination."""
+    """Each end of a range is allowed, but not every combination."""
     words = [
         "--vary",
         "plant_simulator.limits.minimum=-10,-20,300",
@@ -400,7 +400,7 @@ def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tm
 
 
 def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
-    """Here a file may not become larger than a limit; what stands in it stays, and the sweep goes on with more room."""
+    """The file size is limited here; the content of the file stays, and the sweep continues with more space."""
     monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 5)
     path, before = tmp_path / "f.npz", resource.getrlimit(resource.RLIMIT_FSIZE)
     cut_short(*asked(runs=40), path, after=5)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The same sweep on a real cluster of processes, of which one is killed in the middle: the same bits as on one core."""
+"""The same sweep on a real cluster, one of whose processes is killed meanwhile: the same bits as on one core."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hysteresis_ros.laboratory.sweeps.sweep import sweep
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-#: A scheduler, and two workers of one process each, without what a person would look at.
+#: A scheduler, and two workers of one process each, without a dashboard.
 SCHEDULER = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
 WORKER = ("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Yields count runs that came to their end and meet all bounds; nothing else is good."""
+"""Yields count runs that finished and meet all bounds; other runs are not good."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hysteresis_ros.laboratory.sweeps.sweep import Results
 
 
 def results(error, tripped=(), refused=()) -> Results:
-    """Return the results of runs of these errors [m], of which some were stopped or refused."""
+    """Return the results of runs with these errors [m], some of which were stopped or refused."""
     count = len(error)
     stopped = np.isin(np.arange(count), tripped)
     why = np.where(np.isin(np.arange(count), refused), "limits.minimum = 300", "")
@@ -28,7 +28,7 @@ def results(error, tripped=(), refused=()) -> Results:
 
 
 def test_a_run_that_was_stopped_or_refused_is_not_good_however_small_its_error_was():
-    """One that trips early has not had the time for a large error."""
+    """A run that trips early has no time for a large error."""
     found = results([1e-9, 1e-9, 1e-9, 5e-6, np.nan], tripped=[1], refused=[2])
     bound = parse_bound("rms_error_m=10nm")
     assert met(found, [bound]).tolist() == [True, False, False, False, False]
