@@ -157,7 +157,7 @@ def test_a_block_that_packs_nothing_says_so():
 def test_every_kernel_stands_in_a_folder_whose_sources_name_the_cache():
     for path in PACKAGE.rglob("*.py"):
         if path.relative_to(PACKAGE).parts[0] in ("laboratory", "identification"):
-            continue  # only their own file calls these kernels (Numba checks it); those of models are in the cache
+            continue  # only their own file calls these kernels (Numba checks it); sources of models name the cache
         text = path.read_text(encoding="utf-8")
         if any(f"\n@{mark}" in text for mark in ("kernel", "composite", "called", "nested")):
             folder = next(iter(path.parent.relative_to(PACKAGE).parts), ".")  # sub-folders count with theirs

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis emulate``: a device for any program, with the plant of an axis and faults, until somebody ends it."""
+"""``hysteresis emulate``: a device for any program, with the plant of an axis and faults, until it is ended."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations stay within the limits of the amplifier, and a bag that was made with one goes into an identification."""
+"""Excitations stay within the limits of the amplifier, and their recordings can be used for identification."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 
 def voltages(name, low, high, rate, **options):
-    """Voltage [V] of a whole run."""
+    """Return the voltage of a run [V]."""
     found = recipe(name, low, high, rate, **options)
     if found.samples is not None:
         return found.samples

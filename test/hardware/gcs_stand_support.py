@@ -40,7 +40,7 @@ class Stand:
         return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)
 
     def say(self, text: str) -> None:
-        """Execute a command, as if given by somebody at the controller."""
+        """Execute a command, as if given at the controller."""
         Session(self.controller).feed(text.encode() + b"\n")
 
     def number_readings(self) -> None:

@@ -401,7 +401,7 @@ def test_a_plant_puts_out_holds_slews_to_safe_and_trips_and_says_which():
     voltages = [2.0, missing, missing, missing, 2.0, 2.0, 2.0, 2.0]
     measured = [0.0] * 6 + [9.0, 0.0]
     out, modes, trip_x, _ = run_put_out(trip(0.0, 0.0, -5.0, 5.0), hold(0.0, 1.0, 2)[0], voltages, measured)
-    # from the second missing voltage on it is stale, a step a sample; the wild measurement trips at once, and for good
+    # from the second missing voltage on: stale, a step per sample; 9.0 is outside the travel and trips at once, latched
     assert out.tolist() == [2.0, 2.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
     running, holding, stale, tripped = watch.RUNNING, watch.HOLDING, watch.STALE, watch.TRIPPED
     assert modes.tolist() == [running, holding, stale, stale, running, running, tripped, tripped]

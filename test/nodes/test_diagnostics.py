@@ -41,7 +41,7 @@ def said(node) -> tuple[bytes, str]:
 
 @pytest.fixture
 def axis(inside):
-    """The four nodes of an axis in real time, active, without received messages, because nobody spins them."""
+    """The four nodes of an axis in real time, active, without received messages, because they are not spun."""
     parameters = axis_parameters(sample_rate=200.0, time_mode="realtime", overrides={"plant_simulator": {}})
     plant, *others = compose(inside, parameters, autostart=False)
     for node in others:

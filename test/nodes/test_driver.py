@@ -28,7 +28,7 @@ TARGET = 6.0e-6
 
 
 def driven(**plant):
-    """An axis in real time behind a driver."""
+    """An axis in real time with a driver as plant."""
     # a busy machine may be late, which is not tested here
     plant = {"driver": "simulated", "late_limit": -1, **plant}
     return axis_parameters(overrides={"plant_simulator": plant}, sample_rate=RATE)

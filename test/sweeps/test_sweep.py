@@ -274,7 +274,7 @@ print((counted[-1][1] - counted[-2][1]) / 30)
 @pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc" or not COMPILED, reason="only glibc has this setting")
 def test_memory_of_a_run_serves_the_next_one():
-    """Tables of 3000 samples are more than 200 pages: provided anew for each run, they take a quarter of its time."""
+    """Tables of 3000 samples are more than 200 pages: provided for each run, they take a quarter of its time."""
     script = PAGES.format(folder=str(pathlib.Path(__file__).parent))
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert float(found.stdout) < 100.0

@@ -153,11 +153,11 @@ def _of_processes():
 
 #: Faults of the measurement: name, description, name in the relay, name in the loop, amounts, safe within, bounded.
 _MEASURED: tuple[tuple[str, str, str, str, tuple[float, ...], str, bool], ...] = (
-    ("stopped", "no measurement comes", "stopped", "stale", (0.0,), MEASUREMENT, True),
-    ("not a number", "NaN in each", "nan", "nan", (0.0,), MEASUREMENT, True),
-    ("frozen", "the position stays, stamps continue, for 3 s", "frozen", "frozen", (0.0,), "", False),
-    ("spikes", "one in ten deviates by 20 % of the stroke, for 3 s", "spikes", "spike", (0.2,), "", False),
-    ("out of order", "every second one comes before the first", "disordered", "disorder", (0.0,), "", True),
+    ("stopped", "no measurement arrives", "stopped", "stale", (0.0,), MEASUREMENT, True),
+    ("not a number", "NaN in each message", "nan", "nan", (0.0,), MEASUREMENT, True),
+    ("frozen", "the position stays constant while stamps continue, for 3 s", "frozen", "frozen", (0.0,), "", False),
+    ("spikes", "one in ten measurements deviates by 20 % of the stroke, for 3 s", "spikes", "spike", (0.2,), "", False),
+    ("out of order", "each pair of messages arrives in reverse order", "disordered", "disorder", (0.0,), "", True),
     ("delayed", "1, 5, 20 and 50 ms, for 3 s", "delayed", "late", (1e-3, 5e-3, 2e-2, 5e-2), "", False),
     ("dropped", "1, 10 and 30 % of them at random, for 3 s", "dropped", "drop", (0.01, 0.1, 0.3), "", False),
 )
@@ -171,7 +171,7 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
         "partial",
         (0.0,),
     ),
-    ("somebody else's", "joint_states of a gripper in between", "no effect", "foreign", (0.0,)),
+    ("somebody else's", "joint_states of a gripper between the measurements", "no effect", "foreign", (0.0,)),
     ("clock of the driver", "stamps jump by 10 s forward, and by 10 s back", "", "stamped", (10.0, -10.0)),
 )
 
@@ -179,7 +179,7 @@ _MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
 def _of_measurements():
     heading = "Measurement"
     for name, done, relayed, fault, amounts, safe, bounded in _MEASURED:
-        claim = "held; if it lasts, the command goes to safe" if safe else ""
+        claim = "the command stays constant; if the fault lasts, it goes to safe" if safe else ""
         yield Mishap(
             f"measurement {name}",
             heading,
@@ -268,7 +268,7 @@ def _of_machines():
     yield Mishap(
         "killed while recording",
         heading,
-        "SIGKILL of the recording process; fused that of the axis, which is restarted",
+        "SIGKILL of the recording process, in fused mode of the axis; it is restarted",
         "the recording is readable and lacks at most its last 1.5 s; an axis in other processes continues",
         "cut recording",
         amounts=(0.5,),

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Nodes beside the axis under test: an observer that publishes setpoints, and a relay that disturbs measurements."""
+"""Additional nodes for the axis under test: one observes and publishes setpoints, one disturbs measurements."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Witness:
         self.node.destroy_node()
 
 
-#: Topic of the plant behind the relay, and its remapping.
+#: Topic from which the relay receives the plant's measurements, and the remapping of the plant.
 SOURCE = "joint_states_of_plant"
 REMAP = (f"plant_simulator:joint_states:={SOURCE}",)
 #: Number of measurements per spike.

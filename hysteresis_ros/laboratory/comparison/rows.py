@@ -244,7 +244,7 @@ def _tuned(trial: Trial) -> PidParameters:
     return gains(restarted_nelder_mead(cost, min(starts, key=cost), scale=SCALES, settings=settings).x)
 
 
-#: Number of random plants around each plant, besides the plant itself and its worst corners.
+#: Number of random plants around each plant, in addition to the plant itself and its corners.
 DRAWS = 3
 #: Factors of the deviation of a plant, and the :class:`ForeignParameters` that each factor multiplies.
 GAIN, OPENING, TIMES, CREEP = range(4)

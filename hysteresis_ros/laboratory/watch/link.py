@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The node behind the page: it subscribes to an axis, calls its services, and records it on request."""
+"""The node of the page: it subscribes to an axis, calls its services, and records it on request."""
 
 from __future__ import annotations
 
@@ -392,7 +392,7 @@ class AxisLink:
     # -- state for the page ----------------------------------------------------------------------------------------
 
     def tables(self) -> dict:
-        """Return what a page shows besides the signals: parameters with units and ranges, and limits."""
+        """Return the data of a page other than signals: parameters with units and ranges, and limits."""
         values = dict(self.values)
         axis = self._axis
         return {

@@ -49,7 +49,7 @@ HEADERS = {
 }
 _PAGE = pathlib.Path(__file__).with_name("page")
 _ASSETS = pathlib.Path(__file__).resolve().parents[2] / "analysis" / "assets"
-#: Everything that GET serves besides the socket.
+#: Paths of GET requests, except the socket, and their files.
 FILES = {
     "/": _PAGE / "index.html",
     **{f"/{path.name}": path for path in sorted(_PAGE.iterdir()) if path.suffix in (".js", ".css", ".svg")},
