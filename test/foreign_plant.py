@@ -39,14 +39,14 @@ class ForeignPlant:
 
     Parameters
     ----------
-    [s], in multiples of 1/8 of a sample.
+    sample_rate : float
         [Hz]
-    Time constant after the hysteresis [s].
+    amplifier : float
         Time constant before the hysteresis [s].
     delay : float
-        [s], in parts of 1/8 of a sample.
+        [s], in multiples of 1/8 of a sample.
     lag : float
-        Time constant behind the hysteresis [s].
+        Time constant after the hysteresis [s].
     modes : tuple of (float, float, float)
         Frequency [Hz], damping, and the fraction of the displacement that passes through the mode (1: all of it).
     hysteresis : float

@@ -39,7 +39,7 @@ def counted(responses, probability=0.95):
 @pytest.mark.slow
 @pytest.mark.parametrize("window", ["hann", "boxcar"])
 def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
-    """Overlapping segments have more variance than as many separate ones: a third more without a window."""
+    """Overlapping segments count as fewer averages than as many separate ones: a third fewer without a window."""
     random = np.random.default_rng(5)
     found = [welch_response(*noisy(random, 64 * 16 + 64), 1.0, segment=128, window=window) for _ in range(400)]
     ratio, inside = counted(found)
@@ -70,7 +70,7 @@ def test_of_two_periods_the_band_has_the_one_degree_of_freedom_of_their_differen
 
 
 def test_of_one_realisation_the_band_holds_the_distortion_that_its_free_lines_show():
-    """For a cubic c the variance is 3 c σ²; the best linear approximation is known (Bussgang, for Gaussian input)."""
+    """The best linear approximation of a cubic c is known: it adds 3 c σ² (Bussgang, for a Gaussian input)."""
     inside = []
     for seed in range(30):
         u, plan = excitation(Experiment(period=0.4, realisations=1, periods=6, seed=10 * seed + 1), RATE)

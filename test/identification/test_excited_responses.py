@@ -105,7 +105,7 @@ def test_distortion_is_odd_or_even_as_the_plant_is_and_noise_is_noise(kind, nonl
 
 
 def test_the_band_holds_the_distortion_of_the_realisations():
-    # for a cubic c the variance is 3 c σ², and the best linear approximation is known (Bussgang, for a Gaussian input)
+    # the best linear approximation of a cubic c is known: it adds 3 c σ² (Bussgang, for a Gaussian input)
     inside = []
     for seed in range(20):
         u, plan = excitation(Experiment(period=0.4, realisations=6, seed=10 * seed + 1), RATE)

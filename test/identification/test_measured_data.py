@@ -20,7 +20,7 @@ from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
-SKIPPED = 400  # samples at the beginning of both piezo recordings that their README excludes
+SKIPPED = 400  # samples that the README of both piezo recordings excludes
 
 
 def table(name):

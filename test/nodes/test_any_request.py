@@ -28,7 +28,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E
 #: Number of requests to each service, and seed of the random numbers; more requests by hand.
 REQUESTS, SEED = int(os.environ.get("ANY_REQUESTS", "12")), int(os.environ.get("ANY_SEED", "1"))
 NODES = ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator")
-#: Services of a node without an effect on the axis.
+#: Services of every node, without those of an action.
 SERVICES = {
     *("set_parameters", "set_parameters_atomically", "get_parameters", "get_parameter_types", "describe_parameters"),
     *("list_parameters", "change_state", "get_state", "get_available_states", "get_available_transitions"),

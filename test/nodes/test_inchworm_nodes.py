@@ -29,7 +29,7 @@ from hysteresis_ros.signals import MOTOR_COLUMNS  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
 GRIP, THRESHOLD = 100.0, 60.0
-#: A gait of 140 samples per cycle, for longer walks. It is the limit: in 2 ms the slider would slip.
+#: A gait of 140 samples per cycle, for longer walks. It is the limit: with 2 ms the motion throws the slider off.
 QUICK = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
 QUICK |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
 CYCLE = 140

@@ -61,7 +61,7 @@ def test_a_split_recording_is_one_dataset_of_whole_files(tmp_path, split):
             assert {item.name: item.metadata for item in reader.iter_metadata()}[RECORD]["python"]
         counted += len(times)
         if "max_bag_size" in split:
-            assert path.stat().st_size < split["max_bag_size"] + 16_000  # the index at its end
+            assert path.stat().st_size < split["max_bag_size"] + 16_000  # the records at its end
         else:
             assert max(times) - min(times) <= 1e9 * split["max_bag_duration"] + 10 * STEP
     with Reader(parts) as reader, Reader(whole) as one:

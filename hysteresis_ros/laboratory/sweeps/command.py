@@ -72,7 +72,7 @@ REFUSED = 2
 )
 @click.option("--json", "json_path", metavar="FILE", help="Summary as JSON; '-' prints it instead of the text.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
-@click.option("--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler whose workers execute the runs.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the sweep, tcp://host:8786.")
 @click.option("--duration", type=Quantity("s"), help="Length of each run [s]; the configuration's own by default.")
 @params_file_option
 @reference_options
