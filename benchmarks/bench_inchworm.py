@@ -38,7 +38,7 @@ def main() -> int:
     moved = run["displacement"][-1] - run["displacement"][0]
     detail += f"; {moved * 1e3:.3f} mm"
     return common.report(
-        [common.Result("5 mm move, × real time", length / seconds, "at least", TARGET, detail)], options
+        [common.Result("5 mm move, ratio to real time", length / seconds, "at least", TARGET, detail)], options
     )
 
 

@@ -153,7 +153,7 @@ def cases(library) -> list[Case]:
     return [
         Case("polynomial hysteresis", actuator.hysteresis, run_polynomial, library.run_polynomial, (voltage,)),
         Case(
-            "its exact inverse, and the hysteresis",
+            "exact inverse and hysteresis",
             actuator.hysteresis,
             run_compensation,
             library.run_compensation,

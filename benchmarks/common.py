@@ -68,7 +68,7 @@ class Result:
 def parser(description: str, **defaults) -> argparse.ArgumentParser:
     """Return the parser of the options that all benchmarks have."""
     made = argparse.ArgumentParser(description=description)
-    made.add_argument("--json", metavar="F", help="write the figures to this file as well")
+    made.add_argument("--json", metavar="F", help="also write the figures to this JSON file")
     repeats = defaults.get("repeats")
     if repeats:
         made.add_argument("--repeats", type=int, default=repeats, help=f"number of repeats (default {repeats})")

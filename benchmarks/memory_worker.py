@@ -87,7 +87,7 @@ def main() -> int:
     parser.add_argument("--without-numba", action="store_true")
     options, ros_arguments = parser.parse_known_args()
     if options.without_numba:
-        sys.modules["numba"] = None  # as if it were not installed
+        sys.modules["numba"] = None  # imports then fail as if Numba were not installed
     signal.signal(signal.SIGINT, lambda number, frame: None)
     threading.Thread(target=answer, daemon=True).start()
     arguments = ["benchmark", *ros_arguments]

@@ -226,7 +226,7 @@ def test_the_launch_file_starts_the_processes_of_a_stage(monkeypatch, words, exp
 
 
 def load_launch_file(monkeypatch):
-    """Return the launch file as a module; it imports nothing of the package, and of ROS what is not needed here."""
+    """Return the launch file as a module; its imports from ROS, which are not needed here, are replaced."""
     for name in ("launch", "launch.actions", "launch.event_handlers", "launch.events", "launch.substitutions"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
     for name in ("launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions", "launch_ros.substitutions"):

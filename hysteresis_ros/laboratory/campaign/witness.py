@@ -189,7 +189,7 @@ class Relay:
         self.set("")
 
     def set(self, change: str, amount: float = 0.0) -> None:
-        """Select another modification."""
+        """Select the modification of the measurements; empty: no modification."""
         self._kept = None
         self._do = getattr(self, f"_{change}") if change else self._publisher.publish
         self.amount = amount

@@ -185,7 +185,7 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
         "reference); undelayed: against the reference itself, on the worst plant",
         f"controllers with learning are evaluated from period {LEARNING_PERIODS + 1} on, with filters for the period "
-        "of each reference; all others from 2 s on",
+        "of each reference; all other controllers from 2 s on",
         "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
         "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
         "marked rows do not have the margins required of every design with their own model, or exceed M_s = 3 when "

@@ -289,7 +289,7 @@ class Normal(Range):
         if not deviation > 0.0:
             raise ValueError("normal(): the deviation must be above 0")
         if row.type is int:
-            raise ValueError("normal(): this is a whole number: write uniform(A,B)")
+            raise ValueError("normal(): the parameter is a whole number; write uniform(A,B)")
         return Spread("normal", mean, deviation)
 
     def words(self, unit: str = "") -> str:
@@ -355,7 +355,7 @@ class LogUniform(Range):
         if not low > 0.0:
             raise ValueError("loguniform(): both ends must be above 0")
         if row.type is int:
-            raise ValueError("loguniform(): this is a whole number: write uniform(A,B)")
+            raise ValueError("loguniform(): the parameter is a whole number; write uniform(A,B)")
         return Spread("loguniform", low, high)
 
     def words(self, unit: str = "") -> str:

@@ -151,7 +151,7 @@ class AxisLink:
         self._collector: Collector | None = None
         self._states: list = []
         self._changes: list[str] = []
-        #: The plane of the axis with another one of its stage.
+        #: The plane of this axis and another axis of its stage.
         self.plane = Plane()
         self._neighbour = ""
         self._beside: list = []

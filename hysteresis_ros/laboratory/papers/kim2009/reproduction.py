@@ -54,7 +54,7 @@ MODEL_GROUP = "Model and gains (sections 2.4 and 4.2)"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim."""
+    """Repeat the paper's experiments and check every claim."""
     configuration = load_configuration("kim2009") if configuration is None else configuration
     axis = single_axis(configuration)
     perfect = kim.ideal(configuration)
@@ -224,7 +224,7 @@ def _preload_claims(perfect: Configuration, free: Recording, loaded: Recording) 
         Claim(
             "preload.residual",
             group,
-            "sliding mode with compensator: left at 0 V above W",
+            "sliding mode with compensator: residual at 0 V above W",
             controlled.residual,
             "m",
             paper="removed",

@@ -25,7 +25,7 @@ from hysteresis_ros.models.hysteresis.polynomial import PolynomialParameters
 from hysteresis_ros.models.linear_algebra import rounded
 from hysteresis_ros.recordings.dataset import Recording
 
-#: Tolerances of the rows "left at 0 V" and "error on the upper level".
+#: Tolerances of the rows "residual at 0 V" and "error on the upper level".
 REMOVED = dict(paper="removed", high=kim.GOOD_RESIDUAL)
 LEFT: dict[str, Any] = dict(paper=kim.RESIDUAL, low=0.8 * kim.RESIDUAL, high=1.2 * kim.RESIDUAL)
 EXACT = dict(high=kim.GOOD_RESIDUAL)
@@ -85,7 +85,7 @@ def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
     left = Claim(
         "a.hysteresis.residual",
         group,
-        "left at 0 V",
+        "residual at 0 V",
         step_figures(run).residual,
         "m",
         assumptions=with_stack,
@@ -111,13 +111,13 @@ def _rows(
     return [
         row("settling", "2 % settling", "s", kim.SETTLED, paper=settling, high=settling, reason=slow),
         row("peak", "peak", "m", paper=peak, high=peak),
-        row("residual", "left at 0 V", "m", *own, **residual),
+        row("residual", "residual at 0 V", "m", *own, **residual),
         row("level_error", "error on the upper level", "m", *own, **level),
     ]
 
 
 def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]:
-    """Return the rows of sliding mode control with perfect knowledge."""
+    """Return the rows of sliding mode control with an exact model."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED)
     fed_back = dict(
         LEFT, reason="less than uncontrolled (a.hysteresis.residual), because the feedback removes a part of it"
@@ -148,7 +148,7 @@ def honest_step_claims(configuration: Configuration) -> list[Claim]:
 
 
 def estimating_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of the Kalman filter that estimates a disturbance: perfect knowledge, then reality."""
+    """Return the rows of the Kalman filter that estimates a disturbance: exact model, then realistic conditions."""
     reason = (
         "the law's own pole Φ accounts for most of the 0.02 s; the residual of the compensator is a disturbance that "
         "changes with the step, and its estimation prolongs the approach; a larger variance helps only a little "
@@ -379,8 +379,8 @@ _ON_TRUST = (
     "a disturbance removes it"
 )
 _FINDING = "the estimation of the disturbance prolongs the approach"
-_NO_NEGATIVE = "with D > 0 no positive voltage returns the stack to zero; no controller can"
-_OUT_OF_REACH = "18 V do not reach the step; no controller can"
+_NO_NEGATIVE = "with D > 0 no positive voltage returns the stack to zero, with any controller"
+_OUT_OF_REACH = "an amplifier limited to 18 V cannot reach the step with any controller"
 _REMEMBERED = (
     "the compensator's model has the memory of a 20 V peak that the plant never received, so it returns too far"
 )
@@ -501,8 +501,8 @@ def condition_claims(configuration: Configuration) -> list[Claim]:
         ]
         if condition.name == "limits_low":
             for name, words, figures in (
-                ("residual", "left at 0 V afterwards", law),
-                ("residual_estimated", "the same, disturbance estimated: no wind-up", estimated),
+                ("residual", "residual at 0 V afterwards", law),
+                ("residual_estimated", "residual at 0 V, estimated disturbance: no wind-up", estimated),
             ):
                 rows.append(row(name, words, [item.residual for item in figures], "m", kim.CLEAN, **removed))
     return rows
@@ -543,7 +543,7 @@ def task_claims(configuration: Configuration, stroke: float) -> list[Claim]:
             Claim(
                 f"honest.{name}.residual",
                 group,
-                f"left at 0 V, {words}",
+                f"residual at 0 V, {words}",
                 figures.residual,
                 "m",
                 assumptions=(*assumed, kim.CLEAN),

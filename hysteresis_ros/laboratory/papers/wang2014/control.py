@@ -124,7 +124,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
             )
         else:
             reduction = 100.0 * (1.0 - figures.rms / found[wang.LINEAR].rms)
-            quantity = f"{words}: rms below the linear inverse by"
+            quantity = f"{words}: reduction of the linear inverse's rms"
             rows.append(
                 Claim(
                     f"{name}.reduction",
@@ -185,8 +185,8 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
         )
     group = f"Realistic conditions: the plant has changed since the identification, {HONEST} rad/s (worse sign)"
     spoilt = (
-        "a feedforward relies on the gain of its model: an error of the gain remains, and with 5 % no model of the "
-        "loop's shape helps; feedback does (rows feedback)"
+        "a feedforward relies on the gain of its model, so an error of the gain remains; with 5 % no model of the "
+        "loop's shape reduces it, but feedback does (rows feedback)"
     )
     for mismatch in MISMATCHES:
         for name, change, words in (("gain", wang.stronger_plant, "gain"), ("loop", wang.wider_plant, "plays")):

@@ -126,10 +126,10 @@ class Models:
 
     published: DuhemHammerstein  #: Steps W1, W2, W3 and W5 with α = 80, from the three sines.
     inverse: DuhemParameters  #: Step W4: from the displacement of the hysteresis [m] to the voltage.
-    minor: DuhemParameters  #: α from loops of decreasing amplitude.
+    minor: DuhemParameters  #: Duhem model with α from loops of decreasing amplitude.
     minor_alpha: float  #: α of ``minor``, for a normalised input.
     minor_dynamics: LinearParameters  #: Linear part for ``minor``, from a sweep.
-    plays: PrandtlIshlinskiiParameters  #: From loops of decreasing amplitude.
+    plays: PrandtlIshlinskiiParameters  #: Prandtl-Ishlinskii model from loops of decreasing amplitude.
     plays_dynamics: LinearParameters  #: Linear part for ``plays``, from a sweep.
 
 

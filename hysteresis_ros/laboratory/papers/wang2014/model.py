@@ -170,7 +170,7 @@ def _alpha_claims(element: Element) -> list[Claim]:
             Claim(
                 f"w3.reversal.alpha_{alpha:g}",
                 group,
-                f"α = {alpha:g}, reversal at 0 V inside the loop: first goes the wrong way by, % of peak-to-peak",
+                f"α = {alpha:g}, reversal at 0 V inside the loop: initial wrong-way motion, % of peak-to-peak",
                 100.0 * _wrong_way(element, alpha) / stroke,
                 "%",
                 paper="wrong way" if alpha == wang.PUBLISHED_ALPHA else None,
@@ -226,7 +226,7 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
         Claim(
             "w2.normalised",
             group,
-            "opening at ±0.5 V less that at ±1 V, each normalised, % of peak-to-peak",
+            "opening at ±0.5 V minus that at ±1 V, each normalised, % of peak-to-peak",
             truth - openings[0],
             "%",
             assumptions=assumed,
@@ -234,7 +234,7 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
         Claim(
             "w2.hidden",
             group,
-            "opening at ±0.5 V of the α = 80 model less that of the truth, % of peak-to-peak",
+            "opening at ±0.5 V of the α = 80 model minus that of the truth, % of peak-to-peak",
             model - truth,
             "%",
             assumptions=(*assumed, wang.RECORDED),

@@ -45,7 +45,7 @@ MEASURED = "measured"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim."""
+    """Repeat the paper's experiments and check every claim."""
     axes = wang.controllers(configuration)
     better = axes[wang.BETTER]
     clean = wang.ideal(better)
