@@ -30,7 +30,7 @@ from hysteresis_ros.hardware.registry import driver_of, options_of
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-#: What the commands of the document stand for; `make test` needs no tool of `make lint`.
+#: Values for the placeholders in the commands of the document; `make test` needs no tool of `make lint`.
 RUFF = "-m ruff" if importlib.util.find_spec("ruff") else "-c pass"
 TOOLS = {"hysteresis": "-m hysteresis_ros.cli.main", "pytest": "-m pytest", "ruff": RUFF, "python": ""}
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop polls the clock ahead of a deadline: how long, where it may, and that the samples do not depend on it."""
+"""The loop polls the clock ahead of a deadline: for how long, on which cores, and without effect on the samples."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ compiled = pytest.mark.skipif(not COMPILED, reason="without Numba no loop polls 
 
 @pytest.fixture(autouse=True)
 def own_claims(monkeypatch, tmp_path):
-    """Two cores, on which no loop of another test polls the clock; the processor sleeps as it did."""
+    """Two cores on which no loop of another test polls the clock; sleep states of the processor are unchanged."""
     monkeypatch.setattr(fused, "CLAIM", f"hysteresis_ros/test/{os.getpid()}")
     monkeypatch.setattr(fused, "usable_cores", lambda: 2)
     monkeypatch.setattr(fused, "_DMA_LATENCY", str(tmp_path / "latency"))
@@ -123,7 +123,7 @@ def test_a_fixed_time_does_not_follow():
 
 
 class Machine:
-    """A clock that advances by 10 ns when it is polled, and sleep from which it takes 3 µs to wake up."""
+    """A clock that advances by 10 ns when it is polled, and a sleep with a wake-up time of 3 µs."""
 
     def __init__(self, monkeypatch):
         self.now, self.slept = 0, []

@@ -136,8 +136,8 @@ def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph):
         assert not answer.success and victim in answer.message and graph.tripped()
         graph.nodes[victim] = graph.processes.node(victim, graph.path)
         until(lambda: graph.start().success, what=f"the restarted {victim} heard")
-        if victim == "reference_generator":  # it stays where it found the axis until it is asked
-            # the sample after the start says to it that the axis goes on
+        if victim == "reference_generator":  # it stays where it found the axis until a setpoint arrives
+            # the sample after the start tells it that the axis continues
             until(lambda: graph.observer.trigger("/reference_generator/start").success, what="that it works")
         graph.until_at(SETPOINT)
 
@@ -242,14 +242,14 @@ def join(graph, joining: str, folder) -> None:
         graph.processes.node("recorder", graph.path, "-p", f"path:={folder / 'bag'}")
         until(lambda: (folder / "bag").exists(), what="the recorder")
     elif joining == "motion_controller":
-        assert graph.nodes[joining].leave()[0] == 0  # in order: nothing is lost
+        assert graph.nodes[joining].leave()[0] == 0  # a regular exit, which is not a loss
         graph.nodes[joining] = graph.processes.node(joining, graph.path)
         until(lambda: "active" in graph.nodes[joining].output, what="the restarted controller")
 
 
 @pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
 def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
-    """Stamps count the samples: all periods between them are one, but for what a busy machine loses by itself."""
+    """Stamps count the samples: all intervals are one period, except for losses caused by a busy machine."""
     graph.be_patient()
     graph.at_work()
     for joining in ("page", "second observer", "recorder", "motion_controller"):
@@ -266,7 +266,7 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
             other.close()
         # it was 0.5 s at 200 Hz and 1.6 s at 10 Hz
         assert longest_gap(graph.states[since - 1 :]) < 0.45, f"{joining} joined"
-        if joining != "motion_controller":  # of an axis at rest the voltage does not change at all
+        if joining != "motion_controller":  # at rest the voltage does not change at all
             assert max(abs(state.position[0] - SETPOINT) for state in graph.states[since:]) < 1e-8
             assert max(abs(state.position[2] - 60.0) for state in graph.states[since:]) < 0.1
         graph.until_at(SETPOINT)

@@ -131,7 +131,7 @@ def test_the_same_node_restarted_follows_a_silent_one(led):
         led.master.take(3.0, again)
     assert led.taken[0] == 1.0 and set(led.taken[1:]) == {3.0}
     assert "has the same node name" in led.node.told[0]
-    assert led.node.replaced == [("/voltage", "/compensator")]  # the runner hears of it: the first one may be lost
+    assert led.node.replaced == [("/voltage", "/compensator")]  # the runner is informed: one may be lost
 
 
 @pytest.mark.parametrize("known", ["at once", "later"])
