@@ -115,7 +115,7 @@ def test_it_is_opened_by_the_parameters_of_the_plants_node(declared):
 @drivers
 def test_its_capabilities_make_sense(opened):
     can = opened.capabilities
-    assert can.joints >= 1 and can.voltages >= 1 and can.highest_rate >= RATE
+    assert can.joints >= 1 and can.voltages >= 1 and can.highest_rate > 0.0
     assert math.isfinite(can.minimum) and math.isfinite(can.maximum) and can.minimum < can.maximum
     assert can.watchdog is None or can.watchdog * RATE > 1.0
 

@@ -90,70 +90,19 @@ def local_polynomial_response(
         raise DataError(
             "shape", f"input {inputs.shape} and output {outputs.shape}: both must be (experiments, samples, channels)"
         )
-    experiments, N, m = inputs.shape
-    q = outputs.shape[2]
-    if degree < 0 or degree % 2:
-        raise IdentificationError(f"degree = {degree}: must be an even number ≥ 0")
-    free = q + FREEDOM if freedom is None else freedom
-    if free < 1:
-        raise IdentificationError(f"freedom = {free}: must be ≥ 1")
-    unknowns = (degree + 1) * (m + experiments)
-    half = -(-(-(-(unknowns + free) // experiments) - 1) // 2)
-    window = 2 * half + 1
+    N, q = outputs.shape[1:]
+    half = _half_width(inputs.shape, degree, q, q + FREEDOM if freedom is None else freedom)
     last = (N - 1) // 2
-    if last < 2 * window:
-        raise DataError(
-            "short", f"{N} samples have {last} lines, but windows of {window} lines need {2 * window}: record longer"
-        )
     # (lines, experiments, channels); the line of the mean is left out
     U, Y = (np.fft.rfft(one, axis=1)[:, 1 : last + 1].transpose(1, 0, 2) / N for one in (inputs, outputs))
-    strength = np.abs(U).max(axis=(1, 2))
-    if not strength.max() > 0.0:
-        raise DataError("constant", "the inputs are constant; a frequency response needs inputs that move")
     frequency = np.arange(1, last + 1) / (N * sample_time)
-    # the power is averaged over neighbours, because a single line of noise may be small by chance
-    kernel = np.ones(window) / window
-    power = np.convolve((np.abs(U) ** 2).sum(axis=(1, 2)), kernel, mode="same")
-    chosen = power > EXCITED**2 * power.max()
-    if band is not None:
-        chosen &= (frequency >= band[0]) & (frequency <= band[1])
-    lines = np.flatnonzero(chosen)
-    if not lines.size:
-        raise DataError("band", f"no excited line in {band[0]:g} … {band[1]:g} Hz" if band else "no line is excited")
-    response = np.empty((lines.size, q, m), dtype=complex)
-    noise = np.empty((lines.size, q, q), dtype=complex)
-    spread = np.empty((lines.size, m))
-    condition = np.empty(lines.size)
-    for begin in range(0, lines.size, CHUNK):
-        part = slice(begin, begin + CHUNK)
-        some = lines[part]
-        # at the ends of the band, the window extends to one side only
-        first = np.clip(some - half, 0, last - window)
-        places = first[:, None] + np.arange(window)
-        r = (places - some[:, None]) / half
-        powers = r[..., None] ** np.arange(degree + 1)
-        now, then = U[places], Y[places]
-        condition[part] = np.linalg.cond(now.reshape(len(some), -1, m))
-        if not np.max(condition[part]) <= MOST_CONDITION:
-            worst = int(np.argmax(condition[part]))
-            raise IdentificationError(
-                f"the excitations are correlated: condition number {condition[part][worst]:.3g} of the inputs around "
-                f"{frequency[some[worst]]:.5g} Hz, at most {MOST_CONDITION:g} is allowed; excite them independently"
-            )
-        forced = np.einsum("fws,fwem->fwesm", powers, now).reshape(len(some), window * experiments, -1)
-        own = np.einsum("fws,ed->fweds", powers, np.eye(experiments)).reshape(len(some), window * experiments, -1)
-        scale = np.sqrt(np.mean(np.abs(forced) ** 2, axis=1))
-        table = np.concatenate([forced / scale[:, None], own], axis=2)
-        Q, triangle = np.linalg.qr(table)
-        wanted = then.reshape(len(some), -1, q)
-        seen = np.conj(Q).transpose(0, 2, 1) @ wanted
-        solved = np.linalg.solve(triangle, seen)
-        rest = wanted - Q @ seen
-        freedoms = table.shape[1] - table.shape[2]
-        response[part] = (solved[:, :m] / scale[:, :m, None]).transpose(0, 2, 1)
-        noise[part] = rest.transpose(0, 2, 1) @ rest.conj() / freedoms
-        inverse = np.linalg.inv(triangle)
-        spread[part] = np.sum(np.abs(inverse[:, :m]) ** 2, axis=2) / scale[:, :m] ** 2
+    lines = _excited(U, frequency, 2 * half + 1, band)
+    blocks = [
+        _fit_lines(U, Y, lines[begin : begin + CHUNK], half, degree, frequency) for begin in range(0, lines.size, CHUNK)
+    ]
+    response, noise, spread, condition = (
+        np.concatenate(one) for one in zip(*(found for found, _ in blocks), strict=True)
+    )
     variance = np.einsum("fii->fi", noise).real[:, :, None] * spread[:, None, :]
     found = FrequencyResponse(
         frequency[lines],
@@ -165,6 +114,75 @@ def local_polynomial_response(
         input_unit,
         output_unit,
         ("the inputs are not periodic: noise and nonlinear distortion are not separated",),
-        float(freedoms),
+        float(blocks[0][1]),
     )
     return ResponseMatrix(found, None, noise, condition)
+
+
+def _half_width(shape: tuple[int, int, int], degree: int, q: int, free: int) -> int:
+    """Return the number of lines on either side of a line in its window; ``free`` degrees of freedom remain."""
+    experiments, N, m = shape
+    if degree < 0 or degree % 2:
+        raise IdentificationError(f"degree = {degree}: must be an even number ≥ 0")
+    if free < 1:
+        raise IdentificationError(f"freedom = {free}: must be ≥ 1")
+    unknowns = (degree + 1) * (m + experiments)
+    half = -(-(-(-(unknowns + free) // experiments) - 1) // 2)
+    window, last = 2 * half + 1, (N - 1) // 2
+    if last < 2 * window:
+        raise DataError(
+            "short", f"{N} samples have {last} lines, but windows of {window} lines need {2 * window}: record longer"
+        )
+    return half
+
+
+def _excited(U: np.ndarray, frequency: np.ndarray, window: int, band) -> np.ndarray:
+    """Return the indices of the excited lines within a band."""
+    if not np.abs(U).max() > 0.0:
+        raise DataError("constant", "the inputs are constant; a frequency response needs inputs that move")
+    # the power is averaged over neighbours, because a single line of noise may be small by chance
+    kernel = np.ones(window) / window
+    power = np.convolve((np.abs(U) ** 2).sum(axis=(1, 2)), kernel, mode="same")
+    chosen = power > EXCITED**2 * power.max()
+    if band is not None:
+        chosen &= (frequency >= band[0]) & (frequency <= band[1])
+    lines = np.flatnonzero(chosen)
+    if not lines.size:
+        raise DataError("band", f"no excited line in {band[0]:g} … {band[1]:g} Hz" if band else "no line is excited")
+    return lines
+
+
+def _fit_lines(U, Y, lines: np.ndarray, half: int, degree: int, frequency: np.ndarray):
+    """Fit the polynomials around some lines.
+
+    Return response, covariance of the output, variances of the response for unit covariance, and condition numbers,
+    each with a row for each line; and the degrees of freedom.
+    """
+    experiments, m, q, window = U.shape[1], U.shape[2], Y.shape[2], 2 * half + 1
+    # at the ends of the band, the window extends to one side only
+    first = np.clip(lines - half, 0, len(U) - window)
+    places = first[:, None] + np.arange(window)
+    r = (places - lines[:, None]) / half
+    powers = r[..., None] ** np.arange(degree + 1)
+    now, then = U[places], Y[places]
+    condition = np.linalg.cond(now.reshape(len(lines), -1, m))
+    if not np.max(condition) <= MOST_CONDITION:
+        worst = int(np.argmax(condition))
+        raise IdentificationError(
+            f"the excitations are correlated: condition number {condition[worst]:.3g} of the inputs around "
+            f"{frequency[lines[worst]]:.5g} Hz, at most {MOST_CONDITION:g} is allowed; excite them independently"
+        )
+    forced = np.einsum("fws,fwem->fwesm", powers, now).reshape(len(lines), window * experiments, -1)
+    own = np.einsum("fws,ed->fweds", powers, np.eye(experiments)).reshape(len(lines), window * experiments, -1)
+    scale = np.sqrt(np.mean(np.abs(forced) ** 2, axis=1))
+    table = np.concatenate([forced / scale[:, None], own], axis=2)
+    Q, triangle = np.linalg.qr(table)
+    wanted = then.reshape(len(lines), -1, q)
+    seen = np.conj(Q).transpose(0, 2, 1) @ wanted
+    solved = np.linalg.solve(triangle, seen)
+    rest = wanted - Q @ seen
+    freedoms = table.shape[1] - table.shape[2]
+    response = (solved[:, :m] / scale[:, :m, None]).transpose(0, 2, 1)
+    noise = rest.transpose(0, 2, 1) @ rest.conj() / freedoms
+    spread = np.sum(np.abs(np.linalg.inv(triangle)[:, :m]) ** 2, axis=2) / scale[:, :m] ** 2
+    return (response, noise, spread, condition), freedoms

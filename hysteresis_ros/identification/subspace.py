@@ -181,6 +181,66 @@ def within(sigma, beta, gamma, radius: float):
     return sigma * factor, gamma * factor**2
 
 
+class _ResponseError:
+    """Weighted error of a modal model on a response, with its derivatives with respect to the parameters."""
+
+    def __init__(self, given: ModalParameters, data: FrequencyResponse, weights, feedthrough: bool):
+        self.given, self.feedthrough = given, feedthrough
+        self.G = data.response
+        self.weights = (
+            np.full(self.G.shape, 1.0 / np.sqrt(np.mean(np.abs(self.G) ** 2))) if weights is None else weights
+        )
+        self.z = np.exp(2j * np.pi * data.frequency * data.sample_time)
+
+    def resolvent(self, theta) -> np.ndarray:
+        """Return (z I - A)⁻¹ of each block, shape (F, blocks, 2, 2)."""
+        given, z = self.given, self.z
+        sigma, gamma = theta[given.sigma], theta[given.gamma]
+        off = z[:, None] - sigma
+        inverse = 1.0 / (off**2 - given.beta * gamma)
+        first = off * inverse
+        return np.stack([first, given.beta * inverse, gamma * inverse, first], axis=-1).reshape(len(z), -1, 2, 2)
+
+    def terms(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (z I - A)⁻¹ B, C (z I - A)⁻¹ and the weighted error, at each frequency."""
+        given, z = self.given, self.z
+        blocks, m, q = given.blocks, given.inputs, given.outputs
+        R = self.resolvent(theta)
+        B, C = theta[given.B].reshape(blocks, 2, m), theta[given.C].reshape(q, blocks, 2)
+        X = np.einsum("fbij,bjm->fbim", R, B).reshape(len(z), 2 * blocks, m)
+        L = np.einsum("qbi,fbij->fqbj", C, R).reshape(len(z), q, 2 * blocks)
+        rest = theta[given.C].reshape(q, -1) @ X + given.model(theta).D - self.G
+        return X, L, rest * self.weights
+
+    def cost(self, theta) -> float:
+        """Return the sum of the squares of the error."""
+        rest = self.terms(theta)[2]
+        return float(np.sum(rest.real**2 + rest.imag**2))
+
+    def normal(self, theta) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrix and the right-hand side of the normal equations of a Gauss-Newton step."""
+        given = self.given
+        X, L, rest = self.terms(theta)
+        n, m, q = 2 * given.blocks, given.inputs, given.outputs
+        matrix, gradient = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
+        states = np.arange(n)
+        for i in range(q):
+            for j in range(m):
+                row, column = L[:, i], X[:, :, j]
+                product = row * column
+                slopes = [product[:, ::2] + product[:, 1::2], row[:, 1::2] * column[:, ::2], row, column]
+                entries = [np.arange(n), given.B.start + states * m + j, given.C.start + i * n + states]
+                if self.feedthrough:
+                    slopes.append(np.ones((len(self.z), 1)))
+                    entries.append(np.array([given.D.start + i * m + j]))
+                table = np.concatenate(slopes, axis=1) * self.weights[:, i, j, None]
+                real = np.concatenate([table.real, table.imag])
+                places = np.concatenate(entries)
+                matrix[np.ix_(places, places)] += real.T @ real
+                gradient[places] += real.T @ np.concatenate([rest[:, i, j].real, rest[:, i, j].imag])
+        return matrix, gradient
+
+
 def refine_on_response(
     model: LinearModel,
     data: FrequencyResponse,
@@ -196,56 +256,12 @@ def refine_on_response(
     """
     model = modal(model)
     given = ModalParameters(model, feedthrough)
-    G = data.response
-    if weights is None:
-        weights = np.full(G.shape, 1.0 / np.sqrt(np.mean(np.abs(G) ** 2)))
-    z = np.exp(2j * np.pi * data.frequency * data.sample_time)
-
-    def resolvent(theta):
-        """Return (z I - A)⁻¹ of each block, shape (F, blocks, 2, 2)."""
-        sigma, gamma = theta[given.sigma], theta[given.gamma]
-        off = z[:, None] - sigma
-        inverse = 1.0 / (off**2 - given.beta * gamma)
-        first = off * inverse
-        return np.stack([first, given.beta * inverse, gamma * inverse, first], axis=-1).reshape(len(z), -1, 2, 2)
-
-    def parts(theta):
-        blocks, m, q = given.blocks, given.inputs, given.outputs
-        R = resolvent(theta)
-        B, C = theta[given.B].reshape(blocks, 2, m), theta[given.C].reshape(q, blocks, 2)
-        X = np.einsum("fbij,bjm->fbim", R, B).reshape(len(z), 2 * blocks, m)
-        L = np.einsum("qbi,fbij->fqbj", C, R).reshape(len(z), q, 2 * blocks)
-        rest = theta[given.C].reshape(q, -1) @ X + given.model(theta).D - G
-        return X, L, rest * weights
-
-    def cost(theta):
-        rest = parts(theta)[2]
-        return float(np.sum(rest.real**2 + rest.imag**2))
+    error = _ResponseError(given, data, weights, feedthrough)
 
     def allowed(theta):
         theta[given.sigma], theta[given.gamma] = within(theta[given.sigma], given.beta, theta[given.gamma], radius)
         return theta
 
-    def normal(theta):
-        X, L, rest = parts(theta)
-        n, m, q = 2 * given.blocks, given.inputs, given.outputs
-        matrix, gradient = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
-        states = np.arange(n)
-        for i in range(q):
-            for j in range(m):
-                row, column = L[:, i], X[:, :, j]
-                product = row * column
-                slopes = [product[:, ::2] + product[:, 1::2], row[:, 1::2] * column[:, ::2], row, column]
-                entries = [np.arange(n), given.B.start + states * m + j, given.C.start + i * n + states]
-                if feedthrough:
-                    slopes.append(np.ones((len(z), 1)))
-                    entries.append(np.array([given.D.start + i * m + j]))
-                table = np.concatenate(slopes, axis=1) * weights[:, i, j, None]
-                real = np.concatenate([table.real, table.imag])
-                places = np.concatenate(entries)
-                matrix[np.ix_(places, places)] += real.T @ real
-                gradient[places] += real.T @ np.concatenate([rest[:, i, j].real, rest[:, i, j].imag])
-        return matrix, gradient
-
-    found = minimise(allowed(given.vector(model)), cost, normal, steps=steps, tolerance=1e-5, allowed=allowed)
+    start = allowed(given.vector(model))
+    found = minimise(start, error.cost, error.normal, steps=steps, tolerance=1e-5, allowed=allowed)
     return given.model(found.parameters), found

@@ -347,7 +347,7 @@ def test_levels_are_told_apart_by_the_size_of_the_input():
         ({"order": ()}, "order = ()"),
         ({"plays": -1}, "plays = -1: must be ≥ 0"),
         ({"hystereses": 0}, "hystereses = 0: must be ≥ 1"),
-        ({"held_out": 3}, "4 realisations of a level: 2 inputs and held_out = 3 need 5"),
+        ({"held_out": 3}, "4 realisations of a level: 2 inputs and held_out = 3 need at least 5"),
         ({"weighting": "even"}, "weighting = 'even': must be one of distortion, absolute"),
         ({"run_in": 0}, "run_in = 0: must be ≥ 1 sample"),
         ({"orders": 4}, "orders: no such option; there are order, plays"),
