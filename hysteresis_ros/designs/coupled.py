@@ -38,6 +38,7 @@ from hysteresis_ros.designs.controller import (
 )
 from hysteresis_ros.designs.learning import LearningDesign, LearningRequest, design_learning
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.loop.stage_response import SMALLEST, scanned_paths, stage_loop, stage_plant, stage_response
@@ -114,12 +115,16 @@ def controllers_file(configuration: Configuration, designs: dict[str, AxisDesign
 
 
 def with_sections(configuration: Configuration, designs, header: str, written: Callable) -> str:
-    """Return the text of a file with the designed section of each axis and one common header."""
+    """Return the text of a file with the designed section of each axis, one common header, and limits of its motion."""
     text, source = configuration.text, configuration.source
+    stage = StageParameters.from_configuration(configuration).stage
+    structure = (stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small).A
     for number, (name, design) in enumerate(designs.items(), start=1):
         now = parse_configuration(text, source)
         head = header if number == len(designs) else ""
         text = written(now, design, head, f"{configuration.stage}/{name}")
+    for name in designs:
+        text = with_safe_motion(text, "the designed file", f"{configuration.stage}/{name}", structure=structure)
     Stage(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
     return text
 

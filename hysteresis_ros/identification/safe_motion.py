@@ -68,9 +68,12 @@ def largest_change(voltage: np.ndarray, sample_time: float) -> float:
 
 def slowest(dynamics: LinearParameters, sample_time: float) -> tuple[float, bool]:
     """Return the lowest resonance of a model [Hz] and True, or its slowest lag [1/s] and False; 0: neither."""
-    if not dynamics.order:
-        return 0.0, False
-    poles = np.asarray(eigenvalues(dynamics.state_space.A), dtype=complex)
+    return slowest_of(dynamics.state_space.A, sample_time) if dynamics.order else (0.0, False)
+
+
+def slowest_of(A: np.ndarray, sample_time: float) -> tuple[float, bool]:
+    """Return the same for a state matrix."""
+    poles = np.asarray(eigenvalues(A), dtype=complex)
     resonances = [hertz for hertz, damping in modes(poles, sample_time) if damping < NO_RESONANCE]
     if resonances:
         return min(resonances), True
@@ -114,8 +117,18 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
     return velocity, _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
 
 
-def with_safe_motion(text: str, source: str, namespace: str = "", excited: float = 0.0, amplifier: float = 0.0) -> str:
-    """Return the text of a parameter file with its missing limits of voltage and setpoint, each with its reason."""
+def with_safe_motion(
+    text: str,
+    source: str,
+    namespace: str = "",
+    excited: float = 0.0,
+    amplifier: float = 0.0,
+    structure: np.ndarray | None = None,
+) -> str:
+    """Return the text of a parameter file with its missing limits of voltage and setpoint, each with its reason.
+
+    An axis of a stage has the resonances of its ``structure``, given by the state matrix.
+    """
     configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
     if configuration.describes("inchworm_sequencer", namespace):
         return text  # an inchworm motor has its own speeds
@@ -126,6 +139,8 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
     span = float(compensator["limits.maximum"]) - float(compensator["limits.minimum"])
     sample_time = 1.0 / float(plant.get("sample_rate", 1000.0))
     found = [slowest(dynamics, sample_time) for dynamics in _dynamics(nodes)]
+    if structure is not None:
+        found.append(slowest_of(structure, sample_time))
     paces = [(resonant, pace) for pace, resonant in found if pace > 0.0]
     # a resonance takes precedence over a lag
     resonant, pace = min(paces, key=lambda one: (not one[0], one[1]), default=(False, 0.0))

@@ -22,11 +22,14 @@ from safe_motion_support import NODES, quantum, stated, steps
 from hysteresis_ros.cli.commissioning.new_file import NewAxis, new_text
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
+from hysteresis_ros.designs.coupled import controllers_file, design_controllers
 from hysteresis_ros.designs.setpoint_step import require_gentle, setpoint_step, step_lines
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, with_safe_motion
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.models.linear import zero_order_hold
 
 RATE = 2000.0
@@ -88,6 +91,42 @@ def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_sta
     allowed = stated(configuration.text, single_axis(configuration))
     largest = np.max(np.abs(np.diff(steps(configuration, bare))))
     assert 0.0 < largest <= allowed + 1e-9 + 2.0 * quantum(configuration)
+
+
+@pytest.mark.parametrize("name", COUPLED)
+def test_the_largest_step_of_a_shipped_stage_is_within_what_its_file_states(name):
+    configuration = load_configuration(name)
+    stage = StageParameters.from_configuration(configuration).scanning([])
+    for moved, axis in zip(stage.names, stage.axes, strict=True):
+        own = axis.reference_generator
+        target = max((own.minimum, own.maximum), key=lambda end: abs(end - own.initial_setpoint))
+        setpoints = np.full(400, target)
+        setpoints[:20] = own.initial_setpoint
+        run = simulate_stage(stage, setpoints={moved: setpoints})
+        for other, one in zip(stage.names, stage.axes, strict=True):
+            limits = one.hysteresis_compensator.limits
+            bit = (limits.maximum - limits.minimum) / (2**limits.bits - 1)
+            largest = np.max(np.abs(np.diff(run[f"{other}/voltage"])))
+            assert largest <= stated(configuration.text, one) + 2.0 * bit
+            assert largest > 0.0 or other != moved
+
+
+def test_a_designed_stage_states_limits_from_the_lowest_mode_of_its_structure():
+    text = load_configuration("xy_scanner").text
+    bare = re.sub(r"^ +slew_rate: .*\n|^    approach:.*\n(?:      .*\n)+", "", text, flags=re.MULTILINE)
+    configuration = parse_configuration(bare, "stage.yaml")
+    before = StageParameters.from_configuration(configuration)
+    assert not any(axis.hysteresis_compensator.limits.slew_rate for axis in before.axes)
+    designs = design_controllers(before, DesignRequest("pid", damping="none"), {})
+    written = controllers_file(configuration, designs, "--controller pid")
+    assert "V/s: the range in one period of the resonance, 700 Hz" in written
+    for axis in StageParameters.from_configuration(parse_configuration(written, "designed.yaml")).axes:
+        for node in (axis.plant_simulator, axis.hysteresis_compensator):
+            assert node.limits.slew_rate == pytest.approx(700.0 * (node.limits.maximum - node.limits.minimum), rel=0.01)
+        approach, own = axis.reference_generator.approach, axis.reference_generator
+        assert approach.maximum_velocity == pytest.approx(0.5 * 700.0 * (own.maximum - own.minimum), rel=0.01)
+        # each average lasts one period of 700 Hz
+        assert 2.0 * approach.maximum_velocity / approach.maximum_acceleration == pytest.approx(1 / 700.0, rel=0.01)
 
 
 @pytest.mark.parametrize("name", WALKING)
