@@ -61,7 +61,7 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
         assert real["rate"] == 300.0 and 0 <= real["late"] <= real["samples"] <= 30
         answered = real["p50"] is not None  # on a busy machine there may be no result
         assert not answered or 0.0 < real["p50"] <= real["p99"] <= real["max"]
-        said = "answered after p50" if answered else "not one of"
+        said = "answered after p50" if answered else "none of"
         assert f"nodes, {name}, in real time at 300 Hz: {said}" in result.output
     assert found["middleware"].startswith("rmw_") and found["middleware"] in result.output
     assert found["kernel_cache"]["bytes"] > 0 and found["kernel_cache"]["folder"] in result.output

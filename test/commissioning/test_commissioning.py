@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -94,6 +95,12 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     # learning removes the repeated part of the error of this scan; the remaining 3 nm are noise of the sensor
     learned = figures["learn"]
     assert learned["as_predicted"] and learned["rms_error_m"] < 8e-9 < 0.2 * figures["scan"]["rms_error_m"]
+    # both numbers of the sentence are against one reference, and it says how many periods were learned
+    assert learned["undelayed_rms_without_m"] == figures["scan"]["undelayed_rms_m"] != figures["scan"]["rms_error_m"]
+    text = "\n".join(situation.found["learn"].lines)
+    assert "both against the undelayed reference" in text and re.search(
+        r"of \d+ periods, \d+ were learned completely", text
+    ), text
     assert sum(outcome.seconds for outcome in situation.found.values()) < 60.0
 
     # in every stage the limits of plant and compensator allowed only the voltages of this stage

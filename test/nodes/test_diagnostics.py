@@ -93,8 +93,23 @@ def test_levels_of_the_modes_of_controller_and_compensator(axis):
     controller._mode = TRIPPED
     assert said(controller) == (ERROR, "the plant has stopped the axis"), "a stop hides no error"
     source._take(math.nan)
-    assert said(source)[0] == WARN and "refused" in diagnostics(source).status[0].message + "refused"
+    level, text = said(source)
+    assert level == WARN and "refused" in text
     assert said(source)[0] == OK, "reported once"
+
+
+def test_late_samples_are_counted_by_the_plant_and_late_inputs_by_the_others(axis):
+    for node in axis:
+        node.sample = 1
+        node.pace.tick()
+        node.pace.overruns += 4
+    plant, compensator, controller, source = axis
+    compensator._mode = controller._mode = RUNNING
+    assert "late inputs" not in said(plant)[1]
+    for node in (compensator, controller, source):
+        level, text = said(node)
+        assert level == WARN and text.startswith("4 late inputs"), text
+        assert said(node)[0] == OK, "reported once"
 
 
 class Part:

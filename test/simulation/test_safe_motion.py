@@ -17,9 +17,11 @@ import re
 import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner
 from safe_motion_support import NODES, quantum, stated, steps
 
 from hysteresis_ros.cli.commissioning.new_file import NewAxis, new_text
+from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
 from hysteresis_ros.designs.coupled import controllers_file, design_controllers
@@ -178,7 +180,7 @@ def test_generated_steps_of_a_designed_feedforward_keep_the_approach_as_setpoint
         single_axis(bare)
 
 
-def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused():
+def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused(tmp_path):
     slow = FLEXURE.replace("maximum: 150.0}", "maximum: 150.0, slew_rate: 2000.0}")
     slow = slow.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_velocity: 0.01}\n")
     text = designed(slow, feedforward=True)
@@ -190,6 +192,16 @@ def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused():
         step_lines(text, None, True)
     # an unrequested change is reported and not refused
     assert "cut" in step_lines(text, None, False)[-1]
+    # the command refuses it too, and writes nothing; without the feedforward it prints the step
+    given, output = tmp_path / "slow.yaml", tmp_path / "designed.yaml"
+    given.write_text(slow, encoding="utf-8")
+    words = ["design", str(given), "--controller", "pid", "-o", str(output)]
+    result = CliRunner().invoke(main, [*words, "--feedforward"])
+    assert result.exit_code == 2 and "limits.slew_rate allows 1 V" in result.output and not output.exists()
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0 and output.exists(), result.output
+    for row in ("setpoint step", "overshoot of the step", "largest voltage step", "share of the slew limit"):
+        assert re.search(rf"^{row} +\S", result.output, re.MULTILINE), row
 
 
 def test_limits_that_a_file_states_are_kept_comments_too_and_nothing_is_added_twice():
