@@ -23,7 +23,10 @@ from hysteresis_ros.cli.main import main
     [
         (("excite", "inchworm_travel", "--recipe", "chirp", "--record", "bag"), "has an inchworm_sequencer instead"),
         (("compare", "inchworm_travel"), "needs a reference generator"),
-        (("identify", "run.npz", "--model", "polynomial", "-o", "model.yaml"), "a run of an inchworm"),
+        (
+            ("identify", "run.npz", "--model", "polynomial", "-o", "model.yaml"),
+            "this run of an inchworm motor records the displacement of the slider",
+        ),
     ],
 )
 def test_commands_for_one_actuator_refuse_an_inchworm(arguments, named, tmp_path, monkeypatch):

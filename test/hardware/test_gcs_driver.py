@@ -221,7 +221,7 @@ def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
         ("SVO 1 1", "has its servo switched on by another program; end the program that does so"),
         ("SVA 1 90", "outputs 90 V, but 20 V are commanded; check gcs.open_loop_scale"),
         ("fault error:0:0.3:603", "has an error: error 603: the temperature is out of range"),
-        ("fault busy:0:0.3", "has an error: error 1005: busy"),
+        ("fault busy:0:0.3", "has an error: error 1005: the controller is busy"),
         ("fault silent:0:0.3", r"does not answer '(POS\? 1|ERR\?)' \(timed out\)"),
         ("fault cut:0:0.3", "it is off, or in use by another program"),
     ],

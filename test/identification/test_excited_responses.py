@@ -205,7 +205,9 @@ def test_what_cannot_be_excited_is_refused(asked, said):
 def test_too_weak_an_excitation_is_refused_with_its_ratio(kind):
     u, plan = excitation(Experiment(kind, period=0.4, low=5.0), RATE)
     found = analyse(plan, 1.0 / RATE, u, plant(u, 30.0, 1))
-    with pytest.raises(IdentificationError, match=r"signal-to-noise ratio of the response -?\d+\.\d dB.*at least 6 dB"):
+    with pytest.raises(
+        IdentificationError, match=r"signal-to-noise ratio of the response is -?\d+\.\d dB.*at least 6 dB"
+    ):
         found.require_excited()
     analyse(plan, 1.0 / RATE, u, plant(u, 0.01, 1)).require_excited()
     with pytest.raises(IdentificationError, match="the recording was cut off"):

@@ -246,7 +246,10 @@ def test_files_of_a_stage_are_refused_by_name(tmp_path):
     names = ("--input", "a_V", "--input", "b_V", "--output", "p_um", "--output", "q_um", "-o", tmp_path / "s.yaml")
     identify = ("identify", tmp_path / "good.npz")
     for words, said in (
-        ((*identify, tmp_path / "slow.npz", *names), "slow.npz: a sample time of 0.0002 s, and 0.0001 s in good.npz"),
+        (
+            (*identify, tmp_path / "slow.npz", *names),
+            "slow.npz: has a sample time of 0.0002 s, but it is 0.0001 s in good.npz",
+        ),
         (("identify", tmp_path / "gap.npz", *names), "gap.npz: not uniformly sampled"),
         ((*identify, "--input", "a_V", "--input", "a_V", *names[4:]), "'a_V' occurs more than once"),
         ((*identify, *names[:6], "-o", "s.yaml"), "2 inputs and 1 outputs"),

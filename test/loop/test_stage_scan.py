@@ -87,7 +87,10 @@ def test_the_text_of_a_run_gives_the_scan_back():
         (("width=20um", "depth=10um", "lines=4", "line_rate=150Hz"), "acceleration of x .* times its limit 21.6"),
         (("width=20um", "depth=10um", "lines=4", "line_rate=150Hz"), r"allowed: ≤ \S+ Hz, a frame in \S+ s or more"),
         (("width=20um", "depth=10um", "turn_law=parabolic"), "turn_law = 'parabolic': the acceleration jumps"),
-        (("width=20um", "depth=10um", "line_rate=7.1234567Hz"), "whole within 1000 periods; the nearest .* last"),
+        (
+            ("width=20um", "depth=10um", "line_rate=7.1234567Hz"),
+            "must be a whole number, .* within 1000 periods; the nearest .* last",
+        ),
         (("width=20um",), "scan.values: depth = None: missing"),
         (("width=20", "depth=10um"), "scan.values: width = '20': of which unit"),
         (("width", "depth=10um"), "write NAME=VALUE"),

@@ -417,7 +417,7 @@ def test_diagnostics_are_read(tmp_path):
 def test_writer_refuses_what_it_cannot_do(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_float64("/voltage", 1.0, 0)
-        with pytest.raises(RecordingError, match=r"holds std_msgs/msg/Float64 and cannot take"):
+        with pytest.raises(RecordingError, match=r"has the type std_msgs/msg/Float64 and cannot take"):
             bag.write_string("/voltage", "a", 0)
         with pytest.raises(RecordingError, match="is not known"):
             bag.write("/other", "my_msgs/msg/Unknown", b"", 0)
