@@ -14,12 +14,13 @@ from __future__ import annotations
 import ctypes
 import time
 from collections import deque
+from functools import partial
 
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import SOON_AT_REST, axis_parameters, compose, diagnostics, until  # noqa: E402
+from nodes_support import SOON_AT_REST, Observer, axis_parameters, compose, diagnostics, until  # noqa: E402
 
 from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
 from hysteresis_ros.signals import DISPLACEMENT, PLANT_VOLTAGE, SOURCE_MODE  # noqa: E402
@@ -216,3 +217,21 @@ def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observe
     settled(plant)
     more(plant, 30)
     assert not plant.part.tripped
+
+
+def test_a_node_that_joins_or_leaves_does_not_let_the_plant_wait_for_its_voltages(late_axis, domain, monkeypatch):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    plant = late_axis()[0]
+    settled(plant)
+    waited = []
+    for name in ("align", "_align"):
+        monkeypatch.setattr(plant.runner, name, partial(waited.append, name))
+    other = Observer(domain)
+    heard, setpoint = other.listen(JointState, "/plant_simulator/state"), other.talk(Float64, "/setpoint")
+    until(lambda: heard and setpoint.get_subscription_count(), what="the second observer")
+    more(plant, 10)
+    other.close()
+    more(plant, 30)
+    assert not waited
