@@ -84,11 +84,14 @@ def test_errors_are_those_on_samples_that_the_fit_had_not_seen():
     assert survivor([SIMPLE, flexible])[0] is SIMPLE
 
 
-def test_by_chance_a_structure_that_is_no_better_is_seldom_taken():
-    """If errors are of equal size, fewer than 1 in 50 pass: 3 % is more than the chance variation of 400 samples."""
+def test_by_chance_a_structure_that_is_no_better_is_taken_as_often_as_the_two_rules_allow():
+    """The mean of five parts exceeds one standard error by chance in 19 % (Student's t, 4 degrees of freedom).
+
+    With the threshold of 3 % it is less; with the threshold alone it would be 26 % for errors of equal size.
+    """
     random = np.random.default_rng(1)
     taken = 0
-    for _ in range(200):
+    for _ in range(1000):
         one, other = (Fit(random.standard_normal(COUNT)) for _ in range(2))
         taken += survivor([one, other])[0] is other
-    assert taken < 60
+    assert 100 < taken < 187 + 25
