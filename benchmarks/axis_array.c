@@ -23,7 +23,7 @@
 
 enum { SETPOINT, REFERENCE, R_COMMAND, R_VOLTAGE, R_DISPLACEMENT, R_MEASURED, R_ESTIMATED, R_APPLIED, R_SWITCHING };
 enum { R_DISTURBANCE = 9, PLANT_VOLTAGE, SATURATED, SEEN, SOURCE_MODE, CONTROLLER_MODE, COMPENSATOR_MODE, PLANT_MODE };
-enum { TRIPPED = 17, LATE, SKIPPED, ADAPTATION, ADAPTED_GAIN, FORCE, ROW };
+enum { TRIPPED = 17, LATE, SKIPPED, ADAPTATION, ADAPTED_GAIN, FORCE, WAVEFORM_SAMPLE, SCAN_EDGES, ROW };
 enum { M_RUNNING, M_HOLDING, M_STALE, M_STOPPED, M_TRIPPED, M_FOLLOWING };
 
 /* Indices of the arrays of an axis, in the order of its named tuples. */
@@ -31,12 +31,12 @@ enum { P_LIMITS, P_HYSTERESIS, P_DYNAMICS, P_SENSOR, P_CREEP, P_FORCE };
 enum { PX_LIMITS = 6, PX_HYSTERESIS, PX_DYNAMICS, PX_SENSOR, PX_CREEP, PX_FORCE };
 enum { PW_TRIP = 12, PW_FAULTS, PW_HOLD, PW_FRONT, PW_REAR, PWX_TRIP, PWX_FAULTS, PWX_HOLD, PWX_FRONT, PWX_REAR };
 enum { S_APPROACH = 22, S_WAVEFORM, S_RANGE, S_TRAJECTORY, S_SHAPING, S_STEPS };
-enum { SX_APPROACH = 28, SX_WAVEFORM, SX_RANGE, SX_TRAJECTORY, SX_SHAPING, SX_STEPS };
-enum { C_FEEDFORWARD = 34, C_CONTROLLER, C_DAMPING, C_HANDOVER, C_RETURN, C_HISTORY, C_LEARNING };
-enum { CX_FEEDFORWARD = 41, CX_CONTROLLER, CX_DAMPING, CX_HANDOVER, CX_RETURN, CX_HISTORY, CX_LEARNING };
-enum { CW_GUARD = 48, CW_FAULTS, CW_OWN, CWX_GUARD, CWX_FAULTS, CWX_OWN };
-enum { K_INVERSE = 54, K_HYSTERESIS, K_LIMITS, K_OUT, K_CREEP, KX_INVERSE, KX_HYSTERESIS, KX_LIMITS, KX_OUT, KX_CREEP };
-enum { KW_GUARD = 64, KW_FAULTS, KW_OWN, KWX_GUARD, KWX_FAULTS, KWX_OWN, ARRAYS };
+enum { SX_APPROACH = 28, SX_WAVEFORM, SX_RANGE, SX_TRAJECTORY, SX_SHAPING, SX_STEPS, S_EDGES };
+enum { C_FEEDFORWARD = 35, C_CONTROLLER, C_DAMPING, C_HANDOVER, C_RETURN, C_HISTORY, C_LEARNING };
+enum { CX_FEEDFORWARD = 42, CX_CONTROLLER, CX_DAMPING, CX_HANDOVER, CX_RETURN, CX_HISTORY, CX_LEARNING };
+enum { CW_GUARD = 49, CW_FAULTS, CW_OWN, CWX_GUARD, CWX_FAULTS, CWX_OWN };
+enum { K_INVERSE = 55, K_HYSTERESIS, K_LIMITS, K_OUT, K_CREEP, KX_INVERSE, KX_HYSTERESIS, KX_LIMITS, KX_OUT, KX_CREEP };
+enum { KW_GUARD = 65, KW_FAULTS, KW_OWN, KWX_GUARD, KWX_FAULTS, KWX_OWN, ARRAYS };
 
 /* ---- loop/faults.py ---------------------------------------------------------------------------------------------- */
 
@@ -614,6 +614,10 @@ __attribute__((noipa)) int64_t run_axes(double *memory, const int64_t *at, int64
             if (target < INFINITY)
                 row[SETPOINT] = target;
             row[SOURCE_MODE] = source_mode;
+            /* the waveform has no clock of a scan */
+            row[WAVEFORM_SAMPLE] = -1.0, row[SCAN_EDGES] = 0.0;
+            if (source_mode == M_RUNNING && m[at[SX_RANGE] + G_RUNNING] == 1.0)
+                row[WAVEFORM_SAMPLE] = m[at[SX_WAVEFORM]] - 1.0;
             control(law, m, at, row, &foreign);
             compensate(model, inverse, m, at, row, &foreign);
             actuate(plant, m, at, row, &foreign);

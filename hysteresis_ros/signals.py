@@ -16,6 +16,7 @@ comparison with the offline twin come from the same table.
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Container
 from dataclasses import dataclass
 
@@ -107,6 +108,20 @@ SIGNALS = (
         _at(COMPENSATOR, name="adapted_gain"),
     ),
     Signal("force", "N", PLANT, "measured force in the stack, NaN: no force sensor", _at(PLANT, name="force")),
+    Signal(
+        "waveform_sample",
+        "1",
+        SOURCE,
+        "samples since the waveform began, -1: it does not run",
+        _at(SOURCE, MOTOR_SOURCE, name="waveform_sample"),
+    ),
+    Signal(
+        "scan_edges",
+        "1",
+        SOURCE,
+        "what begins at this sample of a scan, sum of 1: a frame, 2: a line, 4: a pixel",
+        _at(SOURCE, MOTOR_SOURCE, name="scan_edges"),
+    ),
     _sequencer("origin", "m", "offset that the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
@@ -163,6 +178,8 @@ SIGNALS = (
     ADAPTATION,
     ADAPTED_GAIN,
     FORCE,
+    WAVEFORM_SAMPLE,
+    SCAN_EDGES,
     ORIGIN,
     EXTENDER,
     EXTENDER_DISPLACEMENT,
@@ -192,7 +209,16 @@ SIGNALS = (
     CYCLE_PHASE,
     PATH_ERROR,
     CORRECTION,
-) = range(52)
+) = range(54)
+
+
+class Edge(enum.IntFlag):
+    """What begins at a sample of a scan: the bits of ``scan_edges``."""
+
+    FRAME = 1
+    LINE = 2
+    PIXEL = 4
+
 
 #: Indices of the requests of the user: any axis has the first one, a motor has all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)

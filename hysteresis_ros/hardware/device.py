@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError, HardwareDriver
+from hysteresis_ros.signals import Edge
 
 
 class Device:
@@ -137,6 +138,21 @@ class Device:
                     raise ValueError(f"{voltage:g} {unit} is not within {low:g} … {high:g} {unit}")
             self.note(float(voltages[0]))
             self._driver.write(voltages)
+
+    def output_clock(self, edges: Edge) -> None:
+        """Output what begins at this sample of a scan.
+
+        Parameters
+        ----------
+        edges : Edge
+
+        Raises
+        ------
+        DriverError
+            The device has no such outputs, or does not answer.
+        """
+        with self._named("cannot output the clock of the scan"):
+            self._driver.output_clock(edges)
 
     def note(self, voltage: float) -> None:
         """Store a voltage that machine code has written to the device.

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.registry import resolved
+from hysteresis_ros.signals import Edge
 
 
 class DriverError(HysteresisError):
@@ -74,6 +75,8 @@ class Capabilities:
         ``calibration`` of the plant's node, which must name them.
     forces : int
         Number of forces [N] that it reads in addition to the positions: for an axis 1 (the force in the stack) or 0.
+    clock : bool
+        Whether it outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
     """
 
     joints: int
@@ -86,6 +89,7 @@ class Capabilities:
     position_unit: str = "m"
     voltage_unit: str = "V"
     forces: int = 0
+    clock: bool = False
 
 
 class Compiled(NamedTuple):
@@ -102,6 +106,8 @@ class Compiled(NamedTuple):
     device: int
     #: Explains an error code.
     explain: Callable[[int], DriverError]
+    #: ``int32_t clock(void *device, int64_t edges)``: 0 or an error code; 0: the device has no outputs for the clock.
+    clock: int = 0
 
 
 #: Result of reading: this sample has no measurement, without an error.
@@ -164,6 +170,27 @@ class Driver(ABC):
         DriverError
             The voltages cannot be written.
         """
+
+    def output_clock(self, edges: Edge) -> None:
+        """Output what begins at this sample of a scan, for instance as pulses of three digital lines; optional.
+
+        It is called after :meth:`write` of the same sample, and only for a device with ``clock`` in its capabilities
+        and with ``scan_clock`` in the parameters of the plant's node. In nodes that exchange messages it is called when
+        the message on ``scan_clock`` arrives. It is also called in samples that are skipped, in which no voltage is
+        written.
+
+        Parameters
+        ----------
+        edges : Edge
+            One or more of ``Edge.FRAME``, ``Edge.LINE`` and ``Edge.PIXEL``.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer; by default: it has no such outputs.
+        """
+        remedy = "set scan_clock: false; the topic scan_clock has the clock"
+        raise DriverError(type(self).__name__, "has no outputs for the clock of a scan", remedy)
 
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code accesses the open device; None: it has only Python methods.

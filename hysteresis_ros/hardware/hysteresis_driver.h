@@ -59,6 +59,11 @@ int32_t hysteresis_make_safe(void *device);
 /* Releases the device, which is safe by then. Not called when hysteresis_open failed. */
 void hysteresis_close(void *device);
 
+/* Optional: outputs what begins at this sample of a scan, for instance as pulses of three digital lines. `edges` is a
+ * sum of 1: a frame, 2: a line, 4: a pixel. Called after hysteresis_write of the same sample, and in skipped samples too,
+ * if the parameter scan_clock of the plant's node is true; the fused loop calls it from machine code. */
+int32_t hysteresis_clock(void *device, int64_t edges);
+
 /* Optional: returns the meaning of an error code, "PROBLEM; REMEDY", to follow the driver's name. Called after a failure. */
 const char *hysteresis_describe(int32_t code);
 

@@ -38,6 +38,7 @@ from hysteresis_ros.hardware.driver import (
     HardwareDriver,
     Reading,
 )
+from hysteresis_ros.signals import Edge
 
 #: Environment variable: the only folders from which drivers are loaded; not set: any folder.
 FOLDERS = "HYSTERESIS_DRIVERS"
@@ -131,7 +132,8 @@ def _user(number: int) -> str:
 
 #: Functions that a driver must have; the first two are called in each sample.
 FUNCTIONS = ("hysteresis_read", "hysteresis_write", "hysteresis_open", "hysteresis_make_safe", "hysteresis_close")
-DESCRIBE = "hysteresis_describe"
+#: Optional functions.
+DESCRIBE, CLOCK = "hysteresis_describe", "hysteresis_clock"
 
 #: Suffixes of shared libraries.
 SUFFIXES = (".so", ".dylib")
@@ -190,6 +192,8 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     library.hysteresis_close.restype = None
     if hasattr(library, DESCRIBE):
         library.hysteresis_describe.argtypes, library.hysteresis_describe.restype = (code,), ctypes.c_char_p
+    if hasattr(library, CLOCK):
+        library.hysteresis_clock.argtypes, library.hysteresis_clock.restype = (pointer, ctypes.c_int64), code
     return library
 
 
@@ -243,7 +247,8 @@ class SharedLibrary(Driver):
         watchdog = can.watchdog if can.watchdog > 0.0 else None
         units = can.position_unit.decode(errors="replace"), can.voltage_unit.decode(errors="replace")
         limits = can.minimum, can.maximum, can.highest_rate
-        return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units)
+        clock = hasattr(self._library, CLOCK)
+        return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units, clock=clock)
 
     def _error(self, code: int) -> DriverError:
         """Return the exception for an error code."""
@@ -288,6 +293,22 @@ class SharedLibrary(Driver):
             self._voltages[place] = voltage
         self._check(self._library.hysteresis_write(self._device, self._voltages))
 
+    def output_clock(self, edges: Edge) -> None:
+        """Output what begins at this sample of a scan.
+
+        Parameters
+        ----------
+        edges : Edge
+
+        Raises
+        ------
+        DriverError
+            The library has no such function, or reports an error.
+        """
+        if not hasattr(self._library, CLOCK):
+            super().output_clock(edges)
+        self._check(self._library.hysteresis_clock(self._device, int(edges)))
+
     def make_safe(self) -> None:
         """Bring the device to its safe state.
 
@@ -307,8 +328,9 @@ class SharedLibrary(Driver):
         library = self._library
         functions = library.hysteresis_read, library.hysteresis_write, library.hysteresis_make_safe
         read, write, make_safe = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in functions)
+        clock = ctypes.cast(library.hysteresis_clock, ctypes.c_void_p).value or 0 if hasattr(library, CLOCK) else 0
         device = self._device.value if self._device is not None else None
-        return Compiled(read, write, make_safe, device or 0, self._error)
+        return Compiled(read, write, make_safe, device or 0, self._error, clock)
 
     def close(self) -> None:
         """Release the device."""

@@ -60,16 +60,18 @@ from hysteresis_ros.models.calibration import (
 )
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
-# Link to the device, int64: the addresses of its functions, of the device and of this array itself. In a copy of the
-# arrays the last address no longer matches, so a copy never accesses the device.
-READ, WRITE, MAKE_SAFE, DEVICE, SELF = range(5)
-LINKS = 5
+# Link to the device, int64: the addresses of its functions, of the device and of this array itself; that of the clock
+# is 0 if the device outputs none. In a copy of the arrays SELF no longer matches, so a copy never accesses the device.
+READ, WRITE, MAKE_SAFE, DEVICE, SELF, CLOCK = range(6)
+LINKS = 6
 
 # Failure, int64: the function that failed, its code, and the code of the attempt to make the device safe.
 FAILED, CODE, SAFE_CODE = range(3)
 ANSWERS = 3
-#: Values of ``FAILED``: nothing, reading, writing, a position that is not a number.
-NOTHING, READING, WRITING, NONSENSE = range(4)
+#: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan.
+NOTHING, READING, WRITING, NONSENSE, CLOCKING = range(5)
+#: What cannot be done after these failures.
+_DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
 
 
 class DevicePlantArrays(NamedTuple):
@@ -91,10 +93,11 @@ class DevicePlantArrays(NamedTuple):
     watch_x: PlantWatchArrays
 
 
-def link_to(compiled: Compiled | None) -> np.ndarray:
-    """Return the link array of a device; all zeros without a device."""
+def link_to(compiled: Compiled | None, clock: bool = False) -> np.ndarray:
+    """Return the link array of a device, all zeros without one; ``clock``: the device outputs the clock of a scan."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
+        link[CLOCK] = compiled.clock if clock else 0
         link[:SELF] = compiled.read, compiled.write, compiled.make_safe, compiled.device
         link[SELF] = link.ctypes.data
     return link
@@ -107,20 +110,21 @@ if COMPILED:
     #: Numba passes the typing context; callers pass only the other arguments.
     intrinsic: Any = extending.intrinsic
 
-    def _caller(count: int) -> Any:
-        """Return a caller of ``int32_t function(void *, …)`` with ``count`` pointers.
+    def _caller(count: int, numbers: int = 0) -> Any:
+        """Return a caller of ``int32_t function(void *, …)`` with ``count`` pointers, then int64_t numbers.
 
         Addresses are data, so that the code can be cached.
         """
 
         def generate(context, builder, signature, arguments):
             pointer = ir.IntType(8).as_pointer()
-            kind = ir.FunctionType(ir.IntType(32), [pointer] * count)
+            kind = ir.FunctionType(ir.IntType(32), [pointer] * count + [ir.IntType(64)] * numbers)
             function = builder.inttoptr(arguments[0], kind.as_pointer())
-            code = builder.call(function, [builder.inttoptr(item, pointer) for item in arguments[1:]])
+            pointers = [builder.inttoptr(item, pointer) for item in arguments[1 : count + 1]]
+            code = builder.call(function, [*pointers, *arguments[count + 1 :]])
             return builder.sext(code, ir.IntType(64))
 
-        return types.int64(*(types.int64,) * (count + 1)), generate
+        return types.int64(*(types.int64,) * (count + numbers + 1)), generate
 
     @intrinsic
     def _call_with(typing_context: Any, address, device, values):
@@ -129,6 +133,10 @@ if COMPILED:
     @intrinsic
     def _call_alone(typing_context: Any, address, device):
         return _caller(1)
+
+    @intrinsic
+    def _call_number(typing_context: Any, address, device, number):
+        return _caller(1, numbers=1)
 
     @kernel
     def call_with(link, which, values):
@@ -140,7 +148,13 @@ if COMPILED:
         """Call a function of the device without further arguments; return its code."""
         return _call_alone(link[which], link[DEVICE])
 
+    @kernel
+    def call_number(link, which, number):
+        """Call a function of the device that takes a whole number; return its code."""
+        return _call_number(link[which], link[DEVICE], int(number))
+
 else:
+    _NUMBER = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64)
     _WITH = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
     _ALONE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)
 
@@ -151,6 +165,10 @@ else:
     def call_alone(link, which):
         """Call a function of the device without further arguments; return its code."""
         return _ALONE(int(link[which]))(int(link[DEVICE]))
+
+    def call_number(link, which, number):
+        """Call a function of the device that takes a whole number; return its code."""
+        return _NUMBER(int(link[which]))(int(link[DEVICE]), int(number))
 
 
 @nested
@@ -234,10 +252,20 @@ def sense_device(laws, arrays, row):
 
 
 @nested
+def output_edges(arrays, row):
+    """Output what begins at this sample of a scan, if the device is asked to."""
+    if row[at.SCAN_EDGES] != 0.0 and arrays.link[CLOCK] != 0 and is_linked(arrays.link):
+        code = call_number(arrays.link, CLOCK, row[at.SCAN_EDGES])
+        if code != 0:
+            fail_device(arrays, CLOCKING, code)
+
+
+@nested
 def actuate_device(laws, arrays, row):
     """Output the voltage of the row after monitoring.
 
-    In a skipped sample nothing is written: the device holds its voltage, even on the way to or from the safe voltage.
+    In a skipped sample no voltage is written: the device holds it, even on the way to or from the safe voltage. The
+    clock of a scan is output nevertheless, so that the numbers of its frames, lines and pixels stay true.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -251,6 +279,7 @@ def actuate_device(laws, arrays, row):
     if row[at.SKIPPED] != 0.0:
         hold[HELD] = before
         row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
+        output_edges(arrays, row)
         return
     arrays.voltages[0] = amplifier_value(arrays.amplifier_p, limits(arrays.limits_p, arrays.limits_x, held))
     row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
@@ -258,6 +287,8 @@ def actuate_device(laws, arrays, row):
         code = call_with(arrays.link, WRITE, arrays.voltages)
         if code != 0:
             fail_device(arrays, WRITING, code)
+            return
+    output_edges(arrays, row)
 
 
 sense.kinds[DevicePlantArrays], actuate.kinds[DevicePlantArrays] = sense_device, actuate_device
@@ -322,6 +353,9 @@ class DrivenPlant(Plant):
             remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
             remedy += f"{given.amplifier.unit!r}: give the device's units there, with scale, offset and sign"
             raise DriverError(device, f"the device reads {units[0]!r} and outputs {units[1]!r}", remedy)
+        if parameters.scan_clock and not can.clock:
+            remedy = "set scan_clock: false; the topic scan_clock has the clock"
+            raise DriverError(device, "the device has no outputs for the clock of a scan", remedy)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if not 0 <= can.forces <= 1:
@@ -417,6 +451,14 @@ class DrivenPlant(Plant):
     def _output(self) -> float:
         """Voltage [V] at the output, also of a device that could not be made safe."""
         return self._left_at if self._left else float(self.limits.x[OUTPUT])
+
+    def output_clock(self, edges: at.Edge) -> None:
+        """Output what begins at this sample of a scan, if ``scan_clock`` is set and the device works."""
+        if self.parameters.scan_clock and not self._failure:
+            try:
+                self._opened.output_clock(edges)
+            except DriverError as error:
+                self._fail(error)
 
     def _put_out(self, voltage: float) -> None:
         if not self._failure:
@@ -605,7 +647,7 @@ class CompiledPlant(DrivenPlant):
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
         positions, voltages = map(np.zeros, sizes)
         self.arrays = DevicePlantArrays(
-            link_to(compiled),
+            link_to(compiled, parameters.scan_clock),
             np.zeros(ANSWERS, dtype=np.int64),
             positions,
             voltages,
@@ -638,9 +680,8 @@ class CompiledPlant(DrivenPlant):
         if compiled is None:
             raise RuntimeError(f"driver {self.parameters.driver} has lost its compiled form")
         explain = compiled.explain
-        what = "written" if failed not in (READING, NONSENSE) else "read"
         error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
-        text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
+        text = f"driver {self.parameters.driver}: cannot {_DEEDS.get(failed, 'be written')}: {error}"
         if not safe_code:
             return text
         self._opened.insist(self.insists_every, self._is_left, self._made_safe)

@@ -214,6 +214,11 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         description="options for opening a driver given by its path, each 'NAME=VALUE'",
         place="start",
     )
+    scan_clock: bool = parameter(
+        False,
+        read_only=True,
+        description="whether the device of a driver outputs the frame, line and pixel clock of a scan",
+    )
     calibration: CalibrationParameters = group(CalibrationParameters)
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"

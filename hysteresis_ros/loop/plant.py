@@ -456,6 +456,9 @@ class Plant:
     def refresh(self) -> None:
         """Repeat the output of a device, so that its watchdog does not act in a pause between samples."""
 
+    def output_clock(self, edges: at.Edge) -> None:
+        """Output what begins at this sample of a scan; a simulated plant has no outputs for it."""
+
     def make_safe(self) -> None:
         """Bring a device to its safe state."""
 

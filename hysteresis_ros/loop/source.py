@@ -23,6 +23,7 @@ from hysteresis_ros.loop.watch import RUNNING, STOPPED, TRIPPED
 from hysteresis_ros.models.block import by_part, nested
 from hysteresis_ros.references import generator as generating
 from hysteresis_ros.references import inchworm_layout as gait
+from hysteresis_ros.references.declaration import COUNTER, END
 from hysteresis_ros.references.generator import (
     GeneratorArrays,
     ReferenceGenerator,
@@ -57,6 +58,21 @@ class GeneratorSourceArrays(NamedTuple):
 
     p: GeneratorArrays
     x: GeneratorArrays
+    edges: np.ndarray  #: Of :meth:`.ScanClock.edges`; one 0 without a scan.
+
+
+@nested
+def note_waveform(arrays, row, runs):
+    """Write the number of this sample of the waveform, and what begins in it, into the row."""
+    row[at.WAVEFORM_SAMPLE] = -1.0
+    row[at.SCAN_EDGES] = 0.0
+    if not runs:
+        return
+    k = arrays.x.waveform[COUNTER] - 1.0
+    row[at.WAVEFORM_SAMPLE] = k
+    repeat, end = arrays.edges.shape[0] - 1, arrays.p.waveform[END]
+    if repeat > 0 and k >= 0.0 and (end == 0.0 or k < end):
+        row[at.SCAN_EDGES] = arrays.edges[int(k) if k <= repeat else int((k - 1.0) % repeat) + 1]
 
 
 @nested
@@ -74,6 +90,7 @@ def generate(laws, arrays, row):
             mode = STOPPED
     row[at.SETPOINT] = setpoint_in_force(arrays.x, row[at.SETPOINT])
     row[at.SOURCE_MODE] = mode
+    note_waveform(arrays, row, mode == RUNNING and x[generating.RUNNING] == generating.WHOLE)
 
 
 @nested
@@ -103,7 +120,7 @@ class GeneratorSource:
     @property
     def arrays(self) -> GeneratorSourceArrays:
         """Arrays of the present waveform."""
-        return GeneratorSourceArrays(self.generator.ps, self.generator.xs)
+        return GeneratorSourceArrays(self.generator.ps, self.generator.xs, self.generator.waveform.edges)
 
     @property
     def waveform(self):
@@ -196,6 +213,7 @@ def sequenced(laws, arrays, row):
     row[at.SPEED] = x[gait.SPEED]
     row[at.REFERENCE] = sequence(p, x, row[at.SETPOINT], slider, row[at.EXTENDER])
     row[at.SOURCE_MODE] = mode
+    row[at.WAVEFORM_SAMPLE], row[at.SCAN_EDGES] = -1.0, 0.0  # a motor has no waveform
     row[at.ORIGIN] = x[gait.ORIGIN]
     row[at.FRONT_VOLTAGE] = x[gait.FRONT_VOLTAGE]
     row[at.REAR_VOLTAGE] = x[gait.REAR_VOLTAGE]

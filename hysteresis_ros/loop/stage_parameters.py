@@ -37,6 +37,7 @@ from hysteresis_ros.models.linear_algebra import inverse, product
 from hysteresis_ros.models.structure import StructureParameters
 from hysteresis_ros.references.scan import AXES as COORDINATES
 from hysteresis_ros.references.scan import Scan, ScanLimits, check_limits
+from hysteresis_ros.references.scan_clock import LEVELS
 from hysteresis_ros.references.scans import parsed_scan
 from hysteresis_ros.references.waveforms.scan import ScanWaveformParameters
 
@@ -69,6 +70,9 @@ class StageScanParameters(Parameters):
     )
     periods: int = parameter(
         2, low=0, read_only=True, description="periods of the path after which the axes stay; 0: endless"
+    )
+    clock: str = parameter(
+        "line", choices=LEVELS, read_only=True, description="finest level of the clock on the topic scan_clock"
     )
 
 
@@ -312,7 +316,7 @@ class StageParameters:
         for name, coordinate in zip(names, COORDINATES, strict=False):
             place = self.names.index(name)
             source = axes[place].generator
-            own: dict[str, Any] = {"scan": ScanWaveformParameters(given.kind, given.values, coordinate)}
+            own: dict[str, Any] = {"scan": ScanWaveformParameters(given.kind, given.values, coordinate, given.clock)}
             own |= {"type": "scan", "cycles": given.periods, "offset": 0.0, "phase": 0.0}
             waveform = replace(source.waveform, **own)
             axes[place] = replace(axes[place], reference_generator=replace(source, waveform=waveform))

@@ -411,7 +411,7 @@ class FusedAxis:
         for name in self.plant.axis_kind.nodes:
             row = self.nodes[name].row
             row[: len(values)] = values
-        self.source.look_at(samples.table.T.tolist())
+        self.source.show_all(samples.first, samples.table)
         stamp = self.plant.show(number, before, self._leaving)
         for name in self.plant.axis_kind.nodes:
             if name != "plant_simulator":

@@ -40,12 +40,15 @@ from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.models.inchworm import EFFORT, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import ERROR, OK, WARN, AxisNode
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
-from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.samples import output_of
+from hysteresis_ros.nodes.scan_clock import KEPT
+from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 from hysteresis_ros.recordings.dataset import output_tolerance
+from hysteresis_ros.references.scan_clock import LEVELS
 
 #: Deviation of the stamps from the wall clock [ns] above which they are set to the wall clock again.
 OFF_CLOCK = 100_000_000
@@ -282,6 +285,9 @@ class PlantSimulatorNode(AxisNode):
             take = partial(self.runner.voltage, input_)
             heard = self.loop_input(Float64, input_.topic, take, self.qos(), input_.partner)
             input_.full_name = heard.topic_name
+        if self.parameters.scan_clock and self.runner.by_message:
+            qos = loop_qos(self.runner.keeps, KEPT)
+            self.subscriber(JointState, SCAN_CLOCK, self._on_scan_clock, qos)
         if self.parameters.wait_for_recorder and self.runner.by_message:
             topic, qos = "recorder/acknowledged", latched_qos()
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
@@ -351,6 +357,16 @@ class PlantSimulatorNode(AxisNode):
         with self.lock:
             self.part.halt()
             self.log_change("halt")
+
+    def _on_scan_clock(self, message) -> None:
+        """Let the device output what begins in a scan."""
+        numbers = dict(zip(message.name, message.position, strict=False))
+        if not self.active or any(not math.isfinite(numbers.get(name, math.nan)) for name in LEVELS[1:]):
+            return
+        begun = [edge for edge, name in zip(signals.Edge, LEVELS[1:], strict=True) if numbers[name] >= 0.0]
+        if begun:
+            with self.lock:
+                self.part.output_clock(begun[-1])
 
     def lose(self, name: str) -> None:
         """Stop the axis until ~/start because one of its nodes is lost; called with the lock held."""

@@ -29,6 +29,9 @@ from hysteresis_ros.loop.repeated import named_files
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import chosen_qos, diagnostics_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.reference_source import KEPT
+from hysteresis_ros.nodes.scan_clock import KEPT as KEPT_MARKS
+from hysteresis_ros.nodes.scan_clock import NAMES as OF_A_MARK
+from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
@@ -99,7 +102,12 @@ class RecorderNode(AxisNode):
                 raise ConfigurationError(
                     f"configuration = '{parameters.configuration}' cannot be read: {error}"
                 ) from None
-        motor = parameters.inchworm or self._describes_inchworm(parameters.configuration)
+        described = self._described(parameters.configuration)
+        space = self.get_namespace()
+        motor = described is not None and described.describes("inchworm_sequencer", space)
+        motor = motor or parameters.inchworm
+        scans = described is not None and described.node("reference_generator", space).get("waveform.type") == "scan"
+        self._scan_clock = SCAN_CLOCK if scans else ""
         self._axis_kind = INCHWORM if motor else ACTUATOR
         self._topics = sampled_topics(self._axis_kind, parameters.external_plant)
         loggers = {*self._axis_kind.nodes}
@@ -156,12 +164,17 @@ class RecorderNode(AxisNode):
         """Whether a loop computes its samples: never, because a recorder computes nothing."""
         return False
 
-    def _describes_inchworm(self, source: str) -> bool:
+    def _described(self, source: str):
+        """Return the configuration in the recorded text; None for any other text, which is recorded too."""
         try:
-            configuration = parse_configuration(self._configuration, source)
+            return parse_configuration(self._configuration, source)
         except ConfigurationError:
-            return False  # any text is recorded
-        return configuration.describes("inchworm_sequencer", self.get_namespace())
+            return None
+
+    @property
+    def scan_clock(self) -> str:
+        """Topic of the clock of a scan; empty: there is none that this node records."""
+        return self._scan_clock
 
     def reset_blocks(self) -> None:
         """Restart the count at sample 0; the bag continues, and its readers show the longest run."""
@@ -187,6 +200,8 @@ class RecorderNode(AxisNode):
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
         self._record(CHANGES, String, self.changes_qos(), "transient_local")
+        if self.scan_clock and self.runner.by_message:
+            self._record(self.scan_clock, JointState, loop_qos(self.runner.keeps, KEPT_MARKS), durability)
         if self._axis_kind.motor:
             self._record("speed", Float64, setpoint_qos(), "volatile")
         if self.hears_diagnostics:
@@ -315,6 +330,11 @@ class RecorderNode(AxisNode):
         self._opened.attempt(lambda _: self._samples.write(stamps, taken.table, **given))
         self._counts = [taken.first + count - self._lost] * len(self._topics)
         self._arrived = True
+
+    def write_scan_clock(self, topic: str, stamp: int, values: list[float]) -> None:
+        """Write what begins in a scan that a loop in this process runs."""
+        if self.recording is not None and self.active and self.running:
+            self.recording.attempt(lambda bag: bag.write_joint_state(topic, stamp, OF_A_MARK, values))
 
     def _take_changes(self) -> None:
         """Write the change logs of this process; in the bag they precede the samples that need them."""

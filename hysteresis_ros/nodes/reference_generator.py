@@ -33,10 +33,12 @@ from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.reference_source import ReferenceSource
+from hysteresis_ros.nodes.scan_clock import TOPIC, ScanClockTopic
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE, WINDOW, Pairing
 from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, action_type
 from hysteresis_ros.references.moves import Settling
+from hysteresis_ros.references.waveforms.scan import clock_of
 
 #: Time after the first measurement to search for a controller, and to wait for one that is present but silent because
 #: it is not active [s].
@@ -206,6 +208,11 @@ class ExternalRun:
 _GENERATE = interpreted(generate)
 
 
+def nanoseconds(stamp) -> int:
+    """Return a stamp [ns]."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
 class ReferenceGeneratorNode(ReferenceSource):
     """Answers every ``joint_states`` with one ``reference`` [m]; takes ``setpoint`` [m] at any time."""
 
@@ -219,6 +226,8 @@ class ReferenceGeneratorNode(ReferenceSource):
         super().__init__("reference_generator", **options)
         self.trajectories: Trajectories | None = None
         self.action: TrajectoryAction | None = None
+        #: Clock of the scan that the axis follows; None: it has never followed one.
+        self.scan_clock: ScanClockTopic | None = None
 
     def build(self, parameters) -> None:
         """Create the generator from the parameters."""
@@ -248,6 +257,35 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.part.retune(parameters)
         self._connect_part()
 
+    def retuned(self, parameters) -> None:
+        """Let the clock follow another waveform."""
+        super().retuned(parameters)
+        if parameters.waveform != self.parameters.waveform:
+            if self.is_fused:
+                self.fused.show()  # the samples of the previous waveform
+            self.follow_scan(parameters.waveform)
+
+    def follow_scan(self, waveform) -> None:
+        """Let the clock follow the scan of a waveform; without a scan it is silent."""
+        scans = waveform.type == "scan" and waveform.scan.clock != "none"
+        if scans and self.scan_clock is None:
+            self.scan_clock = self.make_scan_clock()
+        if self.scan_clock is not None:
+            self.scan_clock.follow(clock_of(waveform, 1.0 / self.parameters.sample_rate) if scans else None)
+
+    def make_scan_clock(self) -> ScanClockTopic | None:
+        """Return the topic of the clock."""
+        return ScanClockTopic(self, TOPIC)
+
+    def report(self, stamp) -> None:
+        """Publish what begins in a scan, then ``~/state``."""
+        if self.scan_clock is not None and self.runner.by_message:
+            self.scan_clock.take(nanoseconds(stamp), self.row[signals.WAVEFORM_SAMPLE], self.scan_axis)
+        super().report(stamp)
+
+    #: Place of this axis among those that follow the same scan.
+    scan_axis = 0
+
     def _connect_part(self) -> None:
         self._laws = Laws(*(self.part.waveform,) * len(Laws._fields))
         self._arrays = self.part.arrays
@@ -264,6 +302,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.trajectories = Trajectories(self)
         kind = action_type()
         self.action = TrajectoryAction(self, self.trajectories, kind) if kind else None
+        self.follow_scan(self.parameters.waveform)
 
     def begin(self) -> None:
         """Start work, and monitor an external plant."""
@@ -284,7 +323,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Remove the action."""
         if self.action is not None:
             self.action.server.destroy()
-        self.trajectories = self.action = None
+        self.trajectories = self.action = self.scan_clock = None
 
     def forget_settled(self) -> None:
         """Restart the settling detection."""
@@ -298,6 +337,16 @@ class ReferenceGeneratorNode(ReferenceSource):
                 stopped = row[signals.TRIPPED] != 0.0
                 look(row[signals.SETPOINT], row[signals.REFERENCE], row[signals.MEASURED], stopped)
         self.tell_settled(self.settling.settled)
+
+    def show_all(self, first: int, table) -> None:
+        """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
+        self.look_at(table.T.tolist())
+        clock = self.scan_clock
+        if clock is not None:
+            recorder = self.fused.nodes.get("recorder")
+            if recorder is not None:
+                clock.record = lambda stamp, values: recorder.write_scan_clock(clock.name, stamp, values)
+            clock.take_all(first, table, self.fused.plant.stamps.of_all, self.scan_axis)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
         """Make the reference follow a trajectory, or come to rest, from the next sample on, and log it."""

@@ -83,6 +83,10 @@ class ReferenceSource(Responder):
         """Update the settling detection with samples."""
         raise TypeError(f"{type(self).__name__} must implement when its axis has settled")
 
+    def show_all(self, first: int, table) -> None:
+        """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
+        self.look_at(table.T.tolist())
+
     def tell_settled(self, settled: bool) -> None:
         """Publish whether the axis has settled, when this has changed."""
         if settled != self._told:

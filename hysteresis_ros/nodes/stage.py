@@ -62,6 +62,8 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 from hysteresis_ros.nodes.recorder import RecorderNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
+from hysteresis_ros.nodes.scan_clock import ScanClockTopic
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.trajectories import Points, points_by_joint
 from hysteresis_ros.recordings.bag_writer import GuardedBag
@@ -434,6 +436,9 @@ class StageControllerNode(MotionControllerNode):
 class StageSources(Group):
     """The reference generators of a stage, which take setpoints of several axes for the same sample."""
 
+    #: Clock of the scan, which the axes that follow it have in common.
+    scan_clock: ScanClockTopic | None = None
+
     def take(self, given: dict[str, float]) -> str:
         """Take setpoints [m] by the names of axes, all or none; return why they are refused, empty when taken."""
         nodes = dict(zip(self.parameters.names, self.nodes, strict=True))
@@ -490,7 +495,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
     """The reference generator of one axis of a stage; those of the other axes are in the same process."""
 
     def __init__(self, group: StageSources, **options):
-        self.group = group
+        self.group, self.place = group, len(group.nodes)
         #: Requests to several axes at once: the first sample that each affects, and the function to call before it.
         self.coming: deque = deque()
         super().__init__(**options)
@@ -504,6 +509,30 @@ class StageReferenceNode(ReferenceGeneratorNode):
             self.subscriber(Float64MultiArray, topic, self._on_setpoints, setpoint_qos())
             topic = f"{self.group.parameters.namespace}/joint_trajectory"
             self.subscriber(JointTrajectory, topic, self._on_joint_trajectory, setpoint_qos())
+
+    @property
+    def scan_axis(self) -> int:
+        """Place of this axis among those that follow the scan of the stage; -1: it follows none."""
+        parameters = self.group.parameters
+        name = parameters.names[self.place]
+        return parameters.scanning_axes.index(name) if name in parameters.scanning_axes else -1
+
+    @property
+    def scan_clock(self) -> ScanClockTopic | None:
+        """Clock of the scan of the stage, for an axis that follows it."""
+        return self.group.scan_clock if self.scan_axis >= 0 else None
+
+    @scan_clock.setter
+    def scan_clock(self, clock: ScanClockTopic | None) -> None:
+        if self.scan_axis >= 0:
+            self.group.scan_clock = clock
+
+    def make_scan_clock(self) -> ScanClockTopic | None:
+        """Return the topic of the clock of the stage, for an axis that follows its scan."""
+        parameters = self.group.parameters
+        if self.scan_axis < 0:
+            return None
+        return ScanClockTopic(self, f"{parameters.namespace}/{SCAN_CLOCK}", len(parameters.scanning_axes))
 
     def reset_blocks(self) -> None:
         """Reset: waveform at its start, setpoint as configured."""
@@ -588,6 +617,12 @@ class StageRecorderNode(RecorderNode):
         if self.group.recording is None or self.group.recording.bag is None:
             self.group.recording = super().open_bag(parameters)
         return self.group.recording
+
+    @property
+    def scan_clock(self) -> str:
+        """Topic of the clock of the scan of the stage, which the first of its recorders records."""
+        parameters = self.group.parameters
+        return f"{parameters.namespace}/{SCAN_CLOCK}" if parameters.scan and self is self.group.nodes[0] else ""
 
     @property
     def described(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, NoReturn
 
@@ -109,6 +109,8 @@ class Packed:
         Number of samples after which the output repeats bit for bit; None if there is no such number.
     crest_factor : float or None
         Peak over root mean square, without the offset; None if unknown.
+    edges : ndarray, optional
+        Bits of what begins at each sample of a scan (:meth:`.ScanClock.edges`); one 0: no scan.
     """
 
     p: np.ndarray
@@ -117,6 +119,7 @@ class Packed:
     highest: float
     period: int | None
     crest_factor: float | None = None
+    edges: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
 
 def _nothing_wrong(parameters) -> Iterable[Problem]:

@@ -19,8 +19,8 @@
 #define NOTED 100000
 
 static double voltages[NOTED], place;
-static int64_t reads, writes, safes, closes;
-static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints;
+static int64_t reads, writes, safes, closes, clocks, edges[NOTED][2];
+static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints, fail_clock;
 static _Atomic int64_t block;
 static char unit[8];
 
@@ -29,24 +29,28 @@ int64_t noted_writes(void) { return writes; }
 int64_t noted_safes(void) { return safes; }
 int64_t noted_closes(void) { return closes; }
 double noted_voltage(int64_t index) { return voltages[index]; }
+int64_t noted_clocks(void) { return clocks; }
+/* Which edges were output, and after how many voltages. */
+int64_t noted_edges(int64_t index, int64_t place) { return edges[index][place]; }
 /* Fail, or do not return, at this call and all later ones; 0: never. */
-void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = block = 0; }
+void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = block = fail_clock = 0; }
 
 int32_t hysteresis_open(const char *const *options, double sample_rate, struct hysteresis_capabilities *can,
                         void **device)
 {
     static const char *const names[] = {"fail_read", "fail_write", "fail_safe", "nonsense", "nothing", "keeps_time",
-                                        "joints"};
-    int64_t *values[] = {&fail_read, &fail_write, &fail_safe, &nonsense, &nothing, &keeps_time, &joints};
-    reads = writes = safes = closes = keeps_time = 0, place = 0.0, joints = 1;
+                                        "joints", "fail_clock"};
+    int64_t *values[] = {&fail_read, &fail_write, &fail_safe, &nonsense, &nothing, &keeps_time, &joints,
+                         &fail_clock};
+    reads = writes = safes = closes = clocks = keeps_time = 0, place = 0.0, joints = 1;
     mend();
     strcpy(unit, "m");
     for (; *options; options++) {
         const char *value = strchr(*options, '=');
         size_t length = value ? (size_t)(value - *options) : 0, i = 0;
-        while (i < 7 && (strlen(names[i]) != length || strncmp(*options, names[i], length)))
+        while (i < 8 && (strlen(names[i]) != length || strncmp(*options, names[i], length)))
             i++;
-        if (i < 7)
+        if (i < 8)
             *values[i] = atoll(value + 1);
         else if (value && !strncmp(*options, "block", 5))
             block = atoll(value + 1);
@@ -88,6 +92,15 @@ int32_t hysteresis_write(void *device, const double *given)
     return 0;
 }
 
+int32_t hysteresis_clock(void *device, int64_t given)
+{
+    (void)device;
+    if (clocks < NOTED)
+        edges[clocks][0] = given, edges[clocks][1] = writes;
+    clocks++;
+    return fail_clock && clocks >= fail_clock ? 6 : 0;
+}
+
 int32_t hysteresis_make_safe(void *device)
 {
     safes++;
@@ -104,6 +117,7 @@ void hysteresis_close(void *device)
 const char *hysteresis_describe(int32_t code)
 {
     static const char *const said[] = {[3] = "lost its sensor; plug it in", [4] = "lost its amplifier; plug it in",
-                                       [5] = "does not listen; switch it off", [7] = "does not know an option"};
+                                       [5] = "does not listen; switch it off", [6] = "lost its outputs; plug them in",
+                                       [7] = "does not know an option"};
     return code > 0 && code < 8 && said[code] ? said[code] : "is somehow ill";
 }

@@ -71,9 +71,10 @@ def library(tmp_path_factory):
     """The driver without a device, and the functions that return what it received."""
     path = listed_library(tmp_path_factory.mktemp("driver"))
     found = ctypes.CDLL(str(path))
-    for name in ("reads", "writes", "safes", "closes"):
+    for name in ("reads", "writes", "safes", "closes", "clocks", "edges"):
         getattr(found, f"noted_{name}").restype = ctypes.c_int64
     found.noted_voltage.restype, found.noted_voltage.argtypes = ctypes.c_double, (ctypes.c_int64,)
+    found.noted_edges.argtypes = ctypes.c_int64, ctypes.c_int64
     found.path = path
     return found
 
@@ -420,3 +421,86 @@ def test_a_library_without_the_functions_is_refused_by_their_names_and_nothing_m
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
     assert f"has no function {', '.join(left_out)};" in done.stderr and str(path) in done.stderr
+
+
+#: A scan whose lines and pixels begin at, before and between samples of 3 kHz; 108 samples a frame.
+SCAN = {
+    "type": "scan",
+    "amplitude": 0.0,
+    "cycles": 2,
+    "scan__kind": "raster",
+    "scan__values": ["width=3um", "depth=2um", "lines=4", "pixels=5", "flyback=2", "frame_rate=27.7777777777778Hz"],
+    "scan__clock": "pixel",
+}
+
+
+def scanning_axis(library, *options: str, clock: bool = True, level: str = "pixel") -> AxisParameters:
+    configuration = parse_configuration(STAGE.format(driver=library.path, options=", ".join(options)), "test")
+    waveform = {f"waveform__{name}": value for name, value in (SCAN | {"scan__clock": level}).items()}
+    configuration = configuration.override("reference_generator", **waveform)
+    return AxisParameters.from_configuration(configuration.override("plant_simulator", scan_clock=clock))
+
+
+def clocked(library) -> list[tuple[int, int]]:
+    """Return the edges that reached the device, each with the number of voltages before it."""
+    return [tuple(library.noted_edges(i, place) for place in (0, 1)) for i in range(library.noted_clocks())]
+
+
+def test_the_clock_of_a_scan_reaches_the_device_in_its_sample(library):
+    from hysteresis_ros.references.scan import frame_marks, line_marks, pixel_marks
+    from hysteresis_ros.references.scans import parsed_scan
+
+    given = scanning_axis(library)
+    loop, table = fused(given, 300)
+    compiled = clocked(library)
+    edges = table[at.SCAN_EDGES]
+    assert compiled == [(int(edges[k]), k + 1) for k in np.flatnonzero(edges)]
+    scan = parsed_scan(SCAN["scan__kind"], SCAN["scan__values"])
+    wanted = np.zeros(300)
+    for edge, marks in zip(at.Edge, (frame_marks, line_marks, pixel_marks), strict=True):
+        begun = marks(scan, np.arange(216) / 3000.0).sample
+        wanted[np.unique(begun[begun < 216])] += edge
+    np.testing.assert_array_equal(edges, wanted)
+    assert {at.Edge.FRAME | at.Edge.LINE | at.Edge.PIXEL, at.Edge.PIXEL} <= set(edges)
+    assert_equal_to_twin(given, loop, table)
+    loop.axis.plant.close()
+    # the same driver called from Python, and not at all unless it is asked for
+    for asked in (True, False):
+        plant = DrivenPlant(scanning_axis(library, clock=asked).plant_simulator)
+        for k in range(300):
+            run(plant, [20.0])
+            if edges[k]:
+                plant.output_clock(at.Edge(int(edges[k])))
+        assert clocked(library) == (compiled if asked else [])
+        plant.close()
+    for options in ({"clock": False}, {"level": "none"}):
+        fused(scanning_axis(library, **options), 300)[0].axis.plant.close()
+        assert clocked(library) == []
+    fused(scanning_axis(library, level="frame"), 300)[0].axis.plant.close()
+    assert clocked(library) == [(at.Edge.FRAME, 1), (at.Edge.FRAME, 109)]
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_a_device_that_cannot_output_the_clock_is_stopped_and_its_run_has_a_twin(library, kind):
+    given = scanning_axis(library, "fail_clock=9")
+    if kind is CompiledPlant:
+        loop, table = fused(given, 200)
+        assert_equal_to_twin(given, loop, table)
+        plant = loop.axis.plant
+    else:
+        plant = kind(given.plant_simulator)
+        for _ in range(12):
+            run(plant, [20.0])
+            plant.output_clock(at.Edge.PIXEL)
+    assert plant.tripped and library.noted_clocks() == 9 and library.noted_safes() == 1
+    assert "cannot output the clock of the scan: liblisted.so: lost its outputs; plug them in" in plant.failure
+    assert library.noted_writes() == clocked(library)[-1][1], "nothing was written after it"
+    plant.close()
+
+
+def test_a_clock_without_outputs_for_it_is_refused():
+    configuration = load_configuration("kim2009").override("", time_mode="realtime")
+    asked = {"scan_clock": True, "driver": "simulated"}
+    given = AxisParameters.from_configuration(configuration.override("plant_simulator", **asked)).plant_simulator
+    with pytest.raises(DriverError, match="driver simulated: the device has no outputs for the clock of a scan; set"):
+        DrivenPlant(given)

@@ -23,14 +23,17 @@ from hysteresis_ros.analysis.scan_report import scan_figures
 from hysteresis_ros.api import configuration_of
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import check_scan, loop_bandwidths, path_bandwidths, scan_warnings
 from hysteresis_ros.loop.stage_simulation import displacements_between, simulate_stage, with_scan
 from hysteresis_ros.models.linear import zero_order_hold
-from hysteresis_ros.references.scan import ScanLimits, largest_frame_rate
+from hysteresis_ros.references.scan import ScanLimits, frame_marks, largest_frame_rate, line_marks, pixel_marks
+from hysteresis_ros.references.scan_clock import ScanClock
 from hysteresis_ros.references.scans import parsed_scan, scan_of, scan_words
 from hysteresis_ros.references.waveforms.scan import repetition
+from hysteresis_ros.signals import Edge
 
 RASTER = ("width=20um", "depth=10um", "lines=4", "flyback=2", "line_rate=50Hz", "slow=ramped", "rotation=10deg")
 MIDDLE = 20e-6
@@ -242,3 +245,48 @@ def test_the_reference_is_one_of_the_stage_and_not_of_a_copy():
     first = stage.run(stage.default_setpoints(300))["x"]["reference"].copy()
     stage.reset()
     assert np.array_equal(stage.run(stage.default_setpoints(300))["x"]["reference"], first)
+
+
+def clock_rows(marks) -> np.ndarray:
+    return np.column_stack([marks.sample, marks.frame, marks.line, marks.pixel, marks.direction])
+
+
+def test_the_clock_of_a_run_is_that_of_the_path_also_after_a_stop_and_behind_the_end():
+    parameters = following(stage={"scan__clock": "pixel", "scan__periods": 1})
+    scan, stage = parameters.scan, Stage(parameters)
+    period = round(scan.period / SAMPLE_TIME)
+    stopped, started = 300, 700
+    changes = [
+        Change(stopped, "reference_generator", "stop"),
+        Change(started, "reference_generator", "start"),
+    ]
+    samples = started + 2 * period
+    found = stage.run(stage.default_setpoints(samples), {"x": changes, "y": changes})
+    counted = np.full(samples, -1)
+    counted[:stopped] = np.arange(stopped)
+    counted[started:] = np.arange(samples - started)
+    time = np.arange(period) * SAMPLE_TIME
+    edges = np.zeros(period)
+    for edge, marks_of in zip(Edge, (frame_marks, line_marks, pixel_marks), strict=True):
+        begun = marks_of(scan, time).sample
+        edges[np.unique(begun[begun < period])] += edge
+    wanted = np.where((counted >= 0) & (counted < period), edges[np.clip(counted, 0, period - 1)], 0.0)
+    for name in "xy":
+        np.testing.assert_array_equal(found[name]["waveform_sample"], counted)
+        np.testing.assert_array_equal(found[name]["scan_edges"], wanted)
+    # what a listener gets from the samples of the waveform is what the path itself says
+    clock = ScanClock(scan, SAMPLE_TIME, "pixel", parameters.stage.scan.periods)
+    pixels = pixel_marks(scan, time)
+    heard = clock.between(-1, samples)
+    np.testing.assert_array_equal(clock_rows(heard)[heard.pixel >= 0], clock_rows(pixels))
+
+
+def test_an_axis_that_is_stopped_by_the_plant_or_has_no_scan_has_no_clock():
+    parameters = following(plant_simulator={"late_limit": 5}).with_faults("x", ("lost_voltage:0.01:0.01",))
+    run = simulate_stage(parameters, duration=0.03)
+    stopped = run["x/tripped"] != 0.0
+    assert stopped[-1] and not stopped[:100].any()
+    np.testing.assert_array_equal(run["x/waveform_sample"][stopped], -1.0)
+    assert not run["x/scan_edges"][stopped].any() and run["x/scan_edges"][~stopped].any()
+    assert not simulate_stage(following(stage={"scan__clock": "none"}), duration=0.01)["x/scan_edges"].any()
+    assert not hr.simulate("kim2009", duration=0.01)["scan_edges"].any()

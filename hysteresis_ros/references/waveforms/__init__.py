@@ -95,6 +95,8 @@ class Waveform(Block):
         Peak over root mean square, without the offset, of a multisine.
     period : int or None
         Number of samples after which the output repeats bit for bit; None if it does not within 2²⁶ samples.
+    edges : ndarray
+        Bits of what begins at each sample of a scan (:meth:`.ScanClock.edges`); one 0: no scan.
 
     Raises
     ------
@@ -118,7 +120,7 @@ class Waveform(Block):
         """Return the kernel's parameters; their layout is in :mod:`~hysteresis_ros.references.declaration`."""
         packed = parameters.shape.pack(parameters, self.sample_time)
         self.kernel, self.period, self.crest_factor = packed.kernel, packed.period, packed.crest_factor
-        self.lowest, self.highest = packed.lowest, packed.highest
+        self.lowest, self.highest, self.edges = packed.lowest, packed.highest, packed.edges
         return packed.p
 
     def retune(self, parameters) -> None:

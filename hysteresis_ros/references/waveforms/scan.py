@@ -13,18 +13,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.references.declaration import END, FINAL, Packed, WaveformShape, head, refuse
+from hysteresis_ros.references.scan_clock import (
+    LEVELS,
+    MOST_PERIODS,
+    WHOLE,
+    ScanClock,
+    end_of,
+    samples_of_period,
+)
 from hysteresis_ros.references.waveforms.file import LARGEST_TABLE, file
 
 #: Coordinates of a scan, in the order of its axes.
 COORDINATES = ("x", "y", "z")
-#: Largest number of periods of a path within a table, and the largest distance of their end from a sample [samples].
-MOST_PERIODS, WHOLE = 1000, 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,9 @@ class ScanWaveformParameters(Parameters):
         place="start",
     )
     coordinate: str = parameter("x", choices=COORDINATES, description="coordinate that the axis follows")
+    clock: str = parameter(
+        "line", choices=LEVELS, description="finest level of the clock on scan_clock and at the outputs of a device"
+    )
 
 
 def repetition(period: float, sample_time: float, name: str = "scan.values") -> int:
@@ -57,7 +65,7 @@ def repetition(period: float, sample_time: float, name: str = "scan.values") -> 
         There is no such number, or it is too large.
     """
     samples = period / sample_time
-    found = Fraction(samples).limit_denominator(MOST_PERIODS)
+    found = samples_of_period(period, sample_time)
     count = found.numerator
     if abs(samples - found) * found.denominator > WHOLE * max(samples, 1.0) or not 2 <= count <= LARGEST_TABLE:
         nearest = [whole * sample_time for whole in (math.floor(samples), math.ceil(samples)) if whole > 1]
@@ -67,6 +75,22 @@ def repetition(period: float, sample_time: float, name: str = "scan.values") -> 
         )
         refuse(name, period, allowed)
     return count
+
+
+def clock_of(parameters, sample_time: float) -> ScanClock:
+    """Return the clock of a scan.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+        Those of a waveform ``scan``.
+    sample_time : float
+        [s]
+    """
+    from hysteresis_ros.references.scans import parsed_scan
+
+    own = parameters.scan
+    return ScanClock(parsed_scan(own.kind, own.values), sample_time, own.clock, parameters.cycles)
 
 
 def pack(parameters, sample_time: float) -> Packed:
@@ -88,7 +112,7 @@ def pack(parameters, sample_time: float) -> Packed:
     count = repetition(scan.period, sample_time)
     table = scan.samples(count, sample_time)[place]
     if parameters.cycles:
-        p[END] = math.ceil(parameters.cycles * scan.period / sample_time - WHOLE)
+        p[END] = end_of(parameters.cycles, scan.period, sample_time)
         p[FINAL] = parameters.offset + table[int(p[END]) % count]
     return Packed(
         np.concatenate([p, [count, count], table]),
@@ -96,6 +120,7 @@ def pack(parameters, sample_time: float) -> Packed:
         parameters.offset + float(np.min(table)),
         parameters.offset + float(np.max(table)),
         None if parameters.cycles else count,
+        edges=clock_of(parameters, sample_time).edges(),
     )
 
 

@@ -1,0 +1,178 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The clock of a scan in a loop: which frames, lines and pixels begin at which sample of its waveform.
+
+A period of a path is a fraction of whole samples, so the place of each sample within the period is exact for any
+number of samples. What begins between two samples belongs to the later one.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.references.scan import EDGE, Marks, Scan, frame_marks, line_marks, pixel_marks
+from hysteresis_ros.signals import Edge
+
+#: Largest number of periods of a path that together are a whole number of samples, and the largest distance of the end
+#: of a path from a sample [samples].
+MOST_PERIODS, WHOLE = 1000, 1e-6
+#: Levels of a clock: each contains the coarser ones.
+LEVELS = ("none", "frame", "line", "pixel")
+_MARKS = {Edge.FRAME: frame_marks, Edge.LINE: line_marks, Edge.PIXEL: pixel_marks}
+
+
+def samples_of_period(period: float, sample_time: float) -> Fraction:
+    """Return the period of a path [s] in samples, as the nearest fraction that is whole within 1000 periods.
+
+    Parameters
+    ----------
+    period, sample_time : float
+        [s]
+    """
+    return Fraction(period / sample_time).limit_denominator(MOST_PERIODS)
+
+
+def end_of(periods: int, period: float, sample_time: float) -> int:
+    """Return the first sample after a number of periods of a path; 0: a path without end.
+
+    Parameters
+    ----------
+    periods : int
+    period, sample_time : float
+        [s]
+    """
+    return math.ceil(periods * period / sample_time - WHOLE)
+
+
+class ScanClock:
+    """What begins at the samples of a scan that runs in a loop.
+
+    Parameters
+    ----------
+    scan : Scan
+    sample_time : float
+        [s]
+    level : str
+        Finest of ``frame``, ``line`` and ``pixel``; what is coarser is included. ``none``: nothing.
+    periods : int, optional
+        Periods of the path, after which nothing begins; 0: without end.
+
+    Attributes
+    ----------
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        The level does not exist, or the scan is wrong.
+
+    Examples
+    --------
+    >>> from hysteresis_ros.references.scan_clock import ScanClock
+    >>> from hysteresis_ros.references.scans import scan_of
+    >>> scan = scan_of("raster", dict(width=2e-6, depth=2e-6, lines=4, line_rate=50.0))
+    >>> found = ScanClock(scan, 1e-3, "line").between(-1, 39)
+    >>> found.sample.tolist(), found.line.tolist(), found.direction.tolist()
+    ([0, 0, 10, 20, 30], [-1, 0, 0, 1, 1], [0, 1, -1, 1, -1])
+    """
+
+    def __init__(self, scan: Scan, sample_time: float, level: str, periods: int = 0):
+        if level not in LEVELS:
+            raise ParameterError([Problem("clock", level, f"must be one of {', '.join(LEVELS)}")])
+        scan.validated()
+        self.sample_time = sample_time
+        self._period = samples_of_period(scan.period, sample_time)
+        self._frames = scan.frames_per_period
+        self._end = end_of(periods, scan.period, sample_time)
+        #: Frame, line, pixel and direction of all marks of a period, shape (M, 4), and their places [samples].
+        self._rows, self._places = np.zeros((0, 4), dtype=np.int64), np.zeros(0)
+        self._of_level: dict[Edge, np.ndarray] = {}
+        # the marks of the period itself; the last instant belongs to the next one
+        span = np.array([0.0, scan.period])
+        for edge in tuple(Edge)[: LEVELS.index(level)]:
+            marks = _MARKS[edge](scan, span)
+            inside = marks.time < scan.period * (1.0 - 1e-12)
+            places = self._of_level[edge] = marks.time[inside] / sample_time
+            rows = np.column_stack([marks.frame, marks.line, marks.pixel, marks.direction])[inside]
+            self._rows, self._places = np.vstack([self._rows, rows]), np.concatenate([self._places, places])
+        # in the order of time; at one instant a frame begins before its line, and a line before its pixel
+        order = np.argsort(self._places, kind="stable")
+        self._rows, self._places = self._rows[order], self._places[order]
+
+    def _counts(self, samples: ArrayLike, places: np.ndarray) -> np.ndarray:
+        """Return how many of the marks at ``places`` of each period have begun up to each of these samples."""
+        k = np.asarray(samples, dtype=np.int64)
+        if self._end:
+            k = np.minimum(k, self._end - 1)
+        numerator, denominator = self._period.numerator, self._period.denominator
+        repeated, rest = np.divmod(k, numerator)
+        period, place = np.divmod(rest * denominator, numerator)
+        begun = np.searchsorted(places, place / denominator + EDGE, "right")
+        return np.where(k < 0, 0, (repeated * denominator + period) * places.size + begun)
+
+    def _marks(self, first: int, last: int) -> Marks:
+        """Return the marks with these numbers, ``last`` excluded, counted from the beginning of the waveform."""
+        period, index = np.divmod(np.arange(first, last), max(self._places.size, 1))
+        whole, part = np.divmod(period * self._period.numerator, self._period.denominator)
+        begun = part / self._period.denominator + self._places[index]
+        frame, line, pixel, direction = self._rows[index].T
+        place = whole + begun
+        sample = whole + np.ceil(begun - EDGE).astype(np.int64)
+        return Marks(place * self.sample_time, sample, place, frame + period * self._frames, line, pixel, direction)
+
+    def between(self, after: int, until: int) -> Marks:
+        """Return what begins after one sample of the waveform and not after another one.
+
+        Parameters
+        ----------
+        after, until : int
+            Numbers of samples since the waveform began; -1: before its beginning.
+
+        Returns
+        -------
+        Marks
+            In the order of time; ``sample`` and ``place`` count the samples of the waveform, ``time`` its seconds.
+        """
+        return self._marks(*map(int, self._counts([after, until], self._places)))
+
+    def next_after(self, sample: int) -> float:
+        """Return the first sample of the waveform after ``sample`` at which something begins; infinite: none.
+
+        Parameters
+        ----------
+        sample : int
+        """
+        if not self._places.size:
+            return math.inf
+        number = int(self._counts(sample, self._places))
+        found = int(self._marks(number, number + 1).sample[0])
+        return math.inf if self._end and found >= self._end else found
+
+    def edges(self) -> np.ndarray:
+        """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N + 1,).
+
+        N is the number of samples after which the path repeats: sample k > N has the bits of sample k - N. Sample 0
+        has no bits of marks before the beginning, so it can differ from sample N.
+        """
+        count = self._period.numerator
+        samples = np.arange(-1, count + 1)
+        unending = self._end
+        self._end = 0
+        found = np.zeros(count + 1)
+        for edge, places in self._of_level.items():
+            found += edge * (np.diff(self._counts(samples, places)) > 0)
+        self._end = unending
+        return found
