@@ -255,7 +255,8 @@ class Graph:
         recorded = self.record is not None
         for name in ["recorder", *names] if recorded and not fused else names:
             own = [name] if name != "hysteresis_stage" else ["--recorder"] if recorded and fused else []
-            command = node_command("hysteresis_stage", stage.namespace, path, *own, log_level=self.log_level)
+            options = {"log_level": self.log_level, "enclave": enclave_of(stage.namespace, name)}
+            command = node_command("hysteresis_stage", stage.namespace, path, *own, **options)
             self.processes.append(NodeProcess(name, stage.namespace, started(command, self.environment)))
 
     def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
@@ -328,11 +329,14 @@ class Graph:
         self._stack.close()
 
 
-def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn") -> list[str]:
-    """Return the command line of a node, or of all nodes of an axis in one process."""
+def node_command(
+    name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn", enclave: str = ""
+) -> list[str]:
+    """Return the command line of a node, or of all nodes of an axis in one process; its enclave is that of ``name``."""
     module = name.removeprefix("hysteresis_") if name in ("hysteresis_axis", "hysteresis_stage") else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
-    command += ["--params-file", str(path), "--log-level", log_level, "--enclave", enclave_of(namespace, name)]
+    command += ["--params-file", str(path), "--log-level", log_level]
+    command += ["--enclave", enclave or enclave_of(namespace, name)]
     # the nodes of a stage are in the namespaces of its axes
     return [*command, "-r", f"__ns:={namespace}"] if namespace and name != "hysteresis_stage" else command
 

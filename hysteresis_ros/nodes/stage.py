@@ -25,6 +25,7 @@ import sys
 import threading
 from array import array
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -65,8 +66,20 @@ from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
 from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.scan_clock import ScanClockTopic
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.trajectories import Points, points_by_joint
+from hysteresis_ros.nodes.trajectories import (
+    ACTION,
+    REST,
+    GroupAction,
+    Points,
+    Told,
+    action_type,
+    points_by_joint,
+)
 from hysteresis_ros.recordings.bag_writer import GuardedBag
+from hysteresis_ros.references.moves import Ending, Tolerances
+
+#: Topics of a stage that act on several of its axes.
+SETPOINTS, JOINT_TRAJECTORY = "setpoints", "joint_trajectory"
 
 
 class Group:
@@ -438,6 +451,8 @@ class StageSources(Group):
 
     #: Clock of the scan, which the axes that follow it have in common.
     scan_clock: ScanClockTopic | None = None
+    #: Action for trajectories of several joints; None without the package control_msgs.
+    action: GroupAction | None = None
 
     def take(self, given: dict[str, float]) -> str:
         """Take setpoints [m] by the names of axes, all or none; return why they are refused, empty when taken."""
@@ -460,15 +475,36 @@ class StageSources(Group):
             nodes[name].coming.append((sample, partial(nodes[name].take_now, value)))
         return ""
 
-    def follow(self, given: dict[str, Points]) -> None:
+    @property
+    def by_joint(self) -> dict[str, Any]:
+        """The nodes by the names of their joints; they are configured."""
+        return {node.parameters.joint: node for node in self.nodes}
+
+    def rest(self, told: Mapping[str, Told]) -> None:
+        """Bring joints to rest, by the callbacks of their moves, unless another trajectory has taken their place."""
+        moving = [joint for joint, heard in told.items() if not self.by_joint[joint].trajectories.is_replaced(heard)]
+        if moving:
+            self.follow(dict.fromkeys(moving, REST))
+
+    def follow(
+        self,
+        given: Mapping[str, Points],
+        tolerances: Mapping[str, Tolerances] | None = None,
+        told: Mapping[str, Told] | None = None,
+    ) -> None:
         """Follow trajectories, given by joint, from the same sample on, all or none; without points a joint stops.
+
+        ``tolerances`` are those of the joints, by default the configured ones; ``told`` hear how each move ends.
 
         Raises
         ------
         ParameterError
             A trajectory is refused; the message names its joint.
         """
-        nodes = {node.parameters.joint: node for node in self.nodes}
+        if len(self.runners) < len(self.rows) or not all(node.active for node in self.nodes):
+            raise ParameterError([Problem("trajectory", ", ".join(given), "refused: a node is not active")])
+        nodes, heard = self.by_joint, told or {}
+        own = tolerances or {joint: nodes[joint].trajectories.tolerances for joint in given}
         for joint, points in given.items():
             try:
                 if points["times"]:
@@ -482,13 +518,14 @@ class StageSources(Group):
             actions = {node: ("follow", points) if points["times"] else ("hold", {}) for node, points in moved.items()}
             changes = {node.fused: Change(fused.loop.sample, node.kind, *action) for node, action in actions.items()}
             fused.apply_together(changes)
-            for node, points in moved.items():
+            for joint, points in given.items():
                 if points["times"]:
-                    node.trajectories.attend(points, node.trajectories.tolerances)
+                    nodes[joint].trajectories.attend(points, own[joint], heard.get(joint))
             return
         sample = max(node.sample for node in self.nodes)
-        for node, points in moved.items():
-            node.coming.append((sample, partial(node.follow_now, points)))
+        for joint, points in given.items():
+            follow = partial(nodes[joint].follow_now, points, own[joint], heard.get(joint))
+            nodes[joint].coming.append((sample, follow))
 
 
 class StageReferenceNode(ReferenceGeneratorNode):
@@ -505,10 +542,26 @@ class StageReferenceNode(ReferenceGeneratorNode):
         """Create the topics of the axis; the first of the nodes also takes the setpoints of the stage."""
         super().connect()
         if self is self.group.nodes[0]:
-            topic = f"{self.group.parameters.namespace}/setpoints"
+            topic = f"{self.group.parameters.namespace}/{SETPOINTS}"
             self.subscriber(Float64MultiArray, topic, self._on_setpoints, setpoint_qos())
-            topic = f"{self.group.parameters.namespace}/joint_trajectory"
+            topic = f"{self.group.parameters.namespace}/{JOINT_TRAJECTORY}"
             self.subscriber(JointTrajectory, topic, self._on_joint_trajectory, setpoint_qos())
+            kind = action_type()
+            if kind is not None:
+                self.group.action = GroupAction(self.group, kind, f"{self.group.parameters.namespace}/{ACTION}")
+
+    def unbuild(self) -> None:
+        """Remove the actions of the axis and, with the first of the nodes, of the stage."""
+        super().unbuild()
+        if self.place == 0 and self.group.action is not None:
+            self.group.action.server.destroy()
+            self.group.action = None
+
+    def after_step(self) -> None:
+        """Update the pending moves, and the feedback of the goals of the stage."""
+        super().after_step()
+        if self.place == 0 and self.group.action is not None:
+            self.group.action.tell()
 
     @property
     def scan_axis(self) -> int:
@@ -554,25 +607,25 @@ class StageReferenceNode(ReferenceGeneratorNode):
         """Take a setpoint [m] for the present sample."""
         self._take(value)
 
-    def follow_now(self, points: Points) -> None:
+    def follow_now(self, points: Points, tolerances: Tolerances, told: Told | None) -> None:
         """Follow a trajectory from the present sample on; without points bring the present one to rest."""
         trajectories = self.trajectories
         assert trajectories is not None  # from configuration to cleanup
         try:
             if points["times"]:
-                trajectories.follow(points, trajectories.tolerances)
+                trajectories.follow(points, tolerances, told)
             else:
                 trajectories.hold()
         except HysteresisError as error:
             trajectories.refuse(error)
+            if told is not None:
+                told(Ending.STOPPED, str(error))
 
     def _on_joint_trajectory(self, message) -> None:
         """Follow a trajectory of several joints by their names; the others stay where they are."""
         if len(self.group.runners) < len(self.group.rows) or self.trajectories is None:
             return
         try:
-            if not all(node.active for node in self.group.nodes):
-                raise ParameterError([Problem("trajectory", len(message.points), "refused: a node is not active")])
             self.group.follow(points_by_joint(message, [node.parameters.joint for node in self.group.nodes]))
         except HysteresisError as error:
             self.trajectories.refuse(error)
@@ -641,8 +694,17 @@ class StageRecorderNode(RecorderNode):
             super().finish_bag()
 
 
+#: Inputs of a stage that act on several of its axes.
+STAGE_INPUTS = (SETPOINTS, JOINT_TRAJECTORY, ACTION)
+
+
 def stage_factories(parameters: StageParameters, kinds) -> list:
     """Return the factories of the nodes of these kinds, of all axes; the first node is the last to exit."""
+    return [make for _, _, make in stage_nodes(parameters, kinds)]
+
+
+def stage_nodes(parameters: StageParameters, kinds) -> list:
+    """Return kind, axis and factory of each node of these kinds, of all axes."""
     plants, recorders = StagePlants(parameters), StageRecorders(parameters)
     compensators, sources = StageCompensators(parameters), StageSources(parameters)
     controllers = StageControllers(parameters)
@@ -664,13 +726,18 @@ def stage_factories(parameters: StageParameters, kinds) -> list:
     }
 
     def factory(kind: str, place: int):
-        def make():
-            node = made[kind](namespace=parameters.axes[place].namespace)
+        def make(**options):
+            node = made[kind](namespace=parameters.axes[place].namespace, **options)
             return axes[place].join(node) if axes else node
 
         return make
 
-    return [factory(kind, place) for kind in made if kind in kinds for place in range(len(parameters.axes))]
+    return [
+        (kind, axis, factory(kind, place))
+        for kind in made
+        if kind in kinds
+        for place, axis in enumerate(parameters.axes)
+    ]
 
 
 #: Kinds of nodes that an axis of a stage has.

@@ -19,8 +19,9 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from rclpy.action import ActionServer, CancelResponse
 from std_msgs.msg import String
@@ -92,19 +93,26 @@ def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
     """Return the tolerances of a goal of the action: 0 means the default, a negative value means unlimited."""
-    found = {}
+    return tolerances_by_joint(goal, {joint: default})[joint]
+
+
+def tolerances_by_joint(goal, defaults: Mapping[str, Tolerances]) -> dict[str, Tolerances]:
+    """Return the tolerances of a goal of the action for each of its joints, from their defaults."""
+    found: dict[str, dict[str, float]] = {joint: {} for joint in defaults}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
-        if len(given) > 1:
-            raise _refused(f"{name}_tolerance", f"{len(given)} joints", f"allowed: '{joint}', the joint of this axis")
+        if len(given) > len(defaults):
+            allowed = f"allowed: each of {', '.join(defaults)} once"
+            raise _refused(f"{name}_tolerance", f"{len(given)} joints", allowed)
         for one in given:
-            if one.name != joint:
-                raise _refused(f"{name}_tolerance", one.name, f"allowed: '{joint}', the joint of this axis")
-            if one.position:
-                found[name] = one.position if one.position > 0.0 else math.inf
+            if one.name not in defaults or name in found[one.name]:
+                raise _refused(f"{name}_tolerance", one.name, f"allowed: each of {', '.join(defaults)} once")
+            own = getattr(defaults[one.name], name)
+            found[one.name][name] = one.position if one.position > 0.0 else math.inf if one.position else own
     given_time = seconds(goal.goal_time_tolerance)
     if given_time:
-        found["goal_time"] = given_time if given_time > 0.0 else math.inf
-    return replace(default, **found)
+        for own in found.values():
+            own["goal_time"] = given_time if given_time > 0.0 else math.inf
+    return {joint: replace(default, **found[joint]) for joint, default in defaults.items()}
 
 
 def _refused(name: str, value, text: str, unit: str = "") -> ParameterError:
@@ -169,6 +177,11 @@ class Trajectories:
         self._heard = (node.sample, time.monotonic())
         self.say(f"{number} taken: {len(points['times'])} points, {points['times'][-1]:g} s")
         return move
+
+    def is_replaced(self, told: Told) -> bool:
+        """Return whether another trajectory has taken the place of the move whose ending ``told`` hears."""
+        number, _ = self._node.part.generator.trajectory
+        return any(move.number != number for move, heard in self._moves if heard is told)
 
     def hold(self) -> None:
         """Bring the present move to rest."""
@@ -245,14 +258,14 @@ class TrajectoryAction:
     executor at every sample.
     """
 
-    def __init__(self, node, trajectories: Trajectories, kind):
+    def __init__(self, node, trajectories: Trajectories, kind, name: str = ACTION):
         self._node, self._trajectories, self._kind = node, trajectories, kind
         self._goals: list = []
         self._shown = 0
         self.server = ActionServer(
             node,
             kind,
-            ACTION,
+            name,
             self._answer,
             handle_accepted_callback=self.take,
             cancel_callback=self.cancel,
@@ -261,17 +274,20 @@ class TrajectoryAction:
 
     def take(self, handle) -> None:
         """Follow the trajectory of a goal, or abort it."""
-        joint, goal = self._node.parameters.joint, handle.request
         try:
-            points = points_of(goal.trajectory, joint)
-            tolerances = tolerances_of(goal, joint, self._trajectories.tolerances)
-            self._trajectories.follow(points, tolerances, lambda ending, text: self._end(handle, ending, text))
+            self._follow(handle)
         except HysteresisError as error:
             self._trajectories.refuse(error)
             of_joints = isinstance(error, ParameterError) and error.problems[0].name in JOINTS
             self._finish(handle, "INVALID_JOINTS" if of_joints else "INVALID_GOAL", str(error))
             return
         self._goals.append(handle)
+
+    def _follow(self, handle) -> None:
+        joint, goal = self._node.parameters.joint, handle.request
+        points = points_of(goal.trajectory, joint)
+        tolerances = tolerances_of(goal, joint, self._trajectories.tolerances)
+        self._trajectories.follow(points, tolerances, lambda ending, text: self._end(handle, ending, text))
 
     def cancel(self, handle):
         """Bring the axis to rest when its goal is cancelled, unless another goal moves it."""
@@ -306,11 +322,63 @@ class TrajectoryAction:
         if not self._goals or 0 <= node.sample - self._shown < node.parameters.sample_rate / FEEDBACK:
             return
         self._shown = node.sample
-        reference, measured = node.row[signals.REFERENCE], node.row[signals.MEASURED]
-        feedback = self._kind.Feedback()
-        feedback.joint_names = [node.parameters.joint]
-        feedback.desired = JointTrajectoryPoint(positions=[reference])
-        feedback.actual = JointTrajectoryPoint(positions=[measured])
-        feedback.error = JointTrajectoryPoint(positions=[reference - measured])
         for handle in self._goals:
+            nodes = self._nodes_of(handle)
+            references = [one.row[signals.REFERENCE] for one in nodes]
+            measured = [one.row[signals.MEASURED] for one in nodes]
+            feedback = self._kind.Feedback()
+            feedback.joint_names = [one.parameters.joint for one in nodes]
+            feedback.desired = JointTrajectoryPoint(positions=references)
+            feedback.actual = JointTrajectoryPoint(positions=measured)
+            errors = [wanted - found for wanted, found in zip(references, measured, strict=True)]
+            feedback.error = JointTrajectoryPoint(positions=errors)
             handle.publish_feedback(feedback)
+
+    def _nodes_of(self, handle) -> list:
+        """Return the reference generators of the joints of a goal."""
+        return [self._node]
+
+
+#: Points of a trajectory that brings a joint to rest.
+REST: Points = {"times": (), "positions": (), "velocities": (), "accelerations": ()}
+
+
+class GroupAction(TrajectoryAction):
+    """Goals for several joints of a stage, which begin with the same sample.
+
+    A goal succeeds when all its joints have arrived. When one of them ends in another way, the others come to rest, and
+    the goal is aborted; the result names the joint.
+    """
+
+    def __init__(self, group, kind, name: str):
+        self._group = group
+        #: Callbacks of the joints of each goal that still move.
+        self._moving: dict[int, dict[str, Told]] = {}
+        super().__init__(group.nodes[0], group.nodes[0].trajectories, kind, name)
+
+    def _follow(self, handle) -> None:
+        nodes, goal = self._group.by_joint, handle.request
+        points = points_by_joint(goal.trajectory, list(nodes))
+        if not goal.trajectory.points:
+            raise _refused("points", "0 points", "a goal needs one or more; cancel a goal to come to rest")
+        tolerances = tolerances_by_joint(goal, {joint: nodes[joint].trajectories.tolerances for joint in points})
+        told: dict[str, Told] = {joint: partial(self._joint_ended, handle, joint) for joint in points}
+        self._group.follow(points, tolerances, told)
+        self._moving[id(handle)] = told
+
+    def _joint_ended(self, handle, joint: str, ending: Ending, text: str) -> None:
+        moving = self._moving.get(id(handle), {})
+        if moving.pop(joint, None) is None or (moving and ending is Ending.ARRIVED):
+            return
+        del self._moving[id(handle)]
+        self._group.rest(moving)
+        self._end(handle, ending, f"{joint}: {text}")
+
+    def cancel(self, handle):
+        """Bring the joints of a goal to rest when it is cancelled, unless another goal moves them."""
+        self._group.rest(self._moving.get(id(handle), {}))
+        return CancelResponse.ACCEPT
+
+    def _nodes_of(self, handle) -> list:
+        nodes = self._group.by_joint
+        return [nodes[joint] for joint in handle.request.trajectory.joint_names]

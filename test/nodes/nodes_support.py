@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 from waiting import PATIENCE, until
 
@@ -334,6 +335,71 @@ def compose(inside, axis, **options):
         inside.add(cls, getattr(axis, name), namespace=axis.namespace, **options)
         for cls, name in zip(classes, names, strict=True)
     ]
+
+
+def compose_stage(inside, parameters, *further: str) -> list:
+    """Make, configure and activate the nodes of a stage; recorders, if there are any, come first, then the plants."""
+    from rclpy.parameter import Parameter
+
+    from hysteresis_ros.nodes.stage import KINDS, stage_nodes
+
+    nodes = []
+    for kind, axis, make in stage_nodes(parameters, (*further, *KINDS)):
+        values = {name: value for name, value in getattr(axis, kind).to_mapping().items() if value != ()}
+        overrides = [Parameter(n, value=list(v) if isinstance(v, tuple) else v) for n, v in values.items()]
+        nodes.append(make(context=inside.context, parameter_overrides=overrides))
+        inside.executor.add_node(nodes[-1])
+        inside.nodes.append(nodes[-1])
+    for step in ("configure_now", "activate_now"):
+        assert all(getattr(node, step)() for node in nodes)
+    return nodes
+
+
+class Goal:
+    """Replaces a goal handle of rclpy: stores requests, and has its states."""
+
+    def __init__(self, server, message, **tolerances):
+        from builtin_interfaces.msg import Duration
+
+        self.request = SimpleNamespace(
+            trajectory=message,
+            path_tolerance=tolerances.get("path", []),
+            goal_tolerance=tolerances.get("goal", []),
+            goal_time_tolerance=Duration(sec=20),
+        )
+        self.is_cancel_requested, self.status, self.result, self.feedback = False, None, None, []
+        self._server = server
+
+    def execute(self):
+        assert self.status is None, "executed twice"
+        self.result = self._server._answer(self)
+
+    def succeed(self):
+        from action_msgs.msg import GoalStatus
+
+        self.status = GoalStatus.STATUS_SUCCEEDED
+
+    def abort(self):
+        from action_msgs.msg import GoalStatus
+
+        self.status = GoalStatus.STATUS_ABORTED
+
+    def canceled(self):
+        from action_msgs.msg import GoalStatus
+
+        self.status = GoalStatus.STATUS_CANCELED
+
+    def publish_feedback(self, feedback):
+        self.feedback.append(feedback)
+
+
+class StandIn:
+    """The used part of control_msgs/FollowJointTrajectory."""
+
+    class Result(SimpleNamespace):
+        SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
+
+    Feedback = SimpleNamespace
 
 
 class RecordedRun:

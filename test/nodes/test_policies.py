@@ -24,15 +24,18 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 import rclpy  # noqa: E402
-from nodes_support import axis_parameters, until  # noqa: E402
+from nodes_support import axis_parameters, compose_stage, until  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from waiting import PATIENCE  # noqa: E402
 
+from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
 from hysteresis_ros.laboratory.watch.link import AxisLink  # noqa: E402
+from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
+from hysteresis_ros.loop.stage_simulation import with_scan  # noqa: E402
 from hysteresis_ros.nodes.domain import entered  # noqa: E402
 from hysteresis_ros.nodes.fused import FusedAxis  # noqa: E402
-from hysteresis_ros.nodes.launcher import node_command, node_environment  # noqa: E402
+from hysteresis_ros.nodes.launcher import Graph, node_command, node_environment  # noqa: E402
 from hysteresis_ros.nodes.remote.client import Client  # noqa: E402
 from hysteresis_ros.nodes.security.__main__ import NODES, enclaves_of, used_by  # noqa: E402
 from hysteresis_ros.nodes.security.policy import (  # noqa: E402
@@ -43,6 +46,7 @@ from hysteresis_ros.nodes.security.policy import (  # noqa: E402
     policy_text,
     profile,
 )
+from hysteresis_ros.signals import ACTUATOR  # noqa: E402
 
 LOOP = {"/left/reference", "/left/command", "/left/applied", "/left/voltage", "/left/joint_states"}
 
@@ -94,6 +98,82 @@ def test_a_running_axis_uses_what_its_policy_allows_neither_more_nor_less(inside
         until(lambda seen=seen, wanted=wanted: seen() == wanted, what=f"{name}: {wanted}")
         assert allowed[name].publishes and allowed[name].serves
     compare_with_a_page(observer, allowed["watch"], tmp_path)
+
+
+def stage(time_mode: str) -> StageParameters:
+    """Return a stage that follows a scan, with a recorder."""
+    configuration = with_scan(load_configuration("xy_scanner"), "lissajous", ("width=2um", "depth=2um", "lines=3"))
+    found = StageParameters.from_configuration(configuration.override("", time_mode=time_mode))
+    return replace(found, axes=tuple(axis.with_recorder("recording") for axis in found.axes))
+
+
+@pytest.fixture(scope="module")
+def of_a_stage():
+    """The enclaves of a stage in each way of running it."""
+    with entered():
+        given = {mode: stage(mode) for mode in ("lockstep", "fused")}
+        return {mode: enclaves_of(list(one.axes), stage=one, record=True) for mode, one in given.items()}
+
+
+def by_name(enclaves: list[Enclave]) -> dict[tuple[str, str], Profile]:
+    return {(one.namespace, one.node): one for enclave in enclaves for one in enclave.profiles}
+
+
+def test_a_running_stage_uses_what_its_policy_allows_neither_more_nor_less(inside, observer, of_a_stage, tmp_path):
+    given, allowed = stage("lockstep"), by_name(of_a_stage["lockstep"])
+    text = tmp_path / "stage.yaml"
+    text.write_text(given.configuration_text(), encoding="utf-8")
+    recorders = {"path": str(tmp_path / "bag"), "configuration": str(text)}
+    axes = tuple(replace(axis, recorder=replace(axis.recorder, **recorders)) for axis in given.axes)
+    nodes = compose_stage(inside, replace(given, axes=axes), "recorder")
+    inside.spin()
+    until(lambda: nodes[2].sample > 5, what="samples")
+    for node in nodes:
+        name, space = node.get_name(), node.get_namespace()
+        seen = lambda name=name, space=space: used_by(observer.node, name, space)  # noqa: E731
+        until(lambda seen=seen, wanted=allowed[space, name]: seen() == wanted, what=f"{space}/{name}")
+
+
+def test_a_stage_has_its_operator_and_each_axis_one_that_moves_no_other(of_a_stage):
+    apart = {enclave.path: {(p.namespace, p.node) for p in enclave.profiles} for enclave in of_a_stage["lockstep"]}
+    for kind in ("recorder", *ACTUATOR.nodes):
+        assert apart[f"/{kind}"] == {("/x", kind), ("/y", kind)}
+    assert set(apart) == {
+        *(f"/{kind}" for kind in ("recorder", *ACTUATOR.nodes, "operator", "monitor", "epics_ioc")),
+        *(f"/{axis}/{name}" for axis in "xy" for name in ("operator", "monitor", "watch")),
+    }
+    fused = {enclave.path: len(enclave.profiles) for enclave in of_a_stage["fused"]}
+    assert fused["/hysteresis_stage"] == 10 and "/plant_simulator" not in fused and "/recorder" not in fused
+    for mode in ("lockstep", "fused"):
+        found = by_name(of_a_stage[mode])
+        for axis in "xy":
+            said = {name for name, one in found.items() if f"/{axis}/voltage" in one.publishes}
+            assert said == {(f"/{axis}", "hysteresis_compensator")}
+        assert found["/x", "plant_simulator"].publishes.count("/joint_states") == 1
+        assert "/scan_clock" in found["/x", "reference_generator"].publishes
+        whole, of_x = found["/", "operator"], found["/x", "operator"]
+        moving = {"/setpoints", "/joint_trajectory", "/x/setpoint", "/y/setpoint", "/x/estop", "/y/estop"}
+        assert moving <= set(whole.publishes) and "/y/motion_controller/set_parameters" in whole.asks
+        assert set(of_x.publishes) & moving == {"/x/setpoint", "/x/estop"}
+        assert not any(name.startswith("/y/") for name in (*of_x.publishes, *of_x.asks, *of_x.hears))
+        for of_all in (whole, found["/", "monitor"]):
+            assert {"/joint_states", "/scan_clock", "/x/voltage", "/y/voltage"} <= set(of_all.hears)
+        assert not set(whole.publishes) & {"/joint_states", "/scan_clock", "/x/voltage", "/y/reference"}
+        assert set(found["/", "monitor"].publishes) == {"/rosout", "/parameter_events"}
+    assert "/scan_clock" in by_name(of_a_stage["lockstep"])["/x", "recorder"].hears
+    assert "/scan_clock" not in by_name(of_a_stage["lockstep"])["/y", "recorder"].hears
+
+
+def test_the_processes_of_a_stage_say_whose_key_they_have(monkeypatch):
+    started: list = []
+    monkeypatch.setattr(
+        "hysteresis_ros.nodes.launcher.started", lambda command, *more, **options: started.append(command)
+    )
+    for mode in ("lockstep", "fused"):
+        given = stage(mode)
+        Graph(list(given.axes), stage=given).start()
+    named = [command[command.index("--enclave") + 1] for command in started if "--enclave" in command]
+    assert named == [*(f"/{kind}" for kind in ACTUATOR.nodes), "/hysteresis_stage"]
 
 
 def compare_with_a_page(observer, allowed: Profile, folder) -> None:

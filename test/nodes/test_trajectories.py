@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from action_msgs.msg import GoalStatus  # noqa: E402
 from builtin_interfaces.msg import Duration  # noqa: E402
-from nodes_support import SOON_AT_REST, axis_parameters, compose, until  # noqa: E402
+from nodes_support import SOON_AT_REST, Goal, StandIn, axis_parameters, compose, until  # noqa: E402
 from rclpy.action import CancelResponse  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String  # noqa: E402
@@ -152,45 +152,6 @@ def test_tools_of_ros2_control_drive_the_axis_by_the_topics_of_a_controller(axis
     known = len(axis.said)
     points.publish(trajectory((0.05, 5e-6)))
     assert axis.hear(known, "arrived")
-
-
-class Goal:
-    """Replaces a goal handle of rclpy: stores requests, and has its states."""
-
-    def __init__(self, server, message, **tolerances):
-        self.request = SimpleNamespace(
-            trajectory=message,
-            path_tolerance=tolerances.get("path", []),
-            goal_tolerance=tolerances.get("goal", []),
-            goal_time_tolerance=Duration(sec=20),
-        )
-        self.is_cancel_requested, self.status, self.result, self.feedback = False, None, None, []
-        self._server = server
-
-    def execute(self):
-        assert self.status is None, "executed twice"
-        self.result = self._server._answer(self)
-
-    def succeed(self):
-        self.status = GoalStatus.STATUS_SUCCEEDED
-
-    def abort(self):
-        self.status = GoalStatus.STATUS_ABORTED
-
-    def canceled(self):
-        self.status = GoalStatus.STATUS_CANCELED
-
-    def publish_feedback(self, feedback):
-        self.feedback.append(feedback)
-
-
-class StandIn:
-    """The used part of control_msgs/FollowJointTrajectory."""
-
-    class Result(SimpleNamespace):
-        SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
-
-    Feedback = SimpleNamespace
 
 
 def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):

@@ -32,15 +32,17 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.loop.parameters import AxisParameters, in_time
 from hysteresis_ros.loop.reach import axes
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+from hysteresis_ros.nodes.launcher import require_messages
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
 from hysteresis_ros.nodes.recorder import RecorderNode
@@ -58,8 +60,11 @@ from hysteresis_ros.nodes.security.policy import (
     operator,
     policy_text,
     profile,
+    without,
 )
 from hysteresis_ros.nodes.setpoint_publisher import SetpointPublisher
+from hysteresis_ros.nodes.stage import STAGE_INPUTS, stage_nodes
+from hysteresis_ros.signals import ACTUATOR
 
 NODES = {
     "plant_simulator": PlantSimulatorNode,
@@ -95,16 +100,26 @@ def used_by(node, name: str = "", namespace: str = "") -> Profile:
 
 
 def enclaves_of(
-    axes: list[AxisParameters], *, composed: bool = False, record: bool = False, remap: tuple[str, ...] = ()
+    axes: list[AxisParameters],
+    *,
+    stage: StageParameters | None = None,
+    composed: bool = False,
+    record: bool = False,
+    remap: tuple[str, ...] = (),
 ) -> list[Enclave]:
-    """Return the enclaves of the processes of a graph with these axes, of its operators and of its monitors."""
+    """Return the enclaves of the processes of a graph with these axes, of its operators and of its monitors.
+
+    ``stage``: the axes are those of this stage, whose nodes of one kind share a process.
+    """
     stay_on_this_machine()
     context = Context()
     rclpy.init(args=["--ros-args", "--log-level", "warn"], context=context)
     with tempfile.TemporaryDirectory() as folder:
         try:
             enclaves = []
-            for number, axis in enumerate(axes):
+            if stage is not None:
+                enclaves += _of_stage(stage, context, (composed, record), remap, pathlib.Path(folder) / "stage")
+            for number, axis in enumerate(axes if stage is None else ()):
                 enclaves += _of_axis(axis, context, (composed, record), remap, pathlib.Path(folder) / str(number))
             return [*enclaves, Enclave(enclave_of("", RECORDS), (_further(RECORDS, axes, context),))]
         finally:
@@ -118,7 +133,7 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
     fused, namespace = axis.plant_simulator.time_mode == "fused", axis.namespace
     names = [name for name in axis.kind.nodes if _is_ours(name, axis)]
     names += ["displacement_camera"] * (axis.displacement_camera is not None) + ["recorder"] * record
-    arguments = ["--ros-args", *(word for rule in remap for word in ("-r", rule))] if remap else []
+    arguments = _remapped(remap)
     found = {}
     with contextlib.ExitStack() as stack:
         joined = FusedAxis()
@@ -138,11 +153,60 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
         external = _of_an_external_plant(axis, context)
         everyone += (external,)
         enclaves.append(Enclave(enclave_of(namespace, EXTERNAL), (external,)))
+    return [*enclaves, *_of_people(axis, context, everyone, own)]
+
+
+def _of_people(axis: AxisParameters, context, everyone: tuple[Profile, ...], own: Profile) -> list[Enclave]:
+    """Return the enclaves of the operator, the monitor and the page of an axis with nodes of these profiles."""
+    namespace = axis.namespace
     publisher = _of(lambda: SetpointPublisher([(1.0, 0.0)], context=context, namespace=namespace or "/"))
     steering = operator(namespace, everyone, own), publisher
-    enclaves.append(Enclave(enclave_of(namespace, OPERATOR), steering))
-    enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)))
-    enclaves.append(Enclave(enclave_of(namespace, PAGE), (_further(PAGE, [axis], context),)))
+    return [
+        Enclave(enclave_of(namespace, OPERATOR), steering),
+        Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)),
+        Enclave(enclave_of(namespace, PAGE), (_further(PAGE, [axis], context),)),
+    ]
+
+
+def _remapped(remap: tuple[str, ...]) -> list[str]:
+    return ["--ros-args", *(word for rule in remap for word in ("-r", rule))] if remap else []
+
+
+def _of_stage(stage: StageParameters, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
+    """Return the enclaves of a stage: of its processes, of its operator and monitor, and of those of each axis.
+
+    The operator of one axis may not publish setpoints and trajectories of the stage, which move the other axes too.
+    """
+    composed, record = how
+    fused, namespace = stage.stage.time_mode == "fused", stage.namespace
+    kinds = ["recorder"] * record + [kind for kind in ACTUATOR.nodes]
+    found: dict[str, list[Profile]] = {kind: [] for kind in kinds}
+    with contextlib.ExitStack() as stack:
+        nodes = []
+        for kind, axis, make in stage_nodes(stage, kinds):
+            options = _node_options(kind, axis, context, _remapped(remap), folder)
+            nodes.append((kind, _made(kind, lambda make=make, options=options: make(**options))))
+            stack.callback(_destroyed, nodes[-1][1])
+        for kind, node in nodes:
+            if not node.configure_now():
+                raise HysteresisError(f"{kind} of {node.get_namespace()}: {node.failure}")
+        for kind, node in nodes:
+            found[kind].append(used_by(node))
+    together = kinds if fused else list(ACTUATOR.nodes) if composed else []
+    processes = {"hysteresis_stage": together} if together else {}
+    processes |= {kind: [kind] for kind in kinds if kind not in together}
+    enclaves = [
+        Enclave(enclave_of(namespace, name), tuple(one for kind in own for one in found[kind]))
+        for name, own in processes.items()
+    ]
+    command = _of_a_command(stage.axes[0], context, namespace)
+    everyone = tuple(one for kind in kinds for one in found[kind])
+    enclaves.append(Enclave(enclave_of(namespace, OPERATOR), (operator(namespace, everyone, command),)))
+    enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, command),)))
+    shared = {f"{namespace}/{name}" for name in STAGE_INPUTS}
+    for place, axis in enumerate(stage.axes):
+        alone = tuple(without(found[kind][place], shared) for kind in kinds)
+        enclaves += _of_people(axis, context, alone, _of_a_command(axis, context))
     return enclaves
 
 
@@ -152,23 +216,8 @@ def _is_ours(name: str, axis: AxisParameters) -> bool:
 
 def _configured(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path, joined: FusedAxis | None):
     """Return a configured node of an axis."""
-    given = getattr(axis, name)
-    if name == "plant_simulator":
-        given = replace(given, driver="", driver_options=())
-    if name == "recorder":
-        given = replace(given, path=str(folder), configuration="", inchworm=axis.kind.motor)
-    values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.to_mapping().items()}
-    overrides = [Parameter(key, value=value) for key, value in values.items() if value != []]
-    try:
-        node = NODES[name](
-            context=context,
-            namespace=axis.namespace or "/",
-            parameter_overrides=overrides,
-            cli_args=arguments,
-            enable_logger_service=False,
-        )
-    except Exception as error:  # rclpy has a separate error class for each fault of a rule
-        raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+    options = _node_options(name, axis, context, arguments, folder)
+    node = _made(name, lambda: NODES[name](namespace=axis.namespace or "/", **options))
     if joined is not None:
         joined.join(node)
     if not node.configure_now():
@@ -178,14 +227,44 @@ def _configured(name: str, axis: AxisParameters, context, arguments, folder: pat
     return node
 
 
+def _node_options(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path) -> dict:
+    """Return the options with which a node of an axis is made; no driver is opened."""
+    given = getattr(axis, name)
+    if name == "plant_simulator":
+        given = replace(given, driver="", driver_options=())
+    if name == "recorder":
+        given = replace(given, path=str(folder), configuration=_described(axis, folder), inchworm=axis.kind.motor)
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.to_mapping().items()}
+    overrides = [Parameter(key, value=value) for key, value in values.items() if value != []]
+    options = {"context": context, "parameter_overrides": overrides, "cli_args": arguments}
+    return options | {"enable_logger_service": False}
+
+
+def _described(axis: AxisParameters, folder: pathlib.Path) -> str:
+    """Return the path of a parameter file, if the topics of a recorder depend on it."""
+    if axis.reference_generator is None or axis.reference_generator.waveform.type != "scan":
+        return ""
+    path = folder.with_name(f"{folder.name}.yaml")
+    path.write_text(axis.configuration_text(), encoding="utf-8")
+    return str(path)
+
+
+def _made(name: str, make):
+    """Return a node; a wrong remapping is refused with the name of the node."""
+    try:
+        return make()
+    except Exception as error:  # rclpy has a separate error class for each fault of a rule
+        raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+
+
 def _destroyed(node) -> None:
     node.release()
     node.destroy_node()
 
 
-def _of_a_command(axis: AxisParameters, context) -> Profile:
+def _of_a_command(axis: AxisParameters, context, namespace: str | None = None) -> Profile:
     """Return the interfaces of a command itself, of this package or of ``ros2``, with any number in its name."""
-    with Client(axis.namespace, context=context) as client:
+    with Client(axis.namespace if namespace is None else namespace, context=context) as client:
         own = used_by(client.node)
         numbered = f"_hysteresis_{os.getpid()}"
     there = {name.replace(numbered, "_hysteresis_*") for name in own.serves}
@@ -224,8 +303,9 @@ def main() -> int:
     """Execute the request of the only argument; return the exit code."""
     request = json.loads(sys.argv[1])
     try:
-        found, processes, record = _axes(request), request["processes"], request["record"]
-        enclaves = enclaves_of(found, composed=processes is False, record=record, remap=tuple(request["remap"]))
+        (found, stage), processes, record = _axes(request), request["processes"], request["record"]
+        how = {"stage": stage, "composed": processes is False, "record": record}
+        enclaves = enclaves_of(found, **how, remap=tuple(request["remap"]))
         write_file(request["output"], policy_text(enclaves))
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
@@ -234,16 +314,27 @@ def main() -> int:
     return 0
 
 
-def _axes(request: dict) -> list[AxisParameters]:
-    """Return the axes that `up` would start with the same options."""
+def _axes(request: dict) -> tuple[list[AxisParameters], StageParameters | None]:
+    """Return the axes that `up` would start with the same options, and the stage that couples them."""
     everywhere = {"time_mode": request["rate"]} if request["rate"] else {}
     if request["external"]:
         everywhere["external_plant"] = True
-    found = axes(load_configuration(request["config"]).override("", **everywhere), request["namespace"])
+    configuration = load_configuration(request["config"]).override("", **everywhere)
+    as_is = request["rate"] is not None or request["processes"] is not None
+    stage = None
+    if configuration.stage is not None:
+        if request["namespace"]:
+            text = "the nodes of a stage share processes: leave --namespace out"
+            raise ConfigurationError(f"--namespace {request['namespace']}: {text}")
+        stage = StageParameters.from_configuration(configuration)
+        stage = stage if as_is else stage.in_time()
+        require_messages(stage)
+    found = list(stage.axes) if stage is not None else axes(configuration, request["namespace"])
     if request["record"]:
         found = [axis.with_recorder("recording") for axis in found]
-    as_is = request["rate"] is not None or request["processes"] is not None
-    return found if as_is else [in_time(axis) for axis in found]
+    if stage is not None:
+        return found, replace(stage, axes=tuple(found))
+    return (found if as_is else [in_time(axis) for axis in found]), None
 
 
 if __name__ == "__main__":

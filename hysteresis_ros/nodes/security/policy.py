@@ -18,7 +18,7 @@ from __future__ import annotations
 import fnmatch
 import xml.etree.ElementTree as xml
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 VERSION = "0.2.0"
 
@@ -99,6 +99,12 @@ def _all(profiles: Iterable[Profile], part: str) -> set[str]:
 
 def _steers(name: str) -> bool:
     return not any(fnmatch.fnmatch(name, pattern) for pattern in INTERNAL)
+
+
+def without(one: Profile, names: set[str]) -> Profile:
+    """Return a profile without these topics and actions."""
+    hears, executes = (tuple(name for name in part if name not in names) for part in (one.hears, one.executes))
+    return replace(one, hears=hears, executes=executes)
 
 
 def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profile:
