@@ -39,6 +39,7 @@ NODES = {
     "displacement_camera": "hysteresis_ros.nodes.displacement_camera:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
     "hysteresis_stage": "hysteresis_ros.nodes.stage:main",
+    "hysteresis_array": "hysteresis_ros.nodes.axis_array:main",
 }
 #: SPDX expression: the package itself, and uPlot, which its pages carry in themselves.
 LICENCE = "Apache-2.0 AND MIT"

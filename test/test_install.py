@@ -32,6 +32,7 @@ EXECUTABLES = {
     "displacement_camera",
     "hysteresis_axis",
     "hysteresis_stage",
+    "hysteresis_array",
     "hysteresis",
 }
 SHARES = {

@@ -35,10 +35,11 @@ def parameters(node):
 def _tables() -> dict:
     """Return the parameter class of each node, and of the section that couples axes."""
     from hysteresis_ros.configuration import STAGE
+    from hysteresis_ros.loop.axis_array import ArrayNodeParameters
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS
     from hysteresis_ros.loop.stage_parameters import StageNodeParameters
 
-    return {**NODE_PARAMETERS, STAGE: StageNodeParameters}
+    return {**NODE_PARAMETERS, STAGE: StageNodeParameters, "axis_array": ArrayNodeParameters}
 
 
 def parameter_lines(nodes: list[str]):

@@ -25,14 +25,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hysteresis_ros import signals as at
+from hysteresis_ros.configuration import parameter
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.loop.axis import Axis, sample_times
-from hysteresis_ros.loop.parameters import COUNTABLE, NODE_PARAMETERS, AxisParameters
+from hysteresis_ros.loop.parameters import COUNTABLE, NODE_PARAMETERS, AxisParameters, NodeParameters
 from hysteresis_ros.loop.reach import check_reach
 from hysteresis_ros.loop.simulation import run_metadata
 from hysteresis_ros.loop.tick import WHOLE, Parts, tick
 from hysteresis_ros.models.block import Stored, contents, direct, displaced, specialised
 from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance
+from hysteresis_ros.references.approach import HIGH, LOW
 
 #: Largest number of axes of an array, and most threads that share them.
 MOST_AXES, MOST_THREADS = 4096, 256
@@ -230,6 +232,18 @@ class AxisArray:
         """Samples per second [Hz]."""
         return self._axis.sample_rate
 
+    @property
+    def initial_setpoints(self) -> np.ndarray:
+        """The configured setpoint of every axis [m], shape (n,)."""
+        return np.array([parameters.generator.initial_setpoint for parameters in self.parameters])
+
+    @property
+    def setpoint_range(self) -> np.ndarray:
+        """The least and the largest setpoint that every axis accepts [m], shape (n, 2)."""
+        names = [path for path, _ in _leaves(self._axis.parts)]
+        first = self.places[names.index("source.p.approach")]
+        return self.memory.reshape(len(self), self.stride)[:, [first + LOW, first + HIGH]]
+
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a signal of the last sample of every axis, shape (n,)."""
         return self.rows[:, _signal_place(name)].copy()
@@ -291,8 +305,7 @@ class AxisArray:
             count = self._axis.default_samples() if samples is None else samples
             if count < 1:
                 raise ConfigurationError("the axes have no end (samples: 0, endless waveform): give their duration")
-            initial = [[parameters.generator.initial_setpoint] for parameters in self.parameters]
-            given = np.repeat(np.array(initial), count, axis=1)
+            given = np.repeat(self.initial_setpoints[:, None], count, axis=1)
         else:
             given = _numbers(setpoints)
             if given.ndim == 1:
@@ -322,6 +335,54 @@ class AxisArray:
             for other in others:
                 other.result()
         self.sample += setpoints.shape[1]
+
+
+@dataclass(frozen=True)
+class ArrayNodeParameters(NodeParameters):
+    """Parameters of ``axis_array``, which has many independent axes of the kind that the other sections describe."""
+
+    axes: int = parameter(1, low=1, high=MOST_AXES, read_only=True, description="number of axes")
+    threads: int = parameter(1, low=1, high=MOST_THREADS, read_only=True, description="threads that share the axes")
+    each: str = parameter(
+        "",
+        read_only=True,
+        description="NPZ file with values that differ between the axes: arrays of one number for each axis, named "
+        "NODE.PARAMETER, e.g. plant_simulator.sensor.seed; empty: all axes are equal",
+        place="files",
+    )
+    samples: int = parameter(
+        0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"
+    )
+    real_time_factor: float = parameter(
+        1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
+    )
+    wait_for_setpoints: bool = parameter(
+        False,
+        read_only=True,
+        description="lockstep: each sample waits for one message on setpoints after the previous one, at most for "
+        "partner_timeout",
+    )
+    path: str = parameter(
+        "",
+        read_only=True,
+        description="folder of the bag, which must not exist; empty: nothing is recorded",
+        place="files",
+    )
+    min_space: int = parameter(
+        2 * 10**8,
+        unit="B",
+        low=0,
+        high=10**15,
+        description="free space on the disk below which the recording ends, but not the axes",
+    )
+
+    def check(self):
+        """Yield a Problem for each inconsistency."""
+        yield from super().check()
+        if self.time_mode == "fused":
+            yield Problem("time_mode", self.time_mode, "must be lockstep or realtime: an array is one node already")
+        if self.wait_for_setpoints and self.time_mode != "lockstep":
+            yield Problem("wait_for_setpoints", True, f"needs time_mode: lockstep, and it is {self.time_mode}")
 
 
 def whole_number(name: str, value, most: int) -> int:

@@ -36,7 +36,7 @@ from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
-from hysteresis_ros.loop.parameters import NODE_PARAMETERS
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
 from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
@@ -364,6 +364,8 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     :attr:`exit_code`.
     """
 
+    #: Class of its parameters; None: that of its name in NODE_PARAMETERS.
+    parameters_class: type[NodeParameters] | None = None
     #: Whether the node has ``~/state``.
     has_state = True
     #: Time without an input after which it counts as missing, and another publisher may replace its publisher [s].
@@ -386,7 +388,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         super().__init__(name, **options)
         self.kind = name
         self.state_names: tuple[str, ...] = ()
-        self.interface = ParameterInterface(self, NODE_PARAMETERS[name], self._retune)
+        self.interface = ParameterInterface(self, self.parameters_class or NODE_PARAMETERS[name], self._retune)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.partners = Partners(self)
         self.masters = Masters(self)

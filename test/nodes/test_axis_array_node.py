@@ -1,0 +1,225 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Many axes in one node: one message for all, recorded, and the bits of the same axes offline."""
+
+from __future__ import annotations
+
+import math
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import until  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String  # noqa: E402
+
+from hysteresis_ros.configuration import load_configuration, parse_configuration  # noqa: E402
+from hysteresis_ros.loop.axis_array import ArrayNodeParameters, AxisArray, parameters_of_each  # noqa: E402
+from hysteresis_ros.loop.parameters import AxisParameters  # noqa: E402
+from hysteresis_ros.nodes.axis_array import AxisArrayNode  # noqa: E402
+
+AXES, RATE = 12, 200.0
+
+
+def axis_of(**common) -> AxisParameters:
+    """Return an axis that rests: like kim2009, without its resonance, at a rate that a busy machine holds."""
+    configuration = load_configuration("kim2009").override("", sample_rate=RATE, **common)
+    configuration = configuration.override("reference_generator", waveform__type="hold")
+    configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
+    return AxisParameters.from_configuration(
+        configuration.override("motion_controller", model__dynamics__sample_time=0.0)
+    )
+
+
+def each_of() -> dict[str, np.ndarray]:
+    """Return values that differ between the axes."""
+    return {"plant_simulator.sensor.offset": np.linspace(-2e-8, 3e-8, AXES)}
+
+
+def setpoints_of(*values: float, label: str = "") -> Float64MultiArray:
+    message = Float64MultiArray(data=list(values))
+    if label:
+        message.layout.dim = [MultiArrayDimension(label=label, size=len(values))]
+    return message
+
+
+def messages_of(bag, topic: str) -> list[tuple]:
+    """Return the times [ns] and the messages of a topic, as any tool for bags reads them."""
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        chosen = [one for one in reader.connections if one.topic == f"/{topic}"]
+        return [(time, reader.deserialize(data, one.msgtype)) for one, time, data in reader.messages(chosen)]
+
+
+def assert_repeated(bag, axis: AxisParameters, each, count: int) -> dict[str, np.ndarray]:
+    """Compare a bag with the same axes offline, bit for bit; return its signals, shape (axes, samples)."""
+    joints, voltages, setpoints = (messages_of(bag, topic) for topic in ("joint_states", "voltages", "setpoints"))
+    joints = [message for _, message in joints]
+    stamps = np.array([one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in joints])
+    assert np.all(np.diff(stamps) > 0)
+    found = {
+        "measured": np.array([one.position for one in joints]).T,
+        "voltage": np.array([message.data for _, message in voltages]).T,
+    }
+    # the setpoints of a sample are the last ones that were recorded up to its stamp
+    given = np.array([message.data for _, message in setpoints])
+    place = np.searchsorted(np.array([time for time, _ in setpoints]), stamps, "right") - 1
+    run = AxisArray(parameters_of_each(axis, count, each)).run(given[place].T, signals=("measured", "voltage"))
+    for name, values in found.items():
+        np.testing.assert_array_equal(values, run[name], err_msg=name)
+    velocities = np.array([one.velocity for one in joints]).T
+    np.testing.assert_array_equal(velocities[:, 1:], np.diff(found["measured"]) * RATE)
+    return found | {"setpoints": given[place].T}
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_setpoints_of_all_or_some_axes_move_them_and_the_run_is_that_of_the_array_offline(
+    inside, observer, tmp_path, mode
+):
+    axis, bag = axis_of(), tmp_path / "bag"
+    np.savez(tmp_path / "each.npz", **each_of())
+    given = {"axes": AXES, "each": str(tmp_path / "each.npz"), "path": str(bag), "time_mode": mode, "sample_rate": RATE}
+    samples = observer.listen(JointState, "/joint_states")
+    voltages = observer.listen(Float64MultiArray, "/voltages")
+    refused = observer.listen(String, "/axis_array/refused")
+    sender = observer.talk(Float64MultiArray, "/setpoints")
+    node = inside.add(partial(AxisArrayNode, axis, "text"), ArrayNodeParameters.from_mapping(given))
+    inside.spin()
+    until(
+        lambda: len(samples) > 5 and sender.get_subscription_count() and node.count_subscribers("/axis_array/refused")
+    )
+    assert samples[-1].name[:2] == ["extender_00", "extender_01"] and len(samples[-1].position) == AXES
+    assert voltages[-1].layout.dim[0].size == len(voltages[-1].data) == AXES
+    for wrong, words in (
+        (setpoints_of(1e-6, 2e-6), "2 numbers for 12 axes"),
+        (setpoints_of(1e-6, 2e-6, label="3, 12"), "label '3, 12' is not a list of different axes 0 … 11"),
+        (setpoints_of(1e-6, 2e-6, label="3, 3"), "is not a list of different axes"),
+        (setpoints_of(1e-6, 1.0, label="3,5"), "axis 5: setpoint 1 m is out of range, allowed: 0 … 1.2e-05 m"),
+        (setpoints_of(math.nan), "axis 0: setpoint nan m"),
+    ):
+        known = len(refused)
+        sender.publish(wrong)
+        until(lambda known=known: len(refused) > known, what="a refusal")
+        assert words in refused[-1].data and refused[-1].data.endswith("all setpoints are kept")
+
+    def at(places) -> bool:
+        return bool(np.all(np.abs(np.array(samples[-1].position) - places) < 5e-8))
+
+    wanted = np.linspace(2e-6, 8e-6, AXES)
+    sender.publish(setpoints_of(*wanted))
+    until(lambda: at(wanted + 0.0), what="axes at their setpoints")
+    sender.publish(setpoints_of(9e-6, 1e-6, label="7, 0"))
+    wanted[[7, 0]] = 9e-6, 1e-6
+    until(lambda: at(wanted), what="two axes at other setpoints")
+    assert observer.trigger("/axis_array/stop").success
+    until(lambda: not node.running)
+    there = node.sample
+    sender.publish(setpoints_of(3e-6))
+    assert observer.trigger("/axis_array/start").success
+    until(lambda: node.sample > there and at(3e-6), what="axes that go on")
+    assert observer.transition("/axis_array", "deactivate") and observer.transition("/axis_array", "cleanup")
+    found = assert_repeated(bag, axis, each_of(), AXES)
+    assert len(np.unique(found["setpoints"], axis=1).T) == 4, "configured, all, two, one for all"
+    assert messages_of(bag, "configuration")[0][1].data == "text"
+
+
+def test_the_executable_runs_a_number_of_samples_and_exits(processes, tmp_path):
+    axis, path, bag = axis_of(time_mode="lockstep"), tmp_path / "axis.yaml", tmp_path / "bag"
+    path.write_text(axis.configuration_text(), encoding="utf-8")
+    command = [sys.executable, "-m", "hysteresis_ros.nodes.axis_array", "--ros-args", "--params-file", str(path)]
+    values = {
+        "axes": 3,
+        "samples": 150,
+        "exit_at_end": "true",
+        "path": bag,
+        "time_mode": "lockstep",
+        "sample_rate": RATE,
+    }
+    words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    run = processes.start([*command, *words], "array")
+    assert run.wait() == 0, run.output
+    assert "150 samples of 3 axes, 0 of them late" in run.output
+    assert assert_repeated(bag, axis, {}, 3)["measured"].shape == (3, 150)
+    # the text of the file is in the bag
+    stored = messages_of(bag, "configuration")[0][1].data
+    assert AxisParameters.from_configuration(parse_configuration(stored, "bag")) == axis
+
+
+def answer(observer, gain: float):
+    """Let an observer answer each sample with setpoints that depend on its measurements; return what it has sent."""
+    sender = observer.talk(Float64MultiArray, "/setpoints")
+    sent: list = []
+
+    def reply(message: JointState) -> None:
+        sent.append(4e-6 + gain * np.array(message.position))
+        sender.publish(Float64MultiArray(data=sent[-1].tolist()))
+
+    kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    observer.node.create_subscription(JointState, "/joint_states", reply, kept)
+    return sent
+
+
+def test_each_sample_waits_for_its_setpoints_when_asked_to(inside, observer, tmp_path):
+    axis, bag = axis_of(), tmp_path / "bag"
+    given = {"axes": 3, "samples": 80, "time_mode": "lockstep", "sample_rate": RATE, "path": str(bag)}
+    given |= {"wait_for_setpoints": True, "partner_timeout": 30.0}
+    node = inside.add(partial(AxisArrayNode, axis), ArrayNodeParameters.from_mapping(given))
+    sent = answer(observer, -0.2)
+    inside.spin()
+    until(lambda: node.end_of_run == 80 or node.failure, what="the end of the run")
+    assert not node.failure
+    assert observer.transition("/axis_array", "deactivate") and observer.transition("/axis_array", "cleanup")
+    found = assert_repeated(bag, axis, {}, 3)
+    # sample k + 1 has the setpoints that the source computed from sample k
+    np.testing.assert_array_equal(found["setpoints"][:, 1:], 4e-6 - 0.2 * found["measured"][:, :-1])
+    assert len(sent) >= 79
+
+
+def test_a_source_that_stops_answering_ends_the_run_with_an_error(inside, observer):
+    given = {"axes": 3, "time_mode": "lockstep", "sample_rate": RATE}
+    given |= {"wait_for_setpoints": True, "partner_timeout": 0.5}
+    node = inside.add(partial(AxisArrayNode, axis_of()), ArrayNodeParameters.from_mapping(given))
+    observer.listen(JointState, "/joint_states")
+    observer.talk(Float64MultiArray, "/setpoints")
+    inside.spin()
+    until(lambda: node.failure, what="the failure")
+    assert "no setpoints after sample 0 for 0.5 s (partner_timeout): start their source" in node.failure
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"axes": 5000}, "axes = 5000: "),
+        ({"wait_for_setpoints": True}, "wait_for_setpoints = True: needs time_mode: lockstep, and it is realtime"),
+        ({"time_mode": "fused"}, "time_mode = 'fused': must be lockstep or realtime"),
+        ({"sample_rate": 100.0}, "sample_rate = 100.0 Hz: must equal that of plant_simulator, 200 Hz"),
+        ({"each": "there/is/none.npz"}, "each = 'there/is/none.npz': cannot be read"),
+        ({"each": "uneven"}, "each: number of values of plant_simulator.sensor.offset = 12: give one value for each"),
+    ],
+)
+def test_what_does_not_fit_is_refused(inside, tmp_path, capfd, values, words):
+    np.savez(tmp_path / "each.npz", **each_of())
+    if values.get("each") == "uneven":
+        values = {"each": str(tmp_path / "each.npz")}
+    from rclpy.parameter import Parameter
+
+    given = {"axes": 3, "sample_rate": RATE} | values
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = AxisArrayNode(axis_of(), context=inside.context, parameter_overrides=overrides)
+    inside.executor.add_node(node)
+    inside.nodes.append(node)
+    assert not node.configure_now() and node.exit_code == 2
+    assert words in node.failure
