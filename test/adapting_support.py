@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An axis whose inverse adapts: the measured stage under a triangle; gain and opening of its plant are 15 % off."""
+"""An axis whose inverse adapts: the measured stage under a triangle; gain and loop width of its plant are 15 % off."""
 
 from __future__ import annotations
 

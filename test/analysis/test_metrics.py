@@ -195,7 +195,7 @@ def test_an_infinite_measurement_does_not_count(wild):
 
 @pytest.mark.parametrize("phase", [0.01, 0.1, 0.5, 1.0])
 def test_ellipse_opens_by_twice_the_sine_of_its_phase(phase):
-    """y = sin(wt - φ) over u = sin(wt): y = u cos φ ∓ √(1 - u²) sin φ, opening 2 sin φ at u = 0."""
+    """y = sin(wt - φ) over u = sin(wt): y = u cos φ ∓ √(1 - u²) sin φ, loop width 2 sin φ at u = 0."""
     time = np.arange(30_000) / RATE
     reference = 1e-6 * np.sin(2 * np.pi * time)
     displacement = 1e-6 * np.sin(2 * np.pi * time - phase)

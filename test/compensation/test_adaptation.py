@@ -73,7 +73,7 @@ def weighted(hysteresis, factors):
 
 @functools.cache
 def learned(name, scale, delay=1.5):
-    """Return what is learned on an actuator with ``scale`` times the weights, the opening ones 1.2 times larger."""
+    """Return what is learned on an actuator: weights times ``scale``, those that widen loops times another 1.2."""
     model = given(name)
     compensator, adaptation = made(model)
     true = np.array([scale * (1.2 if opens else 1.0) for opens in adaptation.terms.opening])

@@ -10,9 +10,9 @@
 """Loop widths without inverse, after Picard steps and with the exact inverse, on the loop of K7a to 120 V (K8).
 
 The digest's numbers are those of the static branches: Picard's iteration on x_r and on x_f of the 120 V loop, continued
-below 0 V, for commands from 0 to S = g · 120 V; the width is the largest opening as a fraction of S. The compensator
-runs the iteration on the model with its memory instead, where a trial voltage below the present one is a reversal. This
-converges faster, so its loops are narrower.
+below 0 V, for commands from 0 to S = g · 120 V; the width is the largest distance of the branches as a fraction of S.
+The compensator runs the iteration on the model with its memory instead, where a trial voltage below the present one is
+a reversal. This converges faster, so its loops are narrower.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def branch(curve):
 
 
 def static_width(steps, rate_times_gain):
-    """Largest opening between both branches after Picard steps, % of S."""
+    """Largest distance between both branches after Picard steps, % of S."""
     p_i, scratch = np.array([steps, rate_times_gain / GAIN, GAIN]), np.zeros(13)
     reached = []
     for curve in (rising_curve, falling_curve):
@@ -59,7 +59,7 @@ def test_static_branches_have_the_digest_s_widths(rate_times_gain, steps, publis
 
 
 def running_width(kind, steps=1, rate_times_gain=1.0, points=1000):
-    """Largest opening of command to displacement in the second cycle between 0 and S, % of S."""
+    """Largest loop width of displacement over command in the second cycle between 0 and S, % of S."""
     parameters = CompensatorParameters(
         inverse=InverseParameters(type=kind, picard_steps=steps, picard_rate=rate_times_gain / GAIN),
         hysteresis=HysteresisParameters(type="polynomial", polynomial=assumed_stack()),

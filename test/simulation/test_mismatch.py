@@ -58,7 +58,7 @@ def test_factors_stay_within_their_bounds(seed, mismatch):
     drawn = plant_of("picma_stage", mismatch, seed)
     pairs = configured.hysteresis.prandtl_ishlinskii, drawn.hysteresis.prandtl_ishlinskii
     ratio = np.divide(*(np.array(item.weights) for item in pairs[::-1]))
-    # gain, opening and a separate factor
+    # gain, loop width and a separate factor
     assert np.all(ratio >= (1.0 - mismatch) ** 3 - 1e-12) and np.all(ratio <= (1.0 + mismatch) ** 3 + 1e-12)
     assert drawn.creep.logarithmic.rate == pytest.approx(configured.creep.logarithmic.rate, rel=mismatch + 1e-12)
     time = [-1.0 / np.log(item.dynamics.A[0]) for item in (configured, drawn)]

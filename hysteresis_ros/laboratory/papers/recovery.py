@@ -34,8 +34,8 @@ def main() -> None:
     errors = ", ".join(f"{name} {100.0 * value:+.2f} %" for name, value in b.errors.items())
     print(f"paper B: {errors}; {b.iterations} iterations, converged {b.model.converged}")
     print(
-        f"paper W: opening {100.0 * w.opening:.1f} %; major loop rms {w.identified.rms:.1e}, largest "
-        f"{w.identified.maximum:.1e} of full range; behind the inverse {w.compensated:.1e}; alpha "
+        f"paper W: loop width {100.0 * w.opening:.1f} %; major loop rms {w.identified.rms:.1e}, largest "
+        f"{w.identified.maximum:.1e} of full range; with the inverse {w.compensated:.1e}; alpha "
         f"{w.identified.alpha:.2f}: {100.0 * w.decaying:.2f} % on decaying loops, alpha 80: "
         f"{100.0 * w.decaying_published:.2f} % ({w.decaying_published / w.decaying:.1f} times)"
     )

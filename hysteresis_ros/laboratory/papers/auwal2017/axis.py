@@ -73,10 +73,13 @@ UNLIMITED = "no limit of the voltage, no noise, compensator's model equal to the
 GAIN = "uncompensated drive V = K ψ"
 CORRECTED = "|V̇| h where the paper prints |V̇| V"
 SYNTHETIC = (
-    "the paper's recording is not available: 400 samples of G4 at 25 Hz, a triangle of 8 s and a 1 Hz square of 8 s "
-    "to 125 V, white noise of the paper's mean square error"
+    "synthetic instead of the paper's recording, which is not available: 400 samples of G4 at 25 Hz, a triangle of 8 s "
+    "and a 1 Hz square of 8 s to 125 V, white noise of the paper's mean square error"
 )
-LOADED = "the paper's recording is not available: one loading and unloading to 150 V of 400 samples, noise 10 nm rms"
+LOADED = (
+    "synthetic instead of the paper's recording, which is not available: one loading and unloading to 150 V of 400 "
+    "samples, noise 10 nm rms"
+)
 RATES = (
     "rows under realistic conditions: 100 Hz up to 0.1 Hz triangles, 500 Hz above; the held voltage adds "
     "half a sample of lag"

@@ -30,7 +30,7 @@ from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 # Published values in the abstract.
 INTEGRAL_BANDWIDTH, INTEGRAL_MARGIN = 15.0, 2.0  # Hz, dB: integral control
 BANDWIDTH, MARGIN = 490.0, 7.0  # Hz, dB: damping and tracking
-RESONANCE, LOWERED = 934.0, 140.0  # Hz, the second with more mass, gains as before
+RESONANCE, LOWERED = 934.0, 140.0  # Hz; the lower one with added mass and unchanged gains
 TIMES = 10.0  # "greater than 10 times"
 LINES = 31.0  # images at this many lines a second
 

@@ -55,7 +55,8 @@ GOOD_RESIDUAL = 0.01e-6  # m: what "completely removed" is taken to mean
 MODEL = "realisation A, B, C at 3 kHz: one of many that give S, the linear gain and L; the paper prints none"
 LAW = "Φ = 0.93, δ = 0.01; the steady-state target as reference: the law as printed only regulates to zero"
 STACK = (
-    "hysteresis: gain 0.1025 µm/V, 0.0125 µm left at 0 V per volt of the peak, opening 15 % at 120 V; minor-loop rule"
+    "hysteresis: gain 0.1025 µm/V, 0.0125 µm left at 0 V per volt of the peak, loop width 15 % at 120 V; "
+    "minor-loop rule"
 )
 AMPLIFIED = "amplifier gain 20, limits −30 … 120 V"
 SETTLED = "settling: within 2 % of the step around the value finally reached, longest of the steps"

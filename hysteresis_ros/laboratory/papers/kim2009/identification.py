@@ -142,8 +142,8 @@ WORKING_POINT = 4.0e-6  # m
 PERIODS, SETTLING = 8, 2  # periods of 1 s: of a run, and not evaluated at its beginning, until vibrations have decayed
 
 LOOPS = (
-    "truth for K2: Prandtl-Ishlinskii stack of 40 plays, opening 15 % of 12.45 µm; not the polynomial that is fitted; "
-    "noise 5 nm rms"
+    "truth for K2: Prandtl-Ishlinskii stack of 40 plays, loop width 15 % of 12.45 µm; not the polynomial that is "
+    "fitted; noise 5 nm rms"
 )
 DECREASING = "decreasing triangle of 20 cycles from 117 V, not used for the fit"
 MEASURED = (

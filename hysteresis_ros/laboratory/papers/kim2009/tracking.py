@@ -209,7 +209,7 @@ def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
         Claim(
             f"b.branches.{_picard_id(rate, steps)}",
             group,
-            f"{_picard_words(rate, steps)}: opening, % of the stroke",
+            f"{_picard_words(rate, steps)}: loop width, % of the stroke",
             picard_width(stack, kim.MAXIMUM_VOLTAGE, stroke, steps, rate),
             "%",
             paper=expected,
@@ -232,13 +232,13 @@ def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
     element = kim.without_dynamics(perfect)
     assumed = (kim.STACK, kim.AMPLIFIED, kim.FULL_STROKE)
     reason = (
-        "the running model has memory, so a trial voltage below the present one is a reversal, and the steps close the "
-        "loop further than on the bare branches; the row holds when the loop is not wider than on these"
+        "the running model has memory, so a trial voltage below the present one is a reversal, and the steps reduce "
+        "the loop width further than on the bare branches; the row holds when the loop is not wider than on these"
     )
 
     def row(name, quantity, configuration, **more):
         measured = _triangle_width(configuration, stroke)
-        return Claim(f"b.{name}", group, f"{quantity}: opening, % of the stroke", measured, "%", **more)
+        return Claim(f"b.{name}", group, f"{quantity}: loop width, % of the stroke", measured, "%", **more)
 
     open_width = kim.WIDTHS[1.0][0]
     band = dict(low=0.99 * open_width, high=1.01 * open_width)
@@ -276,12 +276,13 @@ def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: f
     linear = _triangle_width(kim.without_hysteresis(perfect), stroke)
     slow = _triangle_width(perfect, stroke, kim.SLOW_FREQUENCY)
     reason = (
-        f"at {fast} the linear part alone, without any hysteresis, opens the loop as far (b.dynamics.linear): its lag, "
-        "and the resonance that the corners of the triangle excite; a hysteresis compensator does not correct these"
+        f"at {fast} the linear part alone, without any hysteresis, causes a loop of the same width "
+        "(b.dynamics.linear), by its lag and by the resonance that the corners of the triangle excite; a hysteresis "
+        "compensator does not correct these"
     )
 
     def row(name, quantity, measured, **more):
-        quantity = f"{quantity}: opening, % of the stroke"
+        quantity = f"{quantity}: loop width, % of the stroke"
         if "paper" in more:
             more["assumptions"] = (*assumed, kim.CLOSED)
         return Claim(f"b.dynamics.{name}", group, quantity, measured, "%", **(dict(assumptions=assumed) | more))
@@ -304,8 +305,8 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
     height = (1.0 - kim.MISMATCH) * stroke
     reason = (
         "a model with the same relative error in every coefficient is the plant times a constant: its inverse still "
-        "closes the loop, and only the stroke is wrong; with an error of its loop width, the corresponding part "
-        "of the loop stays open"
+        "removes the loop, and only the stroke is wrong; with an error of its loop width, the corresponding part "
+        "of the width remains"
     )
 
     def row(name, quantity, change, then=None, **more):
@@ -314,7 +315,7 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
         return Claim(
             f"honest.b.{name}",
             "Realistic conditions, (b): hysteresis element alone",
-            f"{quantity}: opening, % of the stroke",
+            f"{quantity}: loop width, % of the stroke",
             worst(values),
             "%",
             assumptions=(kim.STACK, kim.AMPLIFIED, kim.REACHED, kim.REAL),
@@ -326,7 +327,7 @@ def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[
         row("none", "no inverse", kim.real, kim.uncompensated),
         row("picard_6", _picard_words(1.0, 6), kim.real, lambda axis: kim.picard(axis, 6, 1.0)),
         row("exact", "exact inverse, every coefficient off", kim.real, reason=reason, **CLOSED),
-        row("opening", "exact inverse, only the opening off", kim.real_opening, reason=reason, **CLOSED),
+        row("opening", "exact inverse, only the loop width off", kim.real_opening, reason=reason, **CLOSED),
     ]
 
 
@@ -341,7 +342,7 @@ ALONE = "one condition at a time; all else as in (d): the compensator knows the 
 CREEPING = "creep of the plant 1 % of the step a decade of time (logarithmic law, from 0.1 s on)"
 COARSE = "12-bit converters over −30 … 120 V: 3.8 nm a digit"
 STRUCTURE = "resonance of the plant off by ±1 % or ±5 % (the worse result is shown), damping ratio and gain kept"
-OPENING = "opening of the compensator's loop off by +5 %, sensor noise 5 nm rms, 16-bit converters"
+OPENING = "loop width of the compensator's model off by +5 %, sensor noise 5 nm rms, 16-bit converters"
 
 
 @dataclass(frozen=True)
@@ -562,7 +563,7 @@ def _triangle_claims(configuration: Configuration, stroke: float) -> list[Claim]
         return Claim(
             f"honest.triangle.{name}",
             "Open-loop triangles, exact inverse, dynamics included, realistic conditions",
-            f"{frequency:g} Hz, {words}: opening, % of the stroke",
+            f"{frequency:g} Hz, {words}: loop width, % of the stroke",
             loop_width(run),
             "%",
             assumptions=(kim.MODEL, kim.STACK, kim.AMPLIFIED, kim.FULL_STROKE, OPENING),

@@ -215,7 +215,7 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
         Claim(
             "w2.coincide",
             group,
-            "openings at the three frequencies: largest difference, % of peak-to-peak",
+            "loop widths at the three frequencies: largest difference, % of peak-to-peak",
             max(openings) - min(openings),
             "%",
             paper="negligibly small",
@@ -226,7 +226,7 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
         Claim(
             "w2.normalised",
             group,
-            "opening at ±0.5 V minus that at ±1 V, each normalised, % of peak-to-peak",
+            "loop width at ±0.5 V minus that at ±1 V, each normalised, % of peak-to-peak",
             truth - openings[0],
             "%",
             assumptions=assumed,
@@ -234,12 +234,13 @@ def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim
         Claim(
             "w2.hidden",
             group,
-            "opening at ±0.5 V of the α = 80 model minus that of the truth, % of peak-to-peak",
+            "loop width at ±0.5 V of the α = 80 model minus that of the truth, % of peak-to-peak",
             model - truth,
             "%",
             assumptions=(*assumed, wang.RECORDED),
-            reason="with each amplitude normalised the loops look alike, and the model seems to fit both; but it was "
-            "fitted in volts at one amplitude, and at half of it its loop has another width",
+            reason="with each amplitude normalised, the loops look alike and the model seems to fit at both "
+            "amplitudes; but it was fitted in volts at one amplitude, and at half of this amplitude its loop has "
+            "another width",
         ),
     ]
 
