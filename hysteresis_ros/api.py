@@ -712,7 +712,7 @@ def simulate(
             samples = array.parameters[0].with_duration(duration).plant_simulator.samples
         return array.run(setpoints, samples)
     if each is not None:
-        raise ConfigurationError("each: the number of axes is missing: give axes")
+        raise ConfigurationError("each is for many axes: give their number as axes")
     if scan is not None:
         configuration = with_scan(configuration, *scan_words(scan))
     if configuration.stage is not None:

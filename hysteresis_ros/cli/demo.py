@@ -24,18 +24,18 @@ import click
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Time [s of the axis] and setpoint [m] of each message: the paper's step of 1 V, then several steps over the stroke.
+#: Time [s of axis time] and setpoint [m] of each message: the paper's step of 1 V, then several steps over the stroke.
 SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85, 3.0e-6), (1.05, 0.0))
 #: Frequency [Hz], stroke [m] and number of the triangles.
 TRIANGLES = 1.0, 1.0e-5, 2
-#: Length of the run in lockstep [s of the axis], which is only the beginning of the triangles.
+#: Length of the run in lockstep [s of axis time], which is only the beginning of the triangles.
 LOCKSTEP = 0.75
-#: Hold time of the last setpoint [s of the axis], and the time-out for all setpoints [s].
+#: Hold time of the last setpoint [s of axis time], and the time-out for all setpoints [s].
 HELD, PATIENCE = 0.2, 60.0
 
 #: Minimum interval of progress messages in a file or pipe [s].
 SILENCE = 10.0
-#: Length of the steps without compiled kernels [s of the axis].
+#: Length of the steps without compiled kernels [s of axis time].
 INTERPRETED = 2.4
 
 #: Folders of the recordings.

@@ -41,7 +41,7 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option("--seed", type=int, default=1, show_default=True, help="Stage, multisine: seed of the phases.")
 @split_options
 @click.option(
-    "--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default that of the recipe."
+    "--duration", type=Quantity("s"), help="Length of the run [s of axis time]; by default that of the recipe."
 )
 @click.option(
     "--rate",

@@ -40,7 +40,7 @@ from hysteresis_ros.cli.options import (
 )
 @click.option("--record", metavar="DIR", help="Record everything into this new bag folder.")
 @split_options
-@click.option("--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default until Ctrl-C.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run [s of axis time]; by default until Ctrl-C.")
 @click.option(
     "--rate",
     type=click.Choice(["realtime", "lockstep", "fused"]),
@@ -217,7 +217,7 @@ def _what_runs(axis, composed: bool) -> str:
     """Return a line with the time mode, the rate and the length of the run."""
     plant = axis.plant_simulator
     seconds = plant.samples / plant.sample_rate
-    length = f"for {seconds:g} s of the axis" if plant.samples else "until Ctrl-C"
+    length = f"for {seconds:g} s of axis time" if plant.samples else "until Ctrl-C"
     if plant.time_mode == "lockstep":
         how = "in lockstep, one process" if composed else "in lockstep, a process for each node"
         return f"{how}: {plant.sample_rate:g} Hz of the axis, as fast as it can, {length}"

@@ -78,7 +78,7 @@ def main(arguments=None) -> int:
     """Publish the setpoints of the command line; return 0, or 1 when there was no subscriber within the timeout."""
     parser = argparse.ArgumentParser(prog="setpoint_publisher", description=__doc__)
     parser.add_argument("--setpoint", type=float, nargs="+", required=True, help="setpoints [m]")
-    parser.add_argument("--at", type=float, nargs="+", default=[0.0], help="time of each [s of the axis]")
+    parser.add_argument("--at", type=float, nargs="+", default=[0.0], help="axis time of each setpoint [s]")
     parser.add_argument("--namespace", default="", help="namespace of the axis")
     parser.add_argument("--timeout", type=float, default=30.0, help="how long to wait for a reference generator [s]")
     options = parser.parse_args(arguments)

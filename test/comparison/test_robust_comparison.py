@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A robust comparison designs its sliding modes for the corners of the mismatch, also with one more sample of delay."""
+"""Robust comparison: sliding mode designs for the corners of the mismatch, also with one more sample of delay."""
 
 from __future__ import annotations
 

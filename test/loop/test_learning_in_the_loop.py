@@ -175,7 +175,7 @@ def test_where_a_sample_in_200_is_missed_it_learns_from_the_others_however_long_
     assert blocked > 1.5 * whole
     used, unused = (int(re.search(r", (\d+) not at all", text)[1]) for text in (line, why))
     assert used == 0 and unused > 15
-    assert "for late samples" in line and "the response of the axis to late samples" in line
+    assert "because of late samples" in line and "the response of the axis to late samples" in line
 
 
 def test_learning_frozen_forgotten_and_retuned_in_a_fused_loop_are_those_of_its_twin():

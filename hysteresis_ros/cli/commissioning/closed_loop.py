@@ -388,7 +388,9 @@ def learned_line(parameters: LearningParameters, rate: float, signals, begin: in
         return text
     text += f", {len(out) - whole - none} in part, {none} not at all; omitted: "
     shares = {reason: float(np.mean(samples)) for reason, samples in reasons.items() if samples.any()}
-    return text + ", ".join(f"{100.0 * share:.3g} % of the samples for {reason}" for reason, share in shares.items())
+    return text + ", ".join(
+        f"{100.0 * share:.3g} % of the samples because of {reason}" for reason, share in shares.items()
+    )
 
 
 #: Largest number of learned periods, their longest total time [s], and the smallest number.

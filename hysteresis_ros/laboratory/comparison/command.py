@@ -30,7 +30,7 @@ SILENCE = 10.0
 @click.option("--draws", default=20, show_default=True, help="Number of plants around the configured one; 0: none.")
 @click.option("--others", default=4, show_default=True, help="Number of plants of other classes; 0: none.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
-@click.option("--robust", is_flag=True, help="Design sliding modes for the worst of the plants around the model.")
+@click.option("--robust", is_flag=True, help="Design sliding mode controllers for the worst plants around the model.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
 @click.option("--namespace", help="Axis to use, if the configuration describes several.")

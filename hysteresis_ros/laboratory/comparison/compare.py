@@ -160,9 +160,9 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
     around = 8 + DRAWS
     assumptions = (
-        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}, each also with "
-        f"gain, loop width, times and creep changed by up to ±{100.0 * conditions.mismatch:g} % after its recording: "
-        f"{around} plants around it, of which 8 are corners",
+        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}; each also runs with "
+        f"gain, loop width, times and creep changed by up to ±{100.0 * conditions.mismatch:g} % after its recording, "
+        f"in {around} variants: the 8 corners of these ranges, and random ones",
         f"{_seen(conditions)}, 2 kHz, 0 … 100 V",
         "every candidate was designed from the default identification of one recording of the plant",
     )
@@ -188,8 +188,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "of each reference; all other controllers from 2 s on",
         "× PI: ratio of the error of a PI with static feedforward, whose gains were tuned on the plant "
         "itself by the ranking criterion, to the error of the row; with the same margins and delay, on the worst plant",
-        "marked rows do not have the margins required of every design with their own model, or exceed M_s = 3 when "
-        "gain and times deviate by the mismatch; these rows, and rows that were unstable on a plant, have no rank",
+        "marked rows do not have the required margins on their own model, or exceed M_s = 3 when its gain and times "
+        "deviate by the mismatch; marked rows, and rows that were unstable on a plant, have no rank",
     )
 
 

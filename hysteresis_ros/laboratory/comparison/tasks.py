@@ -53,8 +53,8 @@ class Conditions:
     draws: int = 20  #: Number of plants around the configured one.
     others: int = 4  #: Number of plants of other classes.
     seed: int = 1  #: Seed of the first plant; the others follow.
-    #: Whether sliding modes are designed for the worst plants within the mismatch, with and without another sample of
-    #: delay.
+    #: Whether sliding mode controllers are designed for the worst plants within the mismatch, with and without another
+    #: sample of delay.
     robust: bool = False
     sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
     triangle_frequency: float = 10.0
