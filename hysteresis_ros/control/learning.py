@@ -320,8 +320,8 @@ RINGS = 7
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
-#: Entry for a sample with a saturated command, and the fraction by which the correction near such samples decreases per
-#: period.
+#: Value of a sample with a saturated command in the ring of errors. Fraction by which the correction near such samples
+#: decreases per period.
 LIMITED, RELIEF = math.inf, 0.25
 
 #: References whose difference from one period to the next is smaller count as equal [m].

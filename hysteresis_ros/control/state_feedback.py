@@ -158,7 +158,7 @@ def disturbance_system(model: StateSpace, A_d=None, c_d=None) -> StateSpace:
     model : StateSpace
         Model with n states, one input and one output.
     A_d, c_d : ndarray, shapes (m, m) and (m,), optional
-        Model of the disturbance, A_d invertible; a constant one by default.
+        Model of the disturbance, with A_d invertible. By default the disturbance is constant.
 
     Returns
     -------

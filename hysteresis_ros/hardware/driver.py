@@ -246,8 +246,8 @@ class HardwareDriver:
     title : str
         Short description.
     parameters : type of Parameters
-        Parameters of :meth:`Driver.open`: a group of the driver's name. A driver that needs only parameters of the
-        plant's node names their class, for instance ``ActuatorParameters``, and has no group.
+        Class of the parameters for :meth:`Driver.open`, a group with the driver's name. A driver without a group of
+        its own uses a class of the plant's node instead, for instance ``ActuatorParameters``.
     driver : type of Driver
         Class of the driver; its constructor has no arguments.
     emulator : callable, optional

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Safe speed of an axis: limits of voltage and setpoint, which every command writes with their reasons.
+"""Safe speed of an axis: rate limits of voltage and setpoint, written into parameter files with a reason for each.
 
 *Slew rate of the voltage*: the smallest of the known limits. These are the slew rate of the amplifier, twice the
 largest slew rate in a recording, and the voltage range divided by one period of the lowest resonance (or by the slowest

@@ -92,7 +92,7 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: Number of samples without an achieved command after which commands count as not achieved.
+#: Number of samples without a report of the achieved command after which no node is assumed to report it.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.

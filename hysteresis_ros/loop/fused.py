@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused runner: one compiled thread runs an axis or a stage against absolute deadlines; its cost on a machine.
+"""The fused runner: one compiled thread runs an axis or a stage against absolute deadlines.
 
 Other threads control it: the compiled code applies setpoints, starts and stops at the boundary of a sample; for other
 changes it pauses between two samples while the calling thread makes them. Every change is logged with its sample, so an

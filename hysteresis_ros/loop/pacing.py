@@ -12,9 +12,9 @@
 It computes one axis (:class:`Alone`) or all axes of a stage (:class:`Together`), which have one clock. Requests, inputs
 and the ring have an entry for each axis.
 
-Starts and stops within a sample are switched here; every other change is made in Python
-(:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as the methods ``start``, ``stop``, ``halt`` and
-``hold`` of the parts.
+Starts and stops of the parts are made here, as *switches* between two samples; every other change is made in Python
+(:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch has the same effect as the methods ``start``, ``stop``,
+``halt`` and ``hold`` of a part.
 
 A sample that would begin a whole period or more after its deadline is skipped: there is no measurement and no command,
 the voltage is held, and time advances. So a missed deadline is never followed by a burst of late outputs.
@@ -167,7 +167,7 @@ POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPE
 POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
 POST = 9
 
-#: Most switches of an axis before one sample.
+#: Largest number of switches of an axis before one sample.
 MOST_SWITCHES = 2
 
 #: Capacity for posts and events, far more than occur within a sample.

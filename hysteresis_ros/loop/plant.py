@@ -387,7 +387,7 @@ class Plant:
 
     @property
     def silent(self) -> bool:
-        """Whether no voltage was received for the time-out."""
+        """Whether no voltage was received within the time-out."""
         holds = zip(self._watch_p[2:], self._watch_x[2:], strict=True)
         return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
 

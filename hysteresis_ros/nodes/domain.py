@@ -10,8 +10,9 @@
 """Discovery range of the nodes of this machine, and isolated ROS domains for graphs; imports no ROS.
 
 A graph started by a command or a test must never meet an axis of the user: two graphs of one domain and namespace
-receive each other's commands. Such a graph gets a domain above those that users choose (0 to 101), on this machine
-only, and nodes that were not started for the graph are refused in this domain while it runs.
+receive each other's commands. Such a graph gets a domain of its own, above those that users choose (0 to 101). It
+cannot be discovered from other machines. While the graph runs, nodes that were not started for it are refused in its
+domain.
 """
 
 from __future__ import annotations

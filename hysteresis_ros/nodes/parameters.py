@@ -368,8 +368,8 @@ class ParameterInterface:
             self._refuse_misplaced(changed)
             self._refuse_beyond_start(changed)
             if own or len(changed) < len(changes):
-                # another callback may refuse these after this one has applied its values, so the change would not be
-                # atomic
+                # another callback may refuse the other parameters after this one has applied its values, so the change
+                # would not be atomic
                 raise ParameterError([Problem(", ".join(own), "", "set it alone, not together with other parameters")])
             if self.typed is None:
                 for name, value in changed.items():

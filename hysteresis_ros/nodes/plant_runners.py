@@ -274,7 +274,7 @@ class RealTimePlant(RealTime):
         return max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
 
     def _is_silent(self, input_, now: float) -> bool:
-        """Return whether the voltages of an active node have been missing for the time-out, at an awake time [s]."""
+        """Return whether an active node has sent no voltages within the time-out, at an awake time [s]."""
         limit = self._loss_time
         if input_.received - input_.first < STARTING:
             limit = max(limit, STARTING)

@@ -14,12 +14,12 @@ arrived. Float64 messages carry no number, so they are assigned to measurements 
 by the next measurement is late: the sample is answered without it, and its message is not assigned to the next one. An
 input that is late repeatedly is not awaited until it returns.
 
-A partner is *lost* when it sends nothing for the time-out of the node that needs it, and for a few samples, unless it
+A partner is *lost* when its silence exceeds the time-out of the node that needs it, and a few samples, unless it
 has announced that it stops; time in which the node's own process was halted does not count (:class:`AwakeTime`). The
 node then keeps its own part safe and informs the plant, which stops the axis. The stop is latched: the axis resumes
-when the partner is back and a person calls ``~/start``. This holds for the loss of any node and at any sample rate. In
-the first seconds of a partner, when a busy machine leaves gaps between messages, a longer silence is allowed. A partner
-that is replaced by another process without having announced that it stops counts as lost at any time.
+when the partner is back and a person calls ``~/start``. This holds for the loss of any node and at any sample rate. A
+partner that has just started may be silent for longer, because a busy machine then leaves gaps between its messages. A
+partner that is replaced by another process without having announced that it stops counts as lost at any time.
 """
 
 from __future__ import annotations
@@ -231,7 +231,7 @@ class RealTime(Runner):
         """Do nothing: the other nodes continue until their time-outs."""
 
     def replaced(self, topic: str, name: str) -> None:
-        """Do nothing when a new process of a node feeds an input; runners that await the input override this."""
+        """Do nothing when another process of a node publishes an input; runners that wait for it override this."""
 
     def matched(self) -> bool:
         """Return whether every publisher of the loop is matched with its partner."""
@@ -556,7 +556,7 @@ class RealTimeResponder(RealTime):
         return ""
 
     def watch(self) -> None:
-        """Count the samples without a trigger, once its silence has lasted for the time-out (timer callback)."""
+        """Count the samples without a trigger after the time-out of the trigger (timer callback)."""
         node = self.node
         now = time.monotonic()
         if self._stood_still(now):

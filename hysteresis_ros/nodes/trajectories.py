@@ -138,7 +138,7 @@ class Trajectories:
         return Tolerances(goal, own.trajectory.dwell, own.trajectory.goal_time)
 
     def begin(self) -> None:
-        """Start the check of moves on an axis whose samples may stop."""
+        """Start the timer that aborts the moves of an axis without new samples."""
         self._node.timer(LOOK, self._look_for_samples)
 
     def _on_trajectory(self, message) -> None:

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Laws of turns and steps.
+#: Motion profiles of turns and steps.
 LAWS = ("minimum_jerk", "parabolic")
 #: Instants that are closer than this fraction of the whole duration count as one.
 TOGETHER = 1e-12
@@ -65,7 +65,7 @@ class Builder:
     position : float
         Position at which the motion begins.
     law : str
-        Law of turns and steps, one of :data:`LAWS`.
+        Motion profile of turns and steps, one of :data:`LAWS`.
     """
 
     def __init__(self, position: float, law: str):

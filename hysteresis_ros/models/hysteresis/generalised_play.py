@@ -83,8 +83,8 @@ PLAY = 4
 
 #: Largest bend of an envelope; its slope then stays above 0.1.
 LARGEST_BEND = 0.9
-#: Largest rate, as a fraction κ of the averaging time of the speed. An error δ of the inverse's voltage returns as κ
-#: (δ_k-1 - δ_k-2), which decays for κ < 0.5.
+#: Largest ratio κ of ``rate`` [s] to ``memory`` [s], the averaging time of the speed. An error δ of the inverse's
+#: voltage returns as κ (δ_k-1 - δ_k-2), which decays for κ < 0.5.
 LARGEST_RATE = 0.5
 #: Largest ratio of the sum of the weights to the slope at which the inverse of rate-dependent plays does not amplify
 #: rounding errors (found by trial).

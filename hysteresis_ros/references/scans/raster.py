@@ -45,9 +45,9 @@ class Raster(Scan):
     pattern : str
         One of :data:`PATTERNS`.
     turn : float
-        Fraction of a pass for its turn, or with the pattern ``trace`` for the return.
+        Fraction of a pass that the turn takes; with the pattern ``trace``, the return.
     turn_law : str
-        Law of turns, steps and flyback.
+        Motion profile of turns, steps and flyback.
     slow : str
         ``stepped``: v moves only during turns; ``ramped``: v moves at a constant velocity, so lines are oblique.
     flyback : int
@@ -67,11 +67,11 @@ class Raster(Scan):
     )
     turn: float = parameter(
         0.2,
-        description="fraction of a pass for its turn, or with trace for the return",
+        description="fraction of a pass that the turn takes; with the pattern trace, the return",
         low=0.001,
         high=0.95,
     )
-    turn_law: str = parameter("minimum_jerk", description="law of turns, steps and flyback", choices=LAWS)
+    turn_law: str = parameter("minimum_jerk", description="motion profile of turns, steps and flyback", choices=LAWS)
     slow: str = parameter(
         "stepped", description="v moves only during turns, or at a constant velocity", choices=("stepped", "ramped")
     )
