@@ -274,7 +274,7 @@ def test_setpoints_of_a_run_are_a_row_for_each_axis(given):
         ({"config": "xy_scanner", "axes": 2}, "this is a stage of coupled axes"),
         ({"config": "kim2009", "axes": 2, "requests": [1.0]}, "axes: requests, speeds, a scan and setpoints"),
         ({"config": "kim2009", "axes": 2, "setpoints": {"x": [0.0]}}, "axes: requests, speeds, a scan and setpoints"),
-        ({"config": "kim2009", "each": {"plant_simulator.sensor.seed": [1]}}, "give axes"),
+        ({"config": "kim2009", "each": {"plant_simulator.sensor.seed": [1]}}, "give their number as axes"),
     ],
 )
 def test_what_has_no_array_is_refused(arguments, message):
