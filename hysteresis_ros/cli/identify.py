@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 import pathlib
 
 import click
@@ -140,9 +141,9 @@ def identify(
         from hysteresis_ros.designs.stage_identification import StageRequest
         from hysteresis_ros.identification.stage_data import StageColumns
 
-        if (model, linear, options, inverse, report_path) != ("usual", None, (), None, None) and loops is None:
+        if (linear, options, inverse) != (None, (), None) or (model != "usual" and loops is None):
             raise click.UsageError(
-                "--model needs --loops for a stage; --linear, -p, --inverse and --report are for a single axis"
+                "--model needs --loops for a stage; --linear, -p and --inverse are for a single axis"
             )
         asked = StageRequest(
             type=kind,
@@ -160,7 +161,7 @@ def identify(
         chosen_columns = StageColumns(
             columns["input_"], columns["output_"], columns["time"], columns["sample_time"], period, settle
         )
-        _stage(data, chosen_columns, asked, loops, into, params, json_path)
+        _stage(data, chosen_columns, asked, loops, into, params, report_path, json_path)
         return
     (data,) = data
     if into is not None or order is not None or holds_response(data):
@@ -201,8 +202,8 @@ def _is_stage(data, loops, columns) -> bool:
     return several or (columns["namespace"] is None and not columns["input_"] and is_stage(data[0]))
 
 
-def _stage(data, columns, request, loops, into, params, json_path) -> None:
-    """Identify a stage, and write its parameter file."""
+def _stage(data, columns, request, loops, into, params, report_path, json_path) -> None:
+    """Identify a stage, and write its parameter file and its page."""
     from dataclasses import replace
 
     from hysteresis_ros.configuration import load_configuration
@@ -225,7 +226,26 @@ def _stage(data, columns, request, loops, into, params, json_path) -> None:
         )
     found.save(params)
     summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
-    write_json(summary, json_path, "\n".join([*found.lines(), f"{params}: written"]))
+    lines = [*found.lines(), f"{params}: written"]
+    if report_path is not None:
+        with Progress(err=True).during("writing the page"):
+            _stage_page(report_path, reading.source, found)
+        summary["report"] = str(report_path)
+        lines.append(f"{report_path}: written")
+    write_json(summary, json_path, "\n".join(lines))
+
+
+def _stage_page(path, source: str, found) -> None:
+    """Write the page of an identified stage."""
+    from hysteresis_ros.analysis.stage_identification_report import ClosedLoops, write_stage_identification_report
+    from hysteresis_ros.designs.coupled import GRID, stage_rows
+    from hysteresis_ros.loop.stage_response import stage_response
+
+    parameters = found.parameters
+    closed = None
+    if found.designs:
+        closed = ClosedLoops(GRID * parameters.sample_rate, stage_response(parameters, 2.0 * math.pi * GRID))
+    write_stage_identification_report(path, source, parameters.names, found, stage_rows(parameters), closed)
 
 
 def _dynamics(data, into, order, params, namespace, json_path) -> None:

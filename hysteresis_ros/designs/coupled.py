@@ -53,6 +53,13 @@ PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 def stage_lines(parameters: StageParameters) -> list[str]:
     """Return the printed table of a stage: interaction of its axes, and the margins of its loops."""
+    rows = stage_rows(parameters)
+    width = max(len(name) for name, _ in rows)
+    return [f"{name:<{width}}  {text}" for name, text in rows]
+
+
+def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
+    """Return labels and texts of the table of a stage."""
     names, rate = parameters.names, parameters.sample_rate
     stage = parameters.stage
     linear = stage.structure.linear if stage.type == HAMMERSTEIN else stage.structure.small
@@ -77,8 +84,7 @@ def stage_lines(parameters: StageParameters) -> list[str]:
     for label, margin in [*zip(names, margins.loops, strict=True), ("all at once", margins.together)]:
         text = f"{margin.gain_margin:.1f} dB, {margin.phase_margin:.0f} deg, at {margin.frequency:.4g} Hz"
         rows.append((f"disk margin of {label}", text if margin.alpha > 0.0 else "none: the loop is unstable"))
-    width = max(len(name) for name, _ in rows)
-    return [f"{name:<{width}}  {text}" for name, text in rows]
+    return rows
 
 
 def response_uncertainties(configuration: Configuration, parameters: StageParameters) -> Uncertainties:

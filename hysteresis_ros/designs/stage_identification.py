@@ -53,7 +53,7 @@ from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
 from hysteresis_ros.identification.response_check import LOWEST, measured_plant
 from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, slowest
-from hysteresis_ros.identification.stage_data import StageReading, loops_of
+from hysteresis_ros.identification.stage_data import StageReading, loops_of, without_drift
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, INTERNAL, StageParameters
@@ -163,6 +163,25 @@ class _Plant:
 
 
 @dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A realisation that was held out, in steady state and without its mean."""
+
+    time: np.ndarray  #: shape (N,) [s]
+    measured: np.ndarray  #: shape (N, q) [m]
+    predicted: np.ndarray  #: shape (N, q) [m]; By the whole file.
+
+    @property
+    def errors(self) -> np.ndarray:
+        """RMS error of each output [m]."""
+        return np.sqrt(np.mean((self.predicted - self.measured) ** 2, axis=0))
+
+    @property
+    def motion(self) -> np.ndarray:
+        """RMS motion of each output [m]."""
+        return np.sqrt(np.mean(self.measured**2, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
 class IdentifiedStage:  # numpydoc ignore=PR02
     """An identified stage.
 
@@ -176,6 +195,12 @@ class IdentifiedStage:  # numpydoc ignore=PR02
         Response matrix [m/V] of each level, with noise and distortion separated, the lowest level first.
     axes : tuple of Analysis
         Response of each axis from its decoupled command to its measurement.
+    structure : ndarray, shape (F, n, n)
+        Response of the identified linear part at the lines of the lowest level [m/V].
+    loops : tuple of Identified or None
+        Hysteresis of each actuator; None without loops.
+    held_out : HeldOut or None
+        What was held out, and the prediction of the file.
     designs : dict
         Designed controllers by the names of the axes.
     figures : dict
@@ -188,6 +213,9 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     parameters: StageParameters
     responses: tuple[ResponseMatrix, ...]
     axes: tuple[Analysis, ...]
+    structure: np.ndarray
+    loops: tuple[workflow.Identified | None, ...]
+    held_out: HeldOut | None
     designs: dict[str, AxisDesign]
     figures: dict
     warnings: tuple[str, ...]
@@ -280,23 +308,46 @@ def identify_stage(
                 )
             ]
         )
-    analyses = tuple(_decoupled(responses[0], plant.gain, i) for i in range(len(names)))
+    analyses = decoupled_responses(responses[0], plant.gain)
     noise = _noise(responses[0], data)
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
     parameters = StageParameters.from_configuration(parse_configuration(text, "the identified stage"))
     known = _uncertainties(parameters, analyses)
-    text, designs, why = _designed(text, parameters, request, noise, analyses, known)
+    level = request.noise or (float(np.max(noise)) if noise is not None else None)
+    text, designs, why = design_identified(text, parameters, request, level, analyses, known)
     warnings += why
     designed = parse_configuration(text, "the identified stage")
     parameters = StageParameters.from_configuration(designed)
     figures = _figures(responses, plant, held, noise, names, data) | deviations
+    held_out = None
     if judged is not None and data is not None:
-        figures |= _file_errors(parameters, data, request.held_out, names)
+        held_out = _held_out(parameters, data, request.held_out)
+        figures |= {f"file_{name}_rmse_m": float(v) for name, v in zip(names, held_out.errors, strict=True)}
     if into is not None:
-        text = _put_into(into, designed, parameters)
+        text = put_into(into, designed, parameters)
     warnings = list(dict.fromkeys(warnings))
     text = _with_section(text, reading, loops, figures, warnings, known)
-    return IdentifiedStage(text, parameters, responses, analyses, designs, figures, tuple(warnings))
+    structure = _linear_response(plant, responses[0].response.frequency)
+    return IdentifiedStage(
+        text,
+        parameters,
+        responses,
+        analyses,
+        structure,
+        plant.hysteresis,
+        held_out,
+        designs,
+        figures,
+        tuple(warnings),
+    )
+
+
+def _linear_response(plant: _Plant, frequency: np.ndarray) -> np.ndarray:
+    """Return the response of the linear part of a plant to voltages, shape (F, n, n) [m/V]."""
+    step = plant.structure.sample_time
+    linear = plant.structure.linear if plant.type == HAMMERSTEIN else plant.structure.small
+    z = np.exp(2j * np.pi * frequency * step)
+    return linear.response(z) * np.array(plant.small) * z[:, None, None] ** -plant.delay
 
 
 def _lost(gain: np.ndarray, found: ResponseMatrix, names) -> str:
@@ -534,6 +585,11 @@ def _named(error: IdentificationError, where: str) -> tuple:
     return (error.check, text) if isinstance(error, DataError) else (text,)
 
 
+def decoupled_responses(found: ResponseMatrix, gain: np.ndarray) -> tuple[Analysis, ...]:
+    """Return the response of each axis from its command, decoupled by the static gain [m/V]."""
+    return tuple(_decoupled(found, gain, i) for i in range(len(gain)))
+
+
 def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
     """Return the response of an axis from its decoupled command, with its variances."""
     into = np.linalg.inv(gain)[:, i]
@@ -647,7 +703,7 @@ def _copied(nodes: dict) -> dict:
     }
 
 
-def _put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
+def put_into(into: Configuration, designed: Configuration, found: StageParameters) -> str:
     """Return the text of a stage that keeps its plant and gets decoupling, compensators, controllers and references."""
     given = StageParameters.from_configuration(into)
     if abs(given.sample_rate / found.sample_rate - 1.0) > 1e-6:
@@ -732,15 +788,19 @@ def _uncertainties(parameters: StageParameters, analyses) -> Uncertainties:
     return found
 
 
-def _designed(text: str, parameters: StageParameters, request: StageRequest, noise, analyses, known: Uncertainties):
-    """Return the text with designed controllers, the designs, and the reason if they are missing."""
+def design_identified(
+    text: str, parameters: StageParameters, request: StageRequest, noise: float | None, analyses, known: Uncertainties
+):
+    """Return the text with designed controllers, the designs, and the reason if they are missing.
+
+    Units: ``noise`` [m], RMS.
+    """
     if request.controller == "none":
         return text, {}, []
-    level = request.noise or (float(np.max(noise)) if noise is not None else None)
     dampings: Sequence[str | None] = (request.damping,) if request.damping else ("irc", None)
     said: list[str] = []
     for damping in dampings:
-        asked = DesignRequest(controller=request.controller, noise=level, damping=damping)
+        asked = DesignRequest(controller=request.controller, noise=noise, damping=damping)
         try:
             designs = design_controllers(parameters, asked, known)
             words = f"--controller {request.controller}" + (f" --damping {damping}" if damping else "")
@@ -804,16 +864,18 @@ def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
     return figures
 
 
-def _file_errors(parameters: StageParameters, data: StructureData, held_out: int, names) -> dict:
-    """Return the RMS errors of the written stage on the held-out realisations, without their mean, by output [m]."""
+def _held_out(parameters: StageParameters, data: StructureData, held_out: int) -> HeldOut:
+    """Return what was held out of the highest level, and what the stage as written predicts, without the means."""
     chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
-    u = data.u[chosen].mean(axis=0) if len(chosen) == 1 else data.u[chosen[-1]]
-    y = data.y[chosen].mean(axis=0) if len(chosen) == 1 else data.y[chosen[-1]]
+    u, y = data.u[chosen[-1]], data.y[chosen[-1]]
     # all repetitions but the last are the run-in
-    whole = np.concatenate([u] * 4)
-    rest = simulated(parameters, whole)[-len(u) :] - y
-    rest -= rest.mean(axis=0)
-    return {f"file_{name}_rmse_m": float(v) for name, v in zip(names, np.sqrt(np.mean(rest**2, axis=0)), strict=True)}
+    predicted = simulated(parameters, np.concatenate([u] * 4))[-len(u) :]
+    # as in the data, where creep moves the stage from period to period
+    predicted = without_drift(predicted[np.newaxis], data.period)[0]
+    # one mean of both, because the zeros of the sensors are no part of the prediction
+    shift = (predicted - y).mean(axis=0)
+    mean = y.mean(axis=0)
+    return HeldOut(np.arange(len(u)) * data.sample_time, y - mean, predicted - mean - shift)
 
 
 def simulated(parameters: StageParameters, u: np.ndarray) -> np.ndarray:

@@ -306,10 +306,24 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
         raise DataError("short", f"--settle {settle}: a realisation has {fewest} periods, at least one must remain")
     kept = slice(settle * period, fewest * period)
     u, y = (np.array([span[place][kept] for span in spans]) for place in (0, 1))
-    return StructureData(u, _without_drift(y, period), step, period)
+    return StructureData(u, without_drift(y, period), step, period)
 
 
-def _without_drift(y: np.ndarray, period: int) -> np.ndarray:
+def planned_realisations(
+    reading: StageReading, first: int, period: int, settle: int, periods: int, count: int
+) -> StructureData:
+    """Return ``count`` realisations of an excitation whose plan is known, from sample ``first`` on."""
+    u, y = reading.whole()
+    length = (settle + periods) * period
+    if len(u) < first + count * length:
+        text = f"{reading.source}: has {len(u)} samples, the excitation {first + count * length}: it is cut off"
+        raise DataError("short", text)
+    kept = slice(settle * period, length)
+    u, y = (one[first : first + count * length].reshape(count, length, -1)[:, kept] for one in (u, y))
+    return StructureData(u, without_drift(y, period), reading.sample_time, period)
+
+
+def without_drift(y: np.ndarray, period: int) -> np.ndarray:
     """Return outputs without their drift from period to period, for example by creep; the periodic part is kept."""
     R, count, q = y.shape
     if count < 2 * period:

@@ -24,7 +24,9 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "loop"))
 from coupled_stages import as_values, configured, internal_structure  # noqa: E402
 
 import hysteresis_ros as hr  # noqa: E402
+from hysteresis_ros.analysis.stage_identification_report import write_stage_identification_report  # noqa: E402
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
 from hysteresis_ros.designs.stage_identification import StageRequest, identify_stage  # noqa: E402
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError  # noqa: E402
@@ -44,6 +46,7 @@ from hysteresis_ros.identification.stage_data import (  # noqa: E402
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage  # noqa: E402
 from hysteresis_ros.recordings.files import save_run  # noqa: E402
+from hysteresis_ros.units import readable  # noqa: E402
 
 STEP = 1e-4
 CROSSTALK = np.array([[1.0, 0.05], [0.03, 1.0]])
@@ -302,7 +305,9 @@ def test_one_axis_after_the_other_goes_through_its_range(truth):
 def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(truth):
     """Recorded, identified by the command, controlled on the true plant: hysteresis and 5 % cross-talk are removed."""
     closed, figures = truth.with_name("closed.yaml"), truth.with_name("figures.json")
+    page = truth.with_name("page.html")
     words = ("--loops", truth.with_name("decaying.npz"), "--into", truth, "-o", closed, "--json", figures)
+    words += ("--report", page)
     said = hysteresis("identify", truth.with_name("multisine.npz"), *words)
     assert "hammerstein, order 4, 1 samples of delay before it" in said
     assert "warning" not in said
@@ -312,6 +317,18 @@ def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(tr
         assert found[f"held_out_{name}_rmse_m"] < 1e-7
         assert found[f"loops_{name}_rmse_percent_of_stroke"] < 0.1
         assert found[f"noise_{name}_m"] == pytest.approx(5e-9, rel=0.1)
+    assert json.loads(figures.read_text())["report"] == str(page)
+    shown = page.read_text(encoding="utf-8")
+    # responses, held-out realisations and loops of two axes, and the closed loops
+    assert shown.count("data:image/png") == 7
+    for text in ("Stage x, y identified from multisine.npz", "Response of y to each actuator, with 95 % bands"):
+        assert text in shown
+    for text in (
+        "<td>" + readable(found["held_out_x_rmse_m"], "m"),
+        "relative gains of y",
+        "disk margin of all at once",
+    ):
+        assert text in shown
     scan = {"waveform__type": "triangle", "waveform__frequency": 10.0, "waveform__amplitude": 6e-6}
     scan |= {"waveform__cycles": 3, "waveform__polarity": "symmetric"}
     configuration = load_configuration(closed).override("x/reference_generator", **scan)
@@ -337,6 +354,22 @@ def test_the_multisines_of_a_stage_leave_no_frequency_unknown(tmp_path):
     exact = np.ones(999, dtype=complex)
     assert MeasuredPlant(frequency, exact, np.zeros(999)).uncertainty(exact, STEP).known_to == np.inf
     assert MeasuredPlant(frequency[:-1], exact[:-1], np.zeros(998)).uncertainty(exact[:-1], STEP).known_to < 5000.0
+
+
+def test_the_page_without_periods_loops_and_controllers_has_what_is_known(linear, tmp_path):
+    found = linear[1]
+    names = found.parameters.names
+    write_stage_identification_report(
+        tmp_path / "page.html", "arrays", names, found, stage_rows(found.parameters), None
+    )
+    shown = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert shown.count("data:image/png") == 2 and "Controllers" not in shown and "<td>-</td>" in shown
+
+
+def test_options_of_a_single_axis_are_refused_for_a_stage(truth):
+    words = ("identify", truth.with_name("multisine.npz"), "--loops", truth.with_name("decaying.npz"), "-o", "s.yaml")
+    for option in (("--linear", "lag"), ("-p", "plays=3"), ("--inverse", "exact")):
+        assert "--linear, -p and --inverse are for a single axis" in hysteresis(*words, *option, code=2)
 
 
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
