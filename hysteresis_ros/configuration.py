@@ -468,8 +468,8 @@ class Configuration:
         if self.stage is not None:
             raise ConfigurationError(
                 f"{self.source}: describes a stage of coupled axes, but a single axis is needed here: the axes of a "
-                "stage run together, in `hysteresis simulate`, `up`, `design`, `excite` and `identify` only "
-                "(docs/coupled_axes.md)"
+                "stage run together, in `hysteresis simulate`, `up`, `design`, `excite`, `identify` and `commission` "
+                "only (docs/coupled_axes.md)"
             )
 
 

@@ -104,8 +104,9 @@ def _table(caption: str, head, rows) -> dict:
 
 
 def _rows(figures: Mapping) -> list[tuple[str, str]]:
+    delay = figures["delay_samples"]
     rows = [
-        ("delay before the structure", f"{figures['delay_samples']} samples"),
+        ("delay before the structure", f"{delay} sample{'s' if delay != 1 else ''}"),
         ("condition of the inputs", f"{figures['largest_condition']:.3g} at most"),
     ]
     if "realisations" in figures:
@@ -181,12 +182,12 @@ def response_figure(names: Sequence[str], found: ResponseMatrix, model: np.ndarr
             size.plot(f, _MICRO * noise, ".", color=_NOISE, markersize=1.5, label="noise")
         size.plot(f, _MICRO * np.abs(fitted), color=_MODEL, linewidth=1.0, label="model")
         size.set(xscale="log", yscale="log", ylabel="gain [µm/V]" if place == 0 else None)
-        size.set_title(f"{names[row]} from {names[column]}", fontsize=11, loc="right")
+        size.text(0.03, 0.05, f"{names[row]} from {names[column]}", fontsize=11, transform=size.transAxes)
         for values, colour in ((measured, _MEASURED), (fitted, _MODEL)):
             phase.plot(f, np.degrees(np.angle(values)), ".", color=colour, markersize=1.5)
         phase.set(xscale="log", xlabel="frequency [Hz]", ylabel="phase [degrees]" if place == 0 else None)
         phase.set(ylim=(-190.0, 190.0), yticks=(-180, -90, 0, 90, 180))
-    add_legend(axes[0])
+    add_legend(axes[0], 2)
     return figure
 
 

@@ -80,7 +80,7 @@ UNPREDICTED = 4
 SILENCE = 5.0
 
 
-@click.command(short_help="Take a new axis to a verified closed loop.")
+@click.command(short_help="Take a new axis, or a stage of coupled axes, to a verified closed loop.")
 @click.argument("file", type=click.Path(path_type=pathlib.Path))
 @click.option(
     "--stage", "stages", metavar="NAME", multiple=True, help="Run only this stage, even if it is finished; repeatable."
@@ -111,67 +111,107 @@ SILENCE = 5.0
 @click.option("--namespace", default="", help="Axis to use, if the file describes several.")
 @click.pass_context
 def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
-    """Measure, model and control the axis of FILE.
+    """Measure, model and control the axis, or the coupled axes, of FILE.
 
-    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn. Before
-    each movement it prints what will move and how far, and asks for confirmation. When a result is implausible it stops
+    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn; of
+    coupled axes noise, gain, resonance, multisine, hysteresis, identify, design, loop, scan and judge. Before each
+    movement it prints what will move and how far, and asks for confirmation. When a result is implausible it stops
     with safe outputs (exit code 2). It writes commissioned.yaml, all recordings and report.html to DIR, by default
     FILE_commissioning. Exit code 4: the error of the scan is much larger than predicted.
     """
     from hysteresis_ros.analysis.commissioning_report import write_commissioning_report
+    from hysteresis_ros.cli.commissioning.coupled_stages import COUPLED_STAGES
     from hysteresis_ros.cli.commissioning.situation import COMMISSIONED
     from hysteresis_ros.cli.commissioning.stages import STAGES, require_stages
     from hysteresis_ros.cli.commissioning.stages import commission as do
+    from hysteresis_ros.configuration import load_configuration
 
-    require_stages(stages)
+    configuration = load_configuration(file)
+    coupled = configuration.stage is not None
+    procedure = COUPLED_STAGES if coupled else STAGES
+    require_stages(stages, procedure)
     directory = directory or file.with_name(f"{file.stem}_commissioning")
     progress = Progress(silence=SILENCE)
     busy = {"text": ""}
-    situation, bench = _situation(
-        file, directory, resume or bool(stages) and directory.exists(), plant, offline, choices
+    make = _coupled_situation if coupled else _situation
+    situation, bench = make(
+        configuration, directory, resume or bool(stages) and directory.exists(), plant, offline, choices
     )
     situation.progress = lambda number, text: busy.update(text=text)
     attendant = Terminal(yes, progress)
     try:
         with progress.during("still running", lambda: busy["text"]):
-            whole = do(situation, bench, attendant, stages)
+            whole = do(situation, bench, attendant, stages, procedure)
     finally:
         if situation.found:
             page = directory / "report.html"
-            titles = {name: STAGES[name].title for name in situation.found}
+            titles = {name: procedure[name].title for name in situation.found}
             write_commissioning_report(page, file.name, situation.found, titles)
             click.echo(f"report: {page}")
     if whole:
         seconds = sum(outcome.seconds for outcome in situation.found.values())
-        click.echo(f"all stages: the axis was driven for {seconds:.3g} s")
+        click.echo(f"all stages: the {'stage' if coupled else 'axis'} was driven for {seconds:.3g} s")
         click.echo(f"written: {directory / COMMISSIONED}; run it: hysteresis up {directory / COMMISSIONED}")
-        if not situation.found["scan"].figures["as_predicted"]:
+        judged = ("scan", "judge") if coupled else ("scan",)
+        if not all(situation.found[name].figures["as_predicted"] for name in judged):
             ctx.exit(UNPREDICTED)
 
 
-def _situation(file, directory, resumed, plant, offline, choices):
-    """Return the data that all stages share, and the bench."""
-    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
+def _given(choices, plan):
+    """Return a plan with what the command line says of the scan."""
     from hysteresis_ros.cli.commissioning.new_file import parsed
-    from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
-    from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.reach import single_axis
 
-    configuration = load_configuration(file)
-    if plant is not None:
-        configuration = configuration.override("", external_plant=plant == "external")
-    axis = single_axis(configuration, choices["namespace"] or None)
     asked = {"scan_stroke": (choices["scan_stroke"], "m"), "scan_frequency": (choices["scan_frequency"], "Hz")}
     given = {
         name: parsed(f"--{name.replace('_', '-')}", text, unit)
         for name, (text, unit) in asked.items()
         if text is not None
     }
-    plan = replace(plan_of(configuration, axis), **given).validated("/commissioning: ")
+    return replace(plan, **given).validated("/commissioning: ")
+
+
+def _situation(configuration, directory, resumed, plant, offline, choices):
+    """Return the data that all stages share, and the bench."""
+    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
+    from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
+    from hysteresis_ros.loop.reach import single_axis
+
+    if plant is not None:
+        configuration = configuration.override("", external_plant=plant == "external")
+    axis = single_axis(configuration, choices["namespace"] or None)
+    plan = _given(choices, plan_of(configuration, axis))
     bench = OfflineBench() if offline else GraphBench(axis.plant_simulator.external_plant)
     against = tuple(name for name in choices["against"] if name != "none") if choices["against"] else None
     folder = Folder(directory, configuration.text, bench.name, resumed)
     return Situation(configuration, axis, plan, folder, choices["model"], choices["controller"], against), bench
+
+
+def _coupled_situation(configuration, directory, resumed, plant, offline, choices):
+    """Return the data that all stages of coupled axes share, and the bench."""
+    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
+    from hysteresis_ros.cli.commissioning.coupled import StageSituation, plans_of
+    from hysteresis_ros.cli.commissioning.situation import Folder
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+
+    source = configuration.source
+    if choices["namespace"] or choices["against"]:
+        raise ConfigurationError(
+            f"--namespace and --against are for a single axis, and {source} describes a stage, whose axes are "
+            "commissioned together: leave them out"
+        )
+    if plant == "external":
+        raise ConfigurationError(
+            f"--plant external: {source} describes a stage of coupled axes, which has no drivers and no plants of your "
+            "own yet; leave the option out to commission the simulated stage of the file"
+        )
+    parameters = StageParameters.from_configuration(configuration)
+    plans = {name: _given(choices, plan) for name, plan in plans_of(configuration, parameters).items()}
+    bench = OfflineBench() if offline else GraphBench(external=False)
+    folder = Folder(directory, configuration.text, bench.name, resumed)
+    model = "prandtl_ishlinskii" if choices["model"] == "auto" else choices["model"]
+    controller = "pid" if choices["controller"] == "auto" else choices["controller"]
+    return StageSituation(configuration, parameters, plans, folder, model, controller), bench
 
 
 class Terminal:

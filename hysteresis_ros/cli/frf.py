@@ -156,6 +156,7 @@ def _of_configuration(source, namespace, options: dict):
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench, require_sound
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.designs.frequency_response import ResponseRequest, axis_response, plan_file, response_run
+    from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.excitations import Experiment
     from hysteresis_ros.loop.reach import single_axis
     from hysteresis_ros.recordings.files import save_run
@@ -166,6 +167,12 @@ def _of_configuration(source, namespace, options: dict):
     chosen = {name: options[name] for name in ("at", "amplitude", "offset")}
     asked = ResponseRequest(experiment, options["loop"] or "open", **chosen)
     configuration = load_configuration(source)
+    if configuration.stage is not None:
+        raise ConfigurationError(
+            f"{source}: describes a stage of coupled axes, and frf measures a single axis. Its response matrix: "
+            f"hysteresis excite {source} --recipe multisine --record FILE, then hysteresis identify FILE -o STAGE.yaml "
+            "--report PAGE.html"
+        )
     external = options["plant"] == "external"
     if external:
         configuration = configuration.override("", external_plant=True)

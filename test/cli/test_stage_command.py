@@ -79,7 +79,6 @@ def test_the_setpoints_of_a_run_of_a_stage_are_replayed(tmp_path):
     "words",
     [
         ("frf", "xy_scanner"),
-        ("commission", "xy_scanner"),
         ("urdf", "xy_scanner"),
     ],
 )
@@ -87,6 +86,11 @@ def test_commands_of_a_single_axis_refuse_a_stage(words, tmp_path):
     said = hysteresis(*words, code=2)
     assert "describes a stage of coupled axes" in said
     assert "Traceback" not in said
+
+
+def test_frf_says_how_the_response_of_a_stage_is_measured():
+    said = hysteresis("frf", "xy_scanner", code=2)
+    assert "hysteresis excite xy_scanner --recipe multisine --record FILE" in said and "--report PAGE.html" in said
 
 
 def test_validate_refuses_the_plant_of_a_stage(tmp_path):

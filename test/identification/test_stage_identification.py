@@ -40,6 +40,7 @@ from hysteresis_ros.identification.stage_data import (  # noqa: E402
     StageReading,
     find_period,
     loops_of,
+    planned_realisations,
     read_stage,
     realisations,
 )
@@ -111,6 +112,16 @@ def test_periods_and_realisations_are_found_in_one_recording():
     assert realisations(recorded(np.random.default_rng(0).standard_normal((4000, 2)))) is None
     with pytest.raises(DataError, match=r"do not repeat with a period of 0.0301 s"):
         realisations(recorded(u), StageColumns(period=0.0301))
+
+
+def test_realisations_of_a_known_plan_are_those_that_are_found():
+    reading = recorded(excitation())
+    found, planned = realisations(reading), planned_realisations(reading, 137, 500, 1, 2, 4)
+    assert planned.period == found.period == 500
+    np.testing.assert_array_equal(planned.u, found.u)
+    np.testing.assert_array_equal(planned.y, found.y)
+    with pytest.raises(DataError, match="it is cut off"):
+        planned_realisations(reading, 137, 500, 1, 2, 5)
 
 
 def test_a_drift_from_period_to_period_is_no_response():

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Benches that run the axis of a stage: offline, or through its nodes; imports no ROS itself."""
+"""Benches that run an axis, or coupled axes, for a stage: offline, or through nodes; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from hysteresis_ros.cli.commissioning.situation import CommissioningError
 from hysteresis_ros.loop.parameters import AxisParameters, in_time, require_carried
 from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, PARTNER_LOST, WITHOUT_VOLTAGE
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph, require_ros
 from hysteresis_ros.recordings.dataset import Recording
@@ -46,10 +48,10 @@ IRREGULAR = 0.01
 
 
 class Bench(ABC):
-    """Runs an axis for each stage of a commissioning; each run begins and ends in the safe state."""
+    """Runs an axis or coupled axes for each stage of a commissioning; each run begins and ends in the safe state."""
 
     @abstractmethod
-    def run(self, axis: AxisParameters) -> Recording:
+    def run(self, axis: AxisParameters | StageParameters) -> Recording:
         """Run an axis once, for the duration in its parameters."""
 
     @property
@@ -63,13 +65,28 @@ class OfflineBench(Bench):
 
     name = "offline"
 
-    def run(self, axis: AxisParameters) -> Recording:
+    def run(self, axis: AxisParameters | StageParameters) -> Recording:
         """Simulate."""
+        if isinstance(axis, StageParameters):
+            return simulate_stage(axis, duration=run_samples(axis) / axis.sample_rate)
         return simulate(axis)
+
+
+def run_samples(axis: AxisParameters | StageParameters) -> int:
+    """Return the length of a run in samples."""
+    return (axis.axes[0] if isinstance(axis, StageParameters) else axis).plant_simulator.samples
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
     """Return a recording of regular samples that all have a measurement; a few missing samples are interpolated."""
+    if recording.axes:
+        sound = {}
+        for name in recording.axes:
+            try:
+                sound[name] = require_sound(recording.axis(name), samples)
+            except CommissioningError as error:
+                raise CommissioningError(f"axis {name}: {error}") from None
+        return Recording.of_axes(sound, recording.metadata)
     if recording.has("tripped"):
         codes = recording["tripped"]
         stopped = np.flatnonzero(codes > 0.0)  # codes below zero: the sensor is being homed
@@ -102,7 +119,9 @@ def _complete(recording: Recording, samples: int) -> Recording:
 
 
 def held_back(recording: Recording) -> list[str]:
-    """Return a line if voltages were late, otherwise nothing."""
+    """Return a line if voltages were late, otherwise nothing; the axes of a stage are late together."""
+    if recording.axes:
+        recording = recording.axis(recording.axes[0])
     count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
     if not count:
         return []
@@ -124,15 +143,22 @@ class GraphBench(Bench):
         """Name of the bench in the file that stores the state of a commissioning."""
         return "external plant" if self._external else "nodes"
 
-    def run(self, axis: AxisParameters) -> Recording:
+    def run(self, axis: AxisParameters | StageParameters) -> Recording:
         """Run an axis once; its nodes bring the outputs to the safe state when they exit, also after an interrupt."""
-        require_carried(axis)
+        stage: StageParameters | None = None
+        if isinstance(axis, StageParameters):
+            stage = axis.in_time()
+            axes = list(stage.axes)
+        else:
+            axes = [in_time(axis)]
+        for one in axes:
+            require_carried(one)
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
             options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
             if not self._external:
                 # isolated, because a running axis of the user must not receive the commands of this graph
                 options["environment"] = stack.enter_context(Domain()).environment
-            with Graph([in_time(axis)], **options) as graph:
+            with Graph(axes, stage=stage, **options) as graph:
                 graph.wait()
             return load_run(graph.bags[0], further=True)

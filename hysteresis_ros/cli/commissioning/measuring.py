@@ -205,10 +205,17 @@ def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, i
 def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
     """Evaluate a small multisine: resonance, damping, delay."""
     steady, period = steady_periods(situation, recording)
-    voltage, measured = recording["voltage"][steady], recording["measured"][steady]
-    whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
+    return response_outcome(recording["voltage"][steady], recording["measured"][steady], situation.rate, period)
+
+
+def response_outcome(voltage: np.ndarray, measured: np.ndarray, rate: float, period: int) -> Outcome:
+    """Evaluate whole periods of a small multisine: resonance, damping, delay.
+
+    Units: ``voltage`` [V], ``measured`` [m], ``rate`` [Hz], ``period`` [samples].
+    """
+    whole = multisine_response(voltage, measured, 1.0 / rate, period)
     # above this frequency the voltage contains only noise and the effects of limits
-    found = whole.band(whole.frequency[0], EXCITED * situation.rate)
+    found = whole.band(whole.frequency[0], EXCITED * rate)
     size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
     if np.median(noise / size) > 0.5:
         raise CommissioningError(

@@ -135,8 +135,11 @@ class Plan(Parameters):
         return self.stroke / self.span
 
 
-def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
-    """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator."""
+def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> Plan:
+    """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator.
+
+    A section for all axes and one in the namespace of the axis may both be given; the latter wins.
+    """
     axis.require_generator(
         f"{configuration.source}: a walking motor cannot be commissioned; commission its extender alone, in a file "
         "without inchworm_sequencer"
@@ -144,8 +147,10 @@ def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
     compensator = axis.hysteresis_compensator
     low, high = compensator.limits.minimum, compensator.limits.maximum
     gain = hysteresis_block(compensator.hysteresis, 1.0 / axis.plant_simulator.sample_rate).gain
-    given = next((values for name, values in configuration.entries if name == SECTION), {})
-    values = {"minimum": low, "maximum": high, "stroke": 1.0, **given}
+    given: dict = {}
+    for where in (SECTION, f"{axis.namespace}{SECTION}"):
+        given |= next((values for name, values in configuration.entries if name == where), {})
+    values = {"minimum": low, "maximum": high, "stroke": 1.0, **defaults, **given}
     plan = Plan.from_mapping(values, prefix=f"{SECTION}: ")
     if "stroke" not in given:
         plan = Plan.from_mapping({**values, "stroke": abs(gain) * plan.span}, prefix=f"{SECTION}: ")

@@ -11,33 +11,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from hysteresis_ros.cli.commissioning import closed_loop, measuring
 from hysteresis_ros.cli.commissioning import measuring as volts
-from hysteresis_ros.cli.commissioning.bench import Bench, held_back, require_sound
+from hysteresis_ros.cli.commissioning.bench import Bench, held_back, require_sound, run_samples
 from hysteresis_ros.cli.commissioning.fitting import design_stage, identify_stage
 from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome, Plan, Situation
 from hysteresis_ros.errors import HysteresisError, did_you_mean
 from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import readable
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage that moves the axis."""
+    """A stage that moves the axis, or the coupled axes."""
 
     title: str  #: Title on the page.
-    words: Callable[[Situation], str]  #: ``words(situation)``: describes the next movement and its size.
-    #: ``axis(situation)``: the axis to run; or an outcome, if nothing has to move.
-    axis: Callable[[Situation], AxisParameters | Outcome]
+    words: Callable[[Any], str]  #: ``words(situation)``: describes the next movement and its size.
+    #: ``axis(situation)``: the axis or the coupled axes to run; or an outcome, if nothing has to move.
+    axis: Callable[[Any], AxisParameters | StageParameters | Outcome]
     #: ``judge(situation, recording)``: the outcome; raises an error when a result is implausible.
-    judge: Callable[[Situation, Recording], Outcome]
+    judge: Callable[[Any, Recording], Outcome]
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Computation:
     """A stage without movement."""
 
     title: str  #: Title on the page.
-    compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: the outcome.
+    compute: Callable[[Any], Outcome]  #: ``compute(situation)``: the outcome.
 
 
 def _driven(stage: str, voltages: Callable[[Plan, float, float], np.ndarray]):
@@ -118,8 +119,9 @@ def _learn_words(situation: Situation) -> str:
     return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
 
 
-#: The stages by name, in order; each stage needs the stages before it.
-STAGES: dict[str, Stage | Computation] = {
+#: The stages of a commissioning by name, in order; each stage needs the stages before it.
+Procedure = Mapping[str, Stage | Computation]
+STAGES: Procedure = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
     "gain": Stage("gain and sign", _gain_words, _driven("gain", volts.small_step), measuring.judge_gain),
     "resonance": Stage(
@@ -152,18 +154,20 @@ class NotAllowedError(CommissioningError):
     """The next movement was not allowed."""
 
 
-def require_stages(stages: Iterable[str]) -> None:
+def require_stages(stages: Iterable[str], procedure: Procedure = STAGES) -> None:
     """Refuse unknown names of stages."""
     for stage in stages:
-        if stage not in STAGES:
-            there = f"there are {', '.join(STAGES)}{did_you_mean(stage, STAGES)}"
+        if stage not in procedure:
+            there = f"there are {', '.join(procedure)}{did_you_mean(stage, procedure)}"
             raise CommissioningError(f"no stage {stage}; {there}")
 
 
-def commission(situation: Situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = ()) -> bool:
-    """Run the stages in their order, except finished ones."""
+def commission(
+    situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = (), procedure: Procedure = STAGES
+) -> bool:
+    """Run the stages in their order, except finished ones; return whether all are finished."""
     asked = set(stages)
-    names = list(STAGES)
+    names = list(procedure)
     for place, name in enumerate(names):
         before = situation.folder.outcome(name)
         if before is not None and name not in asked:
@@ -177,22 +181,21 @@ def commission(situation: Situation, bench: Bench, attendant: Attendant, stages:
             raise CommissioningError(f"{name} needs the results of {', '.join(missing)}; run them first, or all stages")
         # outcomes of later stages depend on the repeated stage
         situation.folder.forget(names[place:])
-        outcome = _done(situation, bench, attendant, name)
+        outcome = _done(situation, bench, attendant, name, procedure[name])
         situation.folder.keep(name, outcome)
         situation.found[name] = outcome
         attendant.told(name, outcome, False)
     return all(situation.folder.outcome(name) is not None for name in names)
 
 
-def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -> Outcome:
-    stage = STAGES[name]
+def _done(situation, bench: Bench, attendant: Attendant, name: str, stage: Stage | Computation) -> Outcome:
     situation.progress(0, name)
     if isinstance(stage, Computation):
         return stage.compute(situation)
     axis = stage.axis(situation)
     if isinstance(axis, Outcome):
         return axis
-    samples = axis.plant_simulator.samples
+    samples = run_samples(axis)
     seconds = samples / situation.rate
     if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):
         raise NotAllowedError(f"stopped before the stage {name}, before any of its movements; continue with --resume")

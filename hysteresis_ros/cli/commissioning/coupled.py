@@ -1,0 +1,199 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Data that the stages of a commissioning of coupled axes share: a plan for each axis, and the runs of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.cli.commissioning.situation import (
+    NOTHING,
+    OVERTRAVEL,
+    SECTION,
+    CommissioningError,
+    Folder,
+    Outcome,
+    Plan,
+    Situation,
+    plan_of,
+)
+from hysteresis_ros.configuration import STAGE, Configuration
+from hysteresis_ros.designs.stage_excitation import played_stage, scoped
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.reach import reachable_displacements
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.recipes import following, hold, write_samples
+
+#: Files of coupled axes in the folder: the identified model with its controllers, which predicts each run.
+DESIGNED = "designed.yaml"
+
+
+def plans_of(configuration: Configuration, parameters: StageParameters) -> dict[str, Plan]:
+    """Return the plan of each axis: the section for all axes, and that in the namespace of the axis.
+
+    By default the cycles are as fast as those of `hysteresis excite`.
+    """
+    found = {}
+    for name, axis in zip(parameters.names, parameters.axes, strict=True):
+        plan = plan_of(configuration, axis, cycle_frequency=min(parameters.sample_rate / 500.0, 100.0))
+        given = axis.plant_simulator.limits
+        for what, value, beyond in (
+            ("minimum", plan.minimum, plan.minimum < given.minimum),
+            ("maximum", plan.maximum, plan.maximum > given.maximum),
+        ):
+            if beyond:
+                raise ConfigurationError(
+                    f"{configuration.source}: axis {name}: {what} = {value:g} V of {SECTION} is beyond limits.{what} = "
+                    f"{getattr(given, what):g} V of its plant_simulator; narrow the plan"
+                )
+        found[name] = plan
+    return found
+
+
+@dataclass
+class StageSituation:
+    """The data that all stages of a commissioning of coupled axes share."""
+
+    configuration: Configuration  #: The parameter file.
+    parameters: StageParameters
+    plans: Mapping[str, Plan]  #: By the names of the axes.
+    folder: Folder
+    model: str  #: model, controller: Model of the hysteresis to identify, and controller to design.
+    controller: str
+    #: Called as ``progress(number, text)`` during long computations.
+    progress: Callable[[int, str], None] = lambda number, text: None
+    #: Outcomes of earlier stages; figures of the axes are by their names.
+    found: dict[str, Outcome] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self.parameters.names
+
+    @property
+    def rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.parameters.sample_rate
+
+    @property
+    def safe(self) -> tuple[float, ...]:
+        """The safe voltage of each axis [V], at which every stage begins and ends."""
+        return tuple(axis.hysteresis_compensator.safe_voltage for axis in self.parameters.axes)
+
+    def figures(self, stage: str) -> dict:
+        """Return the figures of an earlier stage."""
+        if stage not in self.found:
+            raise CommissioningError(f"the stage {stage} is not done yet: run it first (--stage {stage})")
+        return self.found[stage].figures
+
+    def of_axis(self, name: str) -> Situation:
+        """Return the data of one axis, with its own figures of earlier stages."""
+        place = self.names.index(name)
+        own = {stage: Outcome([], one.figures[name]) for stage, one in self.found.items() if name in one.figures}
+        return Situation(
+            self.configuration, self.parameters.axes[place], self.plans[name], self.folder, found=own
+        )  # the judges of a single axis need no more
+
+    def within(self) -> Configuration:
+        """Return the configuration in the ranges of the plans, holding the middle of the motion that they allow.
+
+        An axis that leaves its range of motion by half a stroke is stopped, and with it all of them.
+        """
+        entries: list[tuple[str, dict]] = []
+        for name, axis in zip(self.names, self.parameters.axes, strict=True):
+            plan, given = self.plans[name], axis.hysteresis_compensator
+            values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
+            if plan.amplifier > 0.0:
+                values["limits.slew_rate"] = plan.amplifier
+            limits = replace(given.limits, minimum=plan.minimum, maximum=plan.maximum)
+            narrowed = replace(axis, hysteresis_compensator=replace(given, limits=limits))
+            middle = 0.5 * sum(reachable_displacements(narrowed))
+            entries += [
+                (f"{axis.namespace}/plant_simulator", {**values, "overtravel": OVERTRAVEL * plan.stroke}),
+                (f"{axis.namespace}/hysteresis_compensator", values),
+                (f"{axis.namespace}/reference_generator", {"waveform.type": "hold", "initial_setpoint": middle}),
+            ]
+        return replace(self.configuration, entries=(*self.configuration.entries, *entries))
+
+    def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just around them."""
+        ranges = []
+        for name, volts in zip(self.names, voltages.T, strict=True):
+            plan = self.plans[name]
+            room = NOTHING * plan.span
+            ranges.append((max(float(volts.min()) - room, plan.minimum), min(float(volts.max()) + room, plan.maximum)))
+        return played_stage(self.within(), voltages, self.folder.path / "waveforms" / stage, ranges)
+
+    def in_turn(self, voltages: Callable[[Plan, float, float], np.ndarray]) -> tuple[np.ndarray, dict[str, slice]]:
+        """Return voltages [V], shape (N, n), of one axis after the other, and the samples in which each one moves."""
+        parts, spans, count = [], {}, 0
+        for place, name in enumerate(self.names):
+            own = voltages(self.plans[name], self.safe[place], self.rate)
+            table = np.tile(self.safe, (len(own), 1))
+            table[:, place] = own
+            parts.append(table)
+            spans[name] = slice(count, count + len(own))
+            count += len(own)
+        return np.concatenate(parts), spans
+
+    def resting(self, seconds: float) -> np.ndarray:
+        """Return the safe voltages for some time [V], shape (N, n)."""
+        return np.array([hold(level, seconds, self.rate) for level in self.safe]).T
+
+    def closed(self, configuration: Configuration, stage: str, references: np.ndarray) -> StageParameters:
+        """Return the stage whose axes follow references [m], shape (N, n), once."""
+        parameters = StageParameters.from_configuration(configuration)
+        given = configuration.override(STAGE, scan__kind="")
+        for axis, name, reference in zip(parameters.axes, self.names, references.T, strict=True):
+            path = write_samples(self.folder.path / "waveforms" / f"{stage}_{name}.npz", reference, self.rate)
+            entries = scoped(configuration, following(configuration, path, float(reference[0])), axis.namespace)
+            # a run begins and ends where the axis rests at its safe voltage
+            ends = {
+                "minimum": min(axis.generator.minimum, float(reference.min())),
+                "maximum": max(axis.generator.maximum, float(reference.max())),
+            }
+            entries.append((f"{axis.namespace}/reference_generator", ends))
+            given = replace(given, entries=(*given.entries, *entries))
+        return StageParameters.from_configuration(given).with_duration(len(references) / self.rate)
+
+
+def part_of(recording: Recording, span: slice) -> Recording:
+    """Return some samples of a recording."""
+    signals = {name: values[span] for name, values in recording.signals.items()}
+    return Recording(recording.time[span], signals, recording.units, recording.metadata)
+
+
+def each_axis(
+    situation: StageSituation,
+    recording: Recording,
+    judge: Callable[[Situation, Recording], Outcome],
+    spans: Mapping[str, slice] | None = None,
+) -> Outcome:
+    """Judge each axis like a single one, in the samples in which it moves."""
+    lines, figures, pictures = [], {}, []
+    for name in situation.names:
+        own = recording.axis(name)
+        try:
+            outcome = judge(situation.of_axis(name), own if spans is None else part_of(own, spans[name]))
+        except CommissioningError as error:
+            raise CommissioningError(f"axis {name}: {error}") from None
+        lines += [f"{name}: {text}" for text in outcome.lines]
+        figures[name] = outcome.figures
+        pictures += [replace(one, caption=f"{one.caption}, {name}") for one in outcome.pictures]
+    return Outcome(lines, figures, pictures)
+
+
+def columns_of(situation: StageSituation, recording: Recording, signal: str) -> np.ndarray:
+    """Return a signal of all axes, shape (N, n)."""
+    return np.column_stack([recording[f"{name}/{signal}"] for name in situation.names])

@@ -1,0 +1,168 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Coupled axes: from their recordings to a model, and from the model to controllers and a parameter file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.analysis.commissioning_report import Picture, line
+from hysteresis_ros.cli.commissioning.coupled import DESIGNED, StageSituation
+from hysteresis_ros.cli.commissioning.coupled_measuring import identification_data, reading_of
+from hysteresis_ros.cli.commissioning.measuring import MICRO
+from hysteresis_ros.cli.commissioning.situation import COMMISSIONED, IDENTIFIED, CommissioningError, Outcome
+from hysteresis_ros.cli.commissioning.situation import SECTION as PLAN_SECTION
+from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
+from hysteresis_ros.control.coupling import disk_margins
+from hysteresis_ros.designs.coupled import response_uncertainties, stage_lines
+from hysteresis_ros.designs.stage_identification import (
+    IdentifiedStage,
+    StageRequest,
+    decoupled_responses,
+    design_identified,
+    identify_stage,
+    put_into,
+)
+from hysteresis_ros.identification.frequency_response import response_matrix
+from hysteresis_ros.identification.parameter_file import SECTION, write_file
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_response import stage_loop
+from hysteresis_ros.units import readable
+
+#: Largest error of the model on what was held out, as a fraction of the motion.
+UNFIT = 0.2
+#: Largest error of the hysteresis on its loops, as a fraction of the stroke.
+LOOSE = 0.05
+
+
+def identify_coupled(situation: StageSituation) -> Outcome:
+    """Identify the stage and write it in open loop; a realisation of the multisines is held out and judges."""
+    reading, data = identification_data(situation, situation.folder.recording("multisine"))
+    loops = reading_of(situation.folder.recording("hysteresis"), "hysteresis.npz")
+    request = StageRequest(
+        axes=situation.names,
+        model=situation.model,
+        controller="none",
+        progress=lambda text: situation.progress(0, text),
+    )
+    found = identify_stage(reading, data, request, loops)
+    write_file(situation.folder.path / IDENTIFIED, found.text)
+    held = found.held_out
+    if held is None:
+        raise CommissioningError("no realisation was held out; begin anew in another --directory")
+    lines = [f"{found.figures['type']} of order {found.figures['order']}, {found.figures['lines']} lines"]
+    for name, error, motion in zip(situation.names, held.errors, held.motion, strict=True):
+        percent = found.figures[f"loops_{name}_rmse_percent_of_stroke"]
+        lines.append(
+            f"{name}: held out {readable(float(error), 'm')} RMS, {100.0 * error / motion:.2g} % of the motion; loops "
+            f"{percent:.2g} % of the stroke"
+        )
+        if error > UNFIT * motion or percent > 100.0 * LOOSE:
+            raise CommissioningError(
+                f"{lines[-1]}: more than {100.0 * UNFIT:g} % of the motion, or {100.0 * LOOSE:g} % of the stroke: the "
+                f"model is not fit for feedback. It is in {situation.folder.path / IDENTIFIED}; choose another with "
+                "--resume --model NAME (hysteresis models), or check that nothing else moves the stage"
+            )
+    lines += [f"note: {text}" for text in found.warnings]
+    return Outcome(lines, found.figures, _pictures(situation, found))
+
+
+def _pictures(situation: StageSituation, found: IdentifiedStage) -> list[Picture]:
+    response, pictures = found.responses[0].response, []
+    for i, name in enumerate(situation.names):
+        traces = []
+        for j, other in enumerate(situation.names):
+            for label, values in (("measured", response.response), ("model", found.structure)):
+                traces.append(line(f"from {other}, {label}", response.frequency, MICRO * np.abs(values[:, i, j])))
+        pictures.append(Picture(f"Response of {name}", "frequency [Hz]", "gain [µm/V]", traces, "xy"))
+        one = found.loops[i]
+        if one is not None:
+            known = slice(one.validation.skipped, None)
+            volts = one.data.input[known]
+            both = [
+                line("measured", volts, MICRO * one.data.output[known]),
+                line("model", volts, MICRO * (one.predicted[known] + one.validation.offset)),
+            ]
+            pictures.append(Picture(f"Loops of {name}", "voltage [V]", "displacement [µm]", both))
+    return pictures
+
+
+def design_coupled(situation: StageSituation) -> Outcome:
+    """Design a controller for each axis, judge all loops together, and write the stage that predicts the runs."""
+    (situation.folder.path / COMMISSIONED).unlink(missing_ok=True)
+    configuration = load_configuration(situation.folder.path / IDENTIFIED)
+    parameters = StageParameters.from_configuration(configuration)
+    _, data = identification_data(situation, situation.folder.recording("multisine"))
+    responses = response_matrix(data.u, data.y, data.sample_time, data.period)
+    analyses = decoupled_responses(responses, np.array(situation.figures("identify")["gain_m_per_v"]))
+    noise = max(situation.figures("noise")[name]["noise_rms_m"] for name in situation.names) or None
+    request = StageRequest(controller=situation.controller)
+    known = response_uncertainties(configuration, parameters)
+    text, designs, why = design_identified(configuration.text, parameters, request, noise, analyses, known)
+    if not designs:
+        raise CommissioningError(f"{why[0]}; choose another with --resume --controller NAME")
+    designed = StageParameters.from_configuration(parse_configuration(text, "the designed stage"))
+    together = disk_margins(stage_loop(designed), 1.0 / situation.rate).together
+    if together.alpha <= 0.0:
+        raise CommissioningError(
+            "each loop is stable alone, but all together are not: the axes are coupled too strongly near the "
+            "crossover; choose a slower controller with --resume --controller NAME"
+        )
+    write_file(situation.folder.path / DESIGNED, text)
+    lines: list[str] = []
+    figures: dict = {"disk_margin_db": together.gain_margin}
+    for name, design in designs.items():
+        margins = design.margins
+        lines.append(
+            f"{name}: {design.parameters.type}, bandwidth {margins.bandwidth:.4g} Hz, M_s "
+            f"{margins.sensitivity_peak:.3g}, delay margin {margins.delay_margin_samples:.3g} samples"
+        )
+        figures[name] = {"bandwidth_hz": float(margins.bandwidth), "sensitivity_peak": margins.sensitivity_peak}
+    return Outcome([*lines, *stage_lines(designed), *(f"note: {text}" for text in why)], figures)
+
+
+def closed_configuration(situation: StageSituation, watched: bool = True) -> Configuration:
+    """Return the stage of the file with what was designed; ``watched`` with the travel that commissioning allows."""
+    designed = load_configuration(situation.folder.path / DESIGNED)
+    into = situation.within()
+    if not watched:
+        own = [(f"{axis.namespace}/plant_simulator", axis.plant_simulator.overtravel) for axis in _axes(situation)]
+        entries = tuple((name, {"overtravel": value}) for name, value in own)
+        into = replace(into, entries=(*into.entries, *entries))
+    text = put_into(into, designed, StageParameters.from_configuration(designed))
+    return parse_configuration(text, "the commissioned stage")
+
+
+def _axes(situation: StageSituation):
+    return situation.parameters.axes
+
+
+def commissioned_text(situation: StageSituation) -> str:
+    """Return the parameter file of the finished stage, with its limits, where they come from, and the plan."""
+    text = closed_configuration(situation, watched=False).text
+    body = "".join(one for one in text.splitlines(keepends=True) if not one.startswith("#"))
+    head = (
+        f"# Commissioned by `hysteresis commission {situation.configuration.source}`. SI units.\n"
+        "# /identification and /commissioning are not nodes: where the numbers come from, and the movements allowed.\n"
+    )
+    sections: dict[str, dict] = {}
+    designed = load_configuration(situation.folder.path / DESIGNED)
+    wanted = [(designed, SECTION), *((situation.configuration, name) for name in _plan_sections(situation))]
+    for source, section in wanted:
+        found = next((values for name, values in source.entries if name == section), None)
+        if found is not None:
+            sections[section] = {key: tuple(one) if isinstance(one, list) else one for key, one in found.items()}
+    return head + body.rstrip("\n") + "\n" + dump_configuration(sections)
+
+
+def _plan_sections(situation: StageSituation) -> list[str]:
+    return [PLAN_SECTION, *(f"{axis.namespace}{PLAN_SECTION}" for axis in _axes(situation))]

@@ -1,0 +1,385 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A stage of two axes from its file to judged loops: what stops on the way, and what each stage may move."""
+
+from __future__ import annotations
+
+import pathlib
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from commissioning_support import Willing
+
+from hysteresis_ros.cli.commissioning.bench import Bench, OfflineBench, require_sound
+from hysteresis_ros.cli.commissioning.coupled import DESIGNED, StageSituation, plans_of
+from hysteresis_ros.cli.commissioning.coupled_loops import repeated, steps
+from hysteresis_ros.cli.commissioning.coupled_stages import COUPLED_STAGES
+from hysteresis_ros.cli.commissioning.situation import COMMISSIONED, IDENTIFIED, SECTION, CommissioningError, Folder
+from hysteresis_ros.cli.commissioning.stages import commission
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.recordings.dataset import Recording
+
+#: Entries of the plan that make a commissioning short.
+SHORT = """
+/commissioning:
+  ros__parameters:
+    noise_duration: 0.5
+    cycle_frequency: 100.0
+    scan_frequency: 25.0
+"""
+
+
+def written(folder, further="") -> pathlib.Path:
+    """Return the path of xy_scanner with a short plan."""
+    path = folder / "scanner.yaml"
+    if not path.exists():
+        path.write_text(load_configuration("xy_scanner").text + SHORT + further, encoding="utf-8")
+    return path
+
+
+def sitting(folder, resumed=False, further="") -> StageSituation:
+    """Return the data of a commissioning of xy_scanner."""
+    configuration = load_configuration(written(folder, further))
+    parameters = StageParameters.from_configuration(configuration)
+    kept = Folder(folder / "kept", configuration.text, "offline", resumed)
+    plans = plans_of(configuration, parameters)
+    return StageSituation(configuration, parameters, plans, kept, "prandtl_ishlinskii", "pid")
+
+
+def stage_of(parameters: StageParameters) -> str:
+    """Return the name of the stage of the commissioning that built these parameters."""
+    return pathlib.Path(parameters.axes[0].generator.waveform.file.path).name.split("_")[0]
+
+
+class Observed(Bench):
+    """Runs the simulated stage, keeps what it ran and recorded, and spoils what it is told to."""
+
+    name = "offline"
+
+    def __init__(self):
+        self.runs, self.recorded, self.spoil = {}, {}, {}
+
+    def run(self, axis):
+        """Run or fail."""
+        stage = stage_of(axis)
+        self.runs[stage] = axis
+        if stage not in self.recorded:
+            self.recorded[stage] = OfflineBench().run(axis)
+        found = self.recorded[stage]
+        copied = Recording(found.time, {k: v.copy() for k, v in found.signals.items()}, found.units, found.metadata)
+        self.spoil.get(stage, lambda signals: None)(copied.signals)
+        return copied
+
+
+def unplugged(signals):
+    """The bench fails."""
+    raise CommissioningError("unplugged")
+
+
+def swinging(signals):
+    """Something swings once the loops are closed."""
+    signals["y/measured"] += 2e-6 * np.sin(0.8 * np.arange(signals["y/measured"].size))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A commissioning that was interrupted twice: while the cycles ran, and by a loop that rang."""
+    folder, bench = tmp_path_factory.mktemp("coupled"), Observed()
+    bench.spoil["hysteresis"] = unplugged
+    with pytest.raises(CommissioningError, match="hysteresis: unplugged"):
+        commission(sitting(folder), bench, Willing(), (), COUPLED_STAGES)
+    bench.spoil = {"loop": swinging}
+    second = Willing()
+    with pytest.raises(
+        CommissioningError, match=r"loop: axis y: does not settle after a step of x .* Outputs are safe"
+    ):
+        commission(sitting(folder, True), bench, second, (), COUPLED_STAGES)
+    assert not (folder / "kept" / COMMISSIONED).exists(), "the file is written at the end"
+    bench.spoil, situation, third = {}, sitting(folder, True), Willing()
+    assert commission(situation, bench, third, (), COUPLED_STAGES)
+    return situation, bench, second, third
+
+
+def test_an_interrupted_commissioning_repeats_nothing_that_is_done(done):
+    _, _, second, third = done
+    assert [name for name, (_, before) in second.heard.items() if before] == ["noise", "gain", "resonance", "multisine"]
+    assert list(second.asked) == ["hysteresis", "loop"]
+    assert list(third.asked) == ["loop", "scan", "judge"] and list(third.heard) == list(COUPLED_STAGES)
+
+
+def test_each_stage_finds_what_the_stage_has(done):
+    situation, _, _, _ = done
+    figures = {name: outcome.figures for name, outcome in situation.found.items()}
+    for i, name in enumerate("xy"):
+        assert figures["noise"][name]["noise_rms_m"] == pytest.approx(5e-9, rel=0.05)
+        assert figures["resonance"][name]["resonance_hz"] == pytest.approx((700.0, 800.0)[i], rel=2e-3)
+        assert figures["resonance"][name]["damping"] == pytest.approx(0.01, rel=0.2)
+        # the drift of creep, 0.05 µm/V in the lowest lines, is removed
+        assert figures["resonance"][name]["gain_m_per_v"] == pytest.approx(3.4e-7, rel=0.07)
+        # a sample of delay and half a one for which the voltage is held
+        assert figures["resonance"][name]["delay_s"] == pytest.approx(1.6e-4, rel=0.1)
+        assert figures["multisine"][name]["swing_m"] < figures["multisine"][name]["predicted_swing_m"] < 13e-6
+        assert figures["hysteresis"][name]["stroke_m"] == pytest.approx((44e-6, 43e-6)[i], rel=0.15)
+        assert figures["identify"][f"file_{name}_rmse_m"] < 0.05 * 1.5e-6
+        assert figures["design"][name]["bandwidth_hz"] > 300.0
+        assert figures["loop"][name]["rest_rms_m"] < 8e-9
+        assert figures["scan"][name]["ratio"] == pytest.approx(1.0, abs=0.1)
+        assert figures["judge"][name]["ratio"] == pytest.approx(1.0, abs=0.1)
+    gain = np.array(figures["gain"]["gain_m_per_v"])
+    np.testing.assert_allclose(gain / np.diag(gain), [[1.0, 0.04], [0.04, 1.0]], rtol=0.05)
+    # columns are the actuators, whose gains differ
+    assert gain[1, 0] / gain[0, 1] == pytest.approx(1.055, abs=0.02)
+    # predictions are those of the identified plant, not those of the stage itself
+    assert all(abs(figures[stage][name]["ratio"] - 1.0) > 1e-6 for stage in ("scan", "judge") for name in "xy")
+    # 4 % without decoupling; the triangle of 25 Hz moves the other axis by a few parts in 10 000
+    assert figures["scan"]["x"]["coupling_y_rms_m"] < 5e-4 * 32e-6
+    assert figures["scan"]["as_predicted"] and figures["judge"]["as_predicted"]
+
+
+def test_no_stage_moves_more_than_it_announces(done):
+    _, bench, second, third = done
+    limits = {
+        name: [(axis.plant_simulator.limits, axis.hysteresis_compensator.limits) for axis in run.axes]
+        for name, run in bench.runs.items()
+    }
+    for name, most in {"noise": 0.01, "gain": 5.01, "resonance": 52.01, "multisine": 60.01}.items():
+        for plant, compensator in limits[name]:
+            assert (plant.minimum, plant.maximum) == (compensator.minimum, compensator.maximum)
+            assert plant.maximum <= most + 1e-9 and plant.minimum == 0.0
+    # a sensor that shows more than the range that belongs to these voltages, and half a stroke, stops all axes
+    stroke = 56.94e-6
+    low, high = bench.runs["gain"].travel()[0]
+    assert low == pytest.approx(-0.5 * stroke, rel=0.05) and high == pytest.approx(
+        0.5 * stroke + 5.0 * 0.41e-6, rel=0.1
+    )
+    assert all(
+        axis.plant_simulator.overtravel == pytest.approx(0.5 * stroke, rel=1e-3) for axis in bench.runs["scan"].axes
+    )
+    for name, recording in bench.recorded.items():
+        for axis in "xy":
+            voltage = recording[f"{axis}/voltage"]
+            slew = np.max(np.abs(np.diff(voltage))) * 1e4
+            assert slew <= 70000.0 * 1.001, name
+            # a loop corrects the identified zero of its model at once, by less than the small step
+            room = 5.0 if name in ("loop", "scan", "judge") else 0.1
+            assert abs(voltage[0]) < room and abs(voltage[-1]) < room, name
+    assert "100 V" in second.asked["hysteresis"] and "at most x 10" in third.asked["loop"]
+
+
+def test_the_file_has_the_plants_of_the_stage_and_all_limits(done):
+    situation, _, _, _ = done
+    path = situation.folder.path / COMMISSIONED
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# Commissioned by `hysteresis commission ") and "scanner.yaml`. SI units." in text
+    configuration = load_configuration(path)
+    found, given = StageParameters.from_configuration(configuration), situation.parameters
+    assert found.stage.structure == given.stage.structure
+    np.testing.assert_allclose(found.stage.matrix("decoupling"), [[1.0, -0.04], [-0.04, 1.0]], atol=3e-3)
+    sections = dict(configuration.entries)
+    assert sections[SECTION]["cycle_frequency"] == 100.0 and "metrics.held_out_x_rmse_m" in sections["/identification"]
+    for own, axis in zip(found.axes, given.axes, strict=True):
+        assert own.plant_simulator.hysteresis == axis.plant_simulator.hysteresis
+        assert own.plant_simulator.overtravel == axis.plant_simulator.overtravel
+        assert own.plant_simulator.limits.slew_rate == own.hysteresis_compensator.limits.slew_rate == 70000.0
+        assert not own.reference_generator.approach.unlimited
+        assert own.reference_generator.approach.maximum_velocity < 0.05
+        assert own.motion_controller.type == "pid" and own.motion_controller.damping.type == "irc"
+    predicting = StageParameters.from_configuration(load_configuration(situation.folder.path / DESIGNED))
+    assert predicting.stage.structure != given.stage.structure, "runs are predicted by what was identified"
+
+
+def replayed(done, folder, stage, spoil, further=""):
+    """Commission again from the recordings of the fixture, one of them spoiled."""
+    bench = Observed()
+    bench.recorded, bench.spoil = done[1].recorded, {stage: spoil}
+    attendant = Willing()
+    with pytest.raises(CommissioningError) as caught:
+        commission(sitting(folder, further=further), bench, attendant, (), COUPLED_STAGES)
+    assert caught.value.exit_code == 2
+    return str(caught.value), attendant
+
+
+def swapped(signals):
+    """The cables of the sensors are swapped."""
+    signals["x/measured"], signals["y/measured"] = signals["y/measured"], signals["x/measured"]
+
+
+def reversed_sign(signals):
+    """The sensor of y counts backwards."""
+    signals["y/measured"] *= -1.0
+
+
+def blind(signals):
+    """The sensor of y shows another thing."""
+    signals["y/measured"] = 5e-9 * np.random.default_rng(1).standard_normal(signals["y/measured"].size)
+
+
+def alike(signals):
+    """Both sensors look at the same side."""
+    both = signals["x/measured"] + 0.9 * signals["y/measured"]
+    signals["x/measured"], signals["y/measured"] = both, both.copy()
+
+
+def far(signals):
+    """The sensor of y reads millimetres."""
+    signals["y/measured"] += 5e-3
+
+
+def tripping(signals):
+    """The plant of y stopped itself and the others."""
+    signals["y/tripped"][3000:] = 2.0
+
+
+def losing(signals):
+    """Every tenth sample has no measurement."""
+    signals["x/measured"][::10] = np.nan
+
+
+def deaf(signals):
+    """The sensor of y is noisy during the multisines."""
+    signals["y/measured"] += 2e-6 * np.random.default_rng(1).standard_normal(signals["y/measured"].size)
+
+
+def short(signals):
+    """The sensor of y ends in the middle."""
+    np.minimum(signals["y/measured"], 25e-6, out=signals["y/measured"])
+
+
+WRONG = [
+    ("noise", far, "noise: axis y: the sensor reads 5 mm at rest"),
+    ("noise", tripping, "noise: axis y: the axis tripped after 0.3 s: the sensor measured more"),
+    ("noise", losing, "noise: axis x: 10.0 % of 5000 samples have no measurement"),
+    ("gain", swapped, "gain: 5 V at the actuator of x move the sensor of y by 1.8"),
+    ("gain", reversed_sign, "gain: axis y: the sign is reversed"),
+    ("gain", blind, "gain: axis y: the sensor does not move with the actuator"),
+    ("gain", alike, "gain: the gains are singular: the direction"),
+    ("multisine", deaf, "multisine: axis y: the response to the multisine is below its noise"),
+    ("hysteresis", short, "hysteresis: axis y: the sensor stays at its highest reading"),
+]
+
+
+@pytest.mark.parametrize(("stage", "spoil", "words"), WRONG, ids=[f"{a}-{b.__name__}" for a, b, _ in WRONG])
+def test_what_looks_wrong_stops_it_and_is_named_with_its_axis(done, tmp_path, stage, spoil, words):
+    said, attendant = replayed(done, tmp_path, stage, spoil)
+    assert words in said
+    assert list(attendant.heard) == list(COUPLED_STAGES)[: list(COUPLED_STAGES).index(stage)]
+
+
+def repeated_stage(done, folder, stage, spoil):
+    """Repeat one stage of the finished commissioning, in a copy of its folder, from a spoiled recording."""
+    shutil.copytree(done[0].folder.path, folder / "kept")
+    bench, attendant = Observed(), Willing()
+    bench.recorded, bench.spoil = done[1].recorded, {stage: spoil}
+    commission(sitting(folder, resumed=True), bench, attendant, [stage], COUPLED_STAGES)
+    return attendant.heard[stage][0]
+
+
+def test_an_error_beyond_its_prediction_ends_with_exit_code_4(done, tmp_path):
+    def buzzing(signals):
+        signals["y/measured"] += 3e-6 * np.sin(0.05 * np.arange(signals["y/measured"].size))
+
+    outcome = repeated_stage(done, tmp_path, "judge", buzzing)
+    assert outcome.figures["y"]["ratio"] > 1.5 > outcome.figures["x"]["ratio"] and not outcome.figures["as_predicted"]
+    assert "MORE than 1.5 x the prediction" in outcome.lines[1]
+    words = ("--offline", "--resume", "--directory", tmp_path / "kept")
+    answer = CliRunner().invoke(main, ["commission", *map(str, (tmp_path / "scanner.yaml", *words))])
+    assert answer.exit_code == 4 and "judge: already done" in answer.output, answer.output
+
+
+def test_a_loop_that_disturbs_another_is_named(done, tmp_path):
+    begin = steps(done[0]).spans["x"].start
+
+    def bumped(signals):
+        signals["y/measured"][begin + 300 : begin + 400] += 3e-6
+
+    with pytest.raises(CommissioningError, match=r"loop: axis y: moves by 3\.\d+ µm while x steps by"):
+        repeated_stage(done, tmp_path, "loop", bumped)
+
+
+def test_a_stage_that_leaves_its_range_stops_with_all_its_axes(tmp_path):
+    """The sensor of y reads half a stroke and more beyond the range of a small step of x: nothing moves any more."""
+    run = COUPLED_STAGES["gain"].axis(sitting(tmp_path))
+    axes = list(run.axes)
+    plant = axes[1].plant_simulator
+    _, high = run.travel()[1]
+    for beyond, trips in ((0.9, False), (1.1, True)):
+        axes[1] = replace(
+            axes[1], plant_simulator=replace(plant, sensor=replace(plant.sensor, offset=float(beyond * high)))
+        )
+        recording = OfflineBench().run(replace(run, axes=tuple(axes)).with_duration(1.0))
+        assert recording["x/voltage"].max() == pytest.approx(0.0 if trips else 5.0, abs=0.01)
+        assert (recording["x/tripped"].max() > 0.0) == trips
+    with pytest.raises(CommissioningError, match=r"axis x: the axis tripped after 0(\.\d+)? s"):
+        require_sound(recording, 10000)
+    assert recording["y/tripped"].max() == 2.0
+
+
+def test_a_safe_voltage_within_the_range_is_where_everything_begins_and_ends(tmp_path):
+    (tmp_path / "a").mkdir()
+    path = written(tmp_path / "a")
+    text = path.read_text(encoding="utf-8").replace("safe_voltage: 0.0", "safe_voltage: 30.0")
+    path.write_text(text, encoding="utf-8")
+    situation = sitting(tmp_path / "a")
+    run = COUPLED_STAGES["gain"].axis(situation)
+    found = OfflineBench().run(run.with_duration(0.75))
+    assert np.allclose(found["x/voltage"], 30.0, atol=0.01) and np.allclose(found["y/voltage"], 30.0, atol=0.01)
+    assert run.axes[0].plant_simulator.limits.minimum == pytest.approx(30.0, abs=0.02)
+
+
+def test_a_plan_beyond_the_plants_is_refused(tmp_path):
+    further = "\n/y/commissioning:\n  ros__parameters: {maximum: 120.0}\n"
+    with pytest.raises(ConfigurationError, match=r"axis y: maximum = 120 V of /commissioning is beyond limits.maximum"):
+        sitting(tmp_path, further=further)
+
+
+def test_what_repeats_is_told_from_noise():
+    random = np.random.default_rng(1)
+    period, wave = 200, 1e-9 * np.sin(2.0 * np.pi * np.arange(200) / 200)
+    error = np.tile(wave, 10) + 5e-9 * random.standard_normal(2000) + 3e-9
+    moved, noise = repeated(error, period)
+    assert moved == pytest.approx(1e-9 / np.sqrt(2.0), rel=0.5) and noise == pytest.approx(
+        5e-9 / np.sqrt(10.0), rel=0.1
+    )
+    assert repeated(np.tile(wave, 10), period) == (pytest.approx(1e-9 / np.sqrt(2.0)), pytest.approx(0.0, abs=1e-15))
+
+
+REFUSED = {
+    "axis": (("--namespace", "x"), "--namespace and --against are for a single axis"),
+    "other models": (("--against", "none"), "--namespace and --against are for a single axis"),
+    "external": (("--plant", "external"), "has no drivers and no plants of your own yet"),
+    "stage of an axis": (("--stage", "creep"), "no stage creep; there are noise, gain, resonance, multisine"),
+    "before its time": (("--stage", "loop"), "loop needs the results of noise, gain"),
+    "nobody there": ((), "noise: no terminal to ask for permission to move; give --yes"),
+    "unit": (("--scan-stroke", "70V"), "--scan-stroke '70V': is in V"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_a_stage_cannot_do_is_refused(tmp_path, case):
+    words, said = REFUSED[case]
+    yes = () if case == "nobody there" else ("--yes",)
+    answer = CliRunner().invoke(main, ["commission", str(written(tmp_path)), "--offline", *yes, *words])
+    assert answer.exit_code == 2 and said in answer.output, answer.output
+    assert not list(tmp_path.glob("*/noise.npz"))
+
+
+def test_the_command_takes_a_stage_and_writes_its_page(tmp_path):
+    answer = CliRunner().invoke(main, ["commission", str(written(tmp_path)), "--offline", "--yes", "--stage", "noise"])
+    assert answer.exit_code == 0, answer.output
+    assert "all sensors are read at the safe voltages (x 0 V, y 0 V)" in answer.output
+    page = (tmp_path / "scanner_commissioning/report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 2 and "Commissioning of scanner.yaml" in page
+    assert not (tmp_path / "scanner_commissioning" / IDENTIFIED).exists()
