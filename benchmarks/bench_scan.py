@@ -246,8 +246,8 @@ def with_learning(parameters: StageParameters, learned: dict[str, LearningParame
     return replace(parameters, axes=tuple(axes))
 
 
-def run_on(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Recording]:
-    """Return the stage with a plant instead of its models, and the recording of its run."""
+def true_stage(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Stage]:
+    """Return the stage with a plant instead of its models, and its parts at rest."""
     true = replace(parameters, stage=replace(parameters.stage, structure=plant.structure))
     # one sample of delay between command and structure, independent of the identified delay
     axes = tuple(
@@ -262,7 +262,12 @@ def run_on(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, 
         for axis in true.axes
     )
     true = replace(true, axes=axes)
-    stage = plant.installed(Stage(true))
+    return true, plant.installed(Stage(true))
+
+
+def run_on(plant: Plant, parameters: StageParameters) -> tuple[StageParameters, Recording]:
+    """Return the stage with a plant instead of its models, and the recording of its run."""
+    true, stage = true_stage(plant, parameters)
     signals = stage.run(stage.default_setpoints(stage.default_samples()))
     units = {"displacement": "m", "plant_voltage": "V", "saturated": "1", "measured": "m", "reference": "m"}
     columns = {f"{name}/{key}": signals[name][key] for name in NAMES for key in units}

@@ -54,7 +54,8 @@ from hysteresis_ros.designs.learning_filters import KINDS
 @click.option(
     "--bandwidth",
     type=Quantity("Hz"),
-    help="-3 dB bandwidth from reference to displacement; with --learning, of the learning.",
+    help="-3 dB bandwidth from reference to displacement; with --learning, of the learning; for a stage with "
+    "--feedforward and without --controller, the frequency up to which its axes are decoupled.",
 )
 @click.option(
     "--q", type=float, help="Kalman filter: ratio of the input noise variance to the measurement noise variance."
@@ -66,7 +67,11 @@ from hysteresis_ros.designs.learning_filters import KINDS
     help="Tune the gains by Nelder-Mead on the waveform (pid).",
 )
 @click.option("--duration", type=Quantity("s"), help="Length of the run that --criterion evaluates.")
-@click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
+@click.option(
+    "--feedforward",
+    is_flag=True,
+    help="Add the inverse of the dynamics as feedforward, of a stage that of all axes together.",
+)
 @click.option("--preview", type=int, help="Preview of the reference [samples], with --feedforward.")
 @click.option(
     "--robust", is_flag=True, help="Design for the worst of random plants around the model, within the ranges below."
@@ -93,9 +98,10 @@ def design(config, namespace, output, response, runs, **options):
     keeps the controller and designs learning for it.
 
     For a stage it designs the controllers of all axes, or of the axis --namespace, and prints how the axes interact.
-    With --learning it designs learning for the period of the scan of the stage, starting with the corrections for which
-    the coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
-    Without --controller and --learning it only prints.
+    With --feedforward it adds the inverse of the coupled dynamics, to the designed or to the present controllers. With
+    --learning it designs learning for the period of the scan of the stage, starting with the corrections for which the
+    coupled model follows that scan. With --learning coupled, the axes learn together from recorded runs (--run).
+    Without --controller, --feedforward and --learning it only prints.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.designs.controller import (
@@ -171,6 +177,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         stage_lines,
     )
     from hysteresis_ros.designs.learning import asked, learning_lines
+    from hysteresis_ros.designs.stage_feedforward import without_stage_feedforward
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -180,10 +187,16 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     parameters = StageParameters.from_configuration(configuration)
     known = response_uncertainties(configuration, parameters)
     wanted = options.get("controller") or options.get("learning")
+    if options["feedforward"] and not options["learning"]:
+        configuration = without_stage_feedforward(configuration)
+        parameters = StageParameters.from_configuration(configuration)
+    if options["feedforward"] and not wanted:
+        _design_stage_feedforward(configuration, output, options)
+        return
     if not wanted:
         given = [name for name, value in options.items() if value]
         if output is not None or given:
-            raise ConfigurationError("nothing to design: give --controller NAME or --learning NAME")
+            raise ConfigurationError("nothing to design: give --controller NAME, --feedforward or --learning NAME")
         for line in stage_lines(parameters):
             click.echo(line)
         return
@@ -214,15 +227,65 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         return
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
+    if parameters.stage.feedforward.weights:
+        raise ConfigurationError(
+            f"{configuration.source}: its feedforward was designed for its present controllers: give --feedforward too"
+        )
+    if request.feedforward and namespace:
+        raise ConfigurationError("--feedforward of a stage is that of all its axes: omit --namespace")
     with shown("designing"):
         designs = design_controllers(parameters, request, known, namespace or None)
         text = controllers_file(configuration, designs, f"--controller {request.controller}")
         lines = stage_lines(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
+        if request.feedforward:
+            text, fed = _with_feedforward(text, configuration.source, request.preview, None)
+            lines += fed
     write_file(output, text)
     for name, design in designs.items():
         click.echo("\n".join([f"axis {name}", *design_lines(design), ""]))
     click.echo("\n".join(["stage", *lines]))
     click.echo(f"{output}: written, type {request.controller}")
+
+
+def _with_feedforward(text: str, source: str, preview: int | None, band: float | None) -> tuple[str, list[str]]:
+    """Return the text of the file of a stage with a feedforward of all axes, and the printed lines."""
+    from hysteresis_ros.configuration import parse_configuration
+    from hysteresis_ros.designs.stage_feedforward import (
+        design_stage_feedforward,
+        require_gentle_steps,
+        stage_feedforward_file,
+        stage_feedforward_lines,
+        voltage_steps,
+    )
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+
+    configuration = parse_configuration(text, source)
+    found = design_stage_feedforward(StageParameters.from_configuration(configuration), preview, band)
+    steps = voltage_steps(found.parameters)
+    require_gentle_steps(steps)
+    text = stage_feedforward_file(configuration, found, "--feedforward")
+    return text, stage_feedforward_lines(found, steps)
+
+
+def _design_stage_feedforward(configuration, output: str | None, options: dict) -> None:
+    """Design the feedforward of a stage for its present controllers, and write it."""
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.parameter_file import write_file
+
+    others = [name for name, value in options.items() if value and name not in ("feedforward", "preview", "bandwidth")]
+    if others:
+        raise ConfigurationError(
+            f"--{others[0].replace('_', '-')} does not belong to --feedforward alone: omit it, or add --controller NAME"
+        )
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.")
+    with shown("designing"):
+        text, lines = _with_feedforward(
+            configuration.text, configuration.source, options["preview"], options["bandwidth"]
+        )
+    write_file(output, text)
+    click.echo("\n".join(lines))
+    click.echo(f"{output}: written, feedforward of the stage")
 
 
 def _learn_together(configuration, request, runs, output: str) -> None:

@@ -66,7 +66,7 @@ from hysteresis_ros.control.law import bounded
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models import elementary
 from hysteresis_ros.models.block import Block, kernel
-from hysteresis_ros.models.linear import LinearParameters, accumulate, advance
+from hysteresis_ros.models.linear import LinearParameters, StateSpace, accumulate, advance
 from hysteresis_ros.models.linear_algebra import eigenvalues, inverse, polynomial, power, product, solve
 
 #: Modulus of zeros outside the circle whose weights need 64 samples to decay to 1e-4; those nearer to the circle need
@@ -229,6 +229,13 @@ class InverseFilter:
     zeros: np.ndarray
     error: float
     left_out: Notch | None = None
+
+    def response(self, z: np.ndarray) -> np.ndarray:
+        """Return the frequency response from r(k) to u(k) at points of the z plane, shape (F,)."""
+        ahead = np.asarray(z) ** self.first
+        driving = ahead * np.polynomial.polynomial.polyval(z, self.drive)
+        causal = StateSpace(self.A, self.B[:, np.newaxis], self.C[np.newaxis], np.zeros((1, 1)))
+        return ahead * np.polynomial.polynomial.polyval(z, self.weights) + driving * causal.response(z)[:, 0, 0]
 
 
 class _Parts(NamedTuple):
@@ -532,7 +539,10 @@ WEIGHTS = 6
 COMMAND = 0  # command of the feedforward for the delayed reference [m]
 STARTED = 1  # 0.0: the next call assumes that the reference has always been constant
 NEXT = 2  # index in the ring for the next reference
-RING = 3
+GIVEN = 3  # part of the command that the feedforward of a stage adds [m]; 0 for a single axis
+NEWEST = 4  # reference of the last call [m]
+CALLS = 5  # number of calls since the feedforward of a stage has taken the reference
+RING = 6
 
 
 @kernel
@@ -555,6 +565,8 @@ def feedforward(p, x, reference):
         for i in range(n):
             x[state + i] = p[rest + i] * reference
     newest = int(x[NEXT])
+    x[NEWEST] = reference
+    x[CALLS] += 1.0
     x[RING + newest] = reference
     oldest = newest + 1
     if oldest == length:
@@ -576,7 +588,7 @@ def feedforward(p, x, reference):
         place += 1
         if place == length:
             place = 0
-    x[COMMAND] = accumulate(command, p, outputs, x, state, n)
+    x[COMMAND] = accumulate(command, p, outputs, x, state, n) + x[GIVEN]
     advance(p, matrix, inputs, x, state, n, ahead)
     present = oldest + int(p[PAST])
     if present >= length:

@@ -38,7 +38,13 @@ from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 NODE = "motion_controller"
 #: First lines of the comments that a new design replaces: those of a learning design, and those of any design.
 LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
-HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:", *LEARNING)
+FEEDFORWARD = ("# Feedforward designed by `hysteresis design", "# on the model of the stage:")
+HEADERS = (
+    "# Controller designed by `hysteresis design",
+    "# on the model in motion_controller:",
+    *LEARNING,
+    *FEEDFORWARD,
+)
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
@@ -81,10 +87,27 @@ def learning_text(configuration: Configuration, parameters: LearningParameters, 
     return _text(configuration, values, namespace, header, LEARNING)
 
 
-def _text(configuration: Configuration, values: Callable[[dict], dict], namespace: str, header: str, replaced) -> str:
-    """Return the text of a file with new values and a new comment in the controller's section."""
+def feedforward_text(configuration: Configuration, values: dict, namespace: str, node: str, header: str) -> str:
+    """Return the text of the file with other values of the feedforward in a section; everything else stays."""
+    chosen = {f"feedforward.{name}": value for name, value in values.items()}
+
+    def changed(before: dict) -> dict:
+        return {name: value for name, value in before.items() if not name.startswith("feedforward.")} | chosen
+
+    return _text(configuration, changed, namespace, header, FEEDFORWARD, node)
+
+
+def _text(
+    configuration: Configuration,
+    values: Callable[[dict], dict],
+    namespace: str,
+    header: str,
+    replaced,
+    node: str = NODE,
+) -> str:
+    """Return the text of a file with new values and a new comment in a section."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
-    full = f"{namespace}/{NODE}"
+    full = f"{namespace}/{node}"
     root = yaml.compose(configuration.text)
     sections = [(key, value) for key, value in root.value if _belongs(key.value, full)]
     lines = configuration.text.splitlines(keepends=True)
@@ -94,7 +117,7 @@ def _text(configuration: Configuration, values: Callable[[dict], dict], namespac
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += "\n"
     if not sections:
-        section = dump_configuration({f"/**{full}": values(configuration.node(NODE, namespace))})
+        section = dump_configuration({f"/**{full}": values(configuration.node(node, namespace))})
         text = comment + "".join(lines[kept:]) + "\n" + section
     else:
         key, value = sections[-1]
@@ -109,7 +132,7 @@ def _text(configuration: Configuration, values: Callable[[dict], dict], namespac
 
 
 def _belongs(pattern: str, full: str) -> bool:
-    return pattern.rsplit("/", 1)[-1] == NODE and matches(pattern, full)
+    return pattern.rsplit("/", 1)[-1] == full.rsplit("/", 1)[-1] and matches(pattern, full)
 
 
 #: Maximum number of halvings of the bandwidth, and number of steps of the refinement that follows.

@@ -75,7 +75,7 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
     setpoints[:BEFORE] = start
     still = replace(axis, reference_generator=own)
     found = simulate(still, setpoints=setpoints, describe=False)
-    free = simulate(_unlimited(still), setpoints=setpoints, describe=False)
+    free = simulate(unlimited(still), setpoints=setpoints, describe=False)
     displacement, size = found["displacement"], abs(target - start)
     toward = np.sign(target - start)
     goal = toward * float(displacement[-1] - displacement[0])
@@ -119,7 +119,7 @@ def _largest(voltage: np.ndarray) -> float:
     return float(np.max(np.abs(np.diff(voltage))))
 
 
-def _unlimited(axis: AxisParameters) -> AxisParameters:
+def unlimited(axis: AxisParameters) -> AxisParameters:
     """Return the axis without slew rates."""
 
     def free(limits: LimitsParameters) -> LimitsParameters:

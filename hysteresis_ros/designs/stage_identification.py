@@ -717,7 +717,10 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
             "give the same names with --axes"
         )
     entries: list[tuple[str, dict]] = [
-        (f"{given.namespace}/{STAGE}", {"decoupling": found.stage.decoupling, "scan.kind": ""})
+        (
+            f"{given.namespace}/{STAGE}",
+            {"decoupling": found.stage.decoupling, "feedforward.weights": (), "scan.kind": ""},
+        )
     ]
     for name, axis in zip(given.names, given.axes, strict=True):
         for node in ("hysteresis_compensator", "motion_controller", "reference_generator"):

@@ -15,7 +15,9 @@ actuators. Every axis compensates its hysteresis and outputs its voltage. Finall
 
 The row of an axis contains signals of its degree of freedom (``displacement``, ``measured``, ``command``, ``applied``)
 and of its actuator (``voltage``, ``plant_voltage``). The compensators receive the commands times the decoupling; their
-achieved commands are transformed back by its inverse. A stage stops as a whole: when the plant of one axis trips, the
+achieved commands are transformed back by its inverse. After each sample the feedforward of the stage takes the new
+references of all axes and adds its part to their next commands
+(:mod:`hysteresis_ros.loop.stage_feedforward`). A stage stops as a whole: when the plant of one axis trips, the
 other axes stop too; while the measurement of one axis is stale, all controllers go to their safe commands.
 """
 
@@ -28,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals as at
+from hysteresis_ros.control import feedforward as feeding
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
@@ -142,6 +145,10 @@ class GroupArrays(NamedTuple):
     commands: np.ndarray  #: shape (n,); Last finite command of each degree of freedom [m].
     asked: np.ndarray  #: shape (n,); Commands of the actuators [m].
     scratch: np.ndarray  #: shape (2 n,).
+    weights: np.ndarray  #: shape (n, n, 2 N), or (0, 0, 0): of the feedforward of the stage.
+    references: np.ndarray  #: shape (n, 2 N); Rings of the last references [m].
+    places: np.ndarray  #: shape (n,); Index of the oldest reference in each ring.
+    known: np.ndarray  #: shape (n,); 0: the ring begins anew with the next reference.
 
 
 @kernel
@@ -194,6 +201,41 @@ def to_axes(group, rows):
         rows[i, at.APPLIED] = group.commands[i] + combined(group.recoupling, i, group.scratch, n)
 
 
+@kernel
+def crossed(weights, references, places, known, i):
+    """Return what the feedforward of a stage adds to the next command of axis ``i`` [m]."""
+    total = 0.0
+    length = weights.shape[2]
+    for j in range(weights.shape[1]):
+        if known[j] != 0.0:
+            place = int(places[j])
+            for m in range(length):
+                total += weights[i, j, m] * references[j, place]
+                place += 1
+                if place == length:
+                    place = 0
+    return total
+
+
+@nested
+def feed_across(group, rows):
+    """Take the new references of all axes from :func:`report_reference`; write the commands they add into the rows."""
+    length = group.references.shape[1]
+    for j in range(rows.shape[0]):
+        place = int(group.places[j])
+        if rows[j, at.CONTROLLER_MODE] < 0.0:
+            group.known[j] = 0.0
+        elif rows[j, at.CONTROLLER_MODE] > 0.0:
+            if group.known[j] == 0.0:
+                # as if it had always been constant
+                group.known[j] = 1.0
+                group.references[j, :] = rows[j, at.TRIPPED]
+            group.references[j, place] = rows[j, at.TRIPPED]
+            group.places[j] = float(place + 1 if place + 1 < length else 0)
+    for i in range(rows.shape[0]):
+        rows[i, at.TRIPPED] = crossed(group.weights, group.references, group.places, group.known, i)
+
+
 @nested
 def advance_structure(group):
     """Hold the inputs of the structure for one sample."""
@@ -226,6 +268,26 @@ def drive_axis(laws, parts, row):
 def confirm_axis(laws, parts, row):
     """Give the controller of one axis its achieved command."""
     carried_out(parts.controller, row[at.APPLIED])
+
+
+@kernel
+def report_reference(feedforward, own, row):
+    """Write the newest reference of an axis and the number of new ones into its row; -1: it does not follow them."""
+    row[at.TRIPPED] = feedforward[feeding.NEWEST]
+    row[at.CONTROLLER_MODE] = -1.0 if own[RETURNING] != 0.0 else feedforward[feeding.CALLS]
+    feedforward[feeding.CALLS] = 0.0
+
+
+@each
+def show_reference(laws, parts, row):
+    """Report the newest reference of one axis."""
+    report_reference(parts.controller.x.feedforward, parts.controller.watch_x.own, row)
+
+
+@each
+def take_command(laws, parts, row):
+    """Give the feedforward of one axis what the stage adds to its next command."""
+    parts.controller.x.feedforward[feeding.GIVEN] = row[at.TRIPPED]
 
 
 #: Value of a controller's ``STOP`` while the measurement of another axis of its stage is stale; 1: a user stopped it.
@@ -285,6 +347,10 @@ def stage_ticks(laws, parts, group, given, columns, rows):
         for i in range(rows.shape[0]):
             for j in range(rows.shape[1]):
                 columns[i, j, k] = rows[i, j]
+        if group.weights.shape[0] > 0:
+            show_reference(laws, parts, rows)
+            feed_across(group, rows)
+            take_command(laws, parts, rows)
         find_trip(laws, parts, rows)
         stopped = stale = 0.0
         for i in range(rows.shape[0]):
@@ -302,6 +368,7 @@ class Coupling:
 
     def __init__(self, parameters: StageParameters):
         count, stage, none = len(parameters.axes), parameters.stage, np.zeros((0, 0))
+        weights = stage.feedforward.matrix(count)
         self.structure = Structure(stage.structure, 1.0 / parameters.sample_rate)
         self._travel = parameters.travel()
         self.arrays = GroupArrays(
@@ -315,6 +382,10 @@ class Coupling:
             commands=np.zeros(count),
             asked=np.zeros(count),
             scratch=np.zeros(2 * count),
+            weights=weights,
+            references=np.zeros((count, weights.shape[2])),
+            places=np.zeros(count),
+            known=np.zeros(count),
         )
 
     def plant(self, place: int, parameters: PlantNodeParameters) -> CoupledPlant:
@@ -326,7 +397,7 @@ class Coupling:
         """Set the structure to rest at the initial voltages of the plants of all axes."""
         group = self.arrays
         group.drive[:] = [plant.resting_drive for plant in plants]
-        group.commands[:] = group.asked[:] = 0.0
+        group.commands[:] = group.asked[:] = group.known[:] = 0.0
         self.structure.settle(group.drive)
         structure_output(group.p, group.x, group.drive, group.shown)
         for plant, displacement in zip(plants, group.shown, strict=True):
@@ -436,6 +507,8 @@ class Stage:
         self.axes[place].apply(change)
         if (change.node, change.action) == ("plant_simulator", "reset"):
             self._coupling.settle(self.plants)
+        elif (change.node, change.action) == ("motion_controller", "reset"):
+            self.group.known[place] = 0.0
 
     def _sorted(self, changes) -> list[tuple[Change, int]]:
         """Return the changes of all axes, each with the index of its axis, in the order of their samples."""

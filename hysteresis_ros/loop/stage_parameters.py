@@ -30,6 +30,7 @@ from hysteresis_ros.control.state_feedback import full_rank
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, in_time, part
 from hysteresis_ros.loop.reach import check_reach, reach_warnings
+from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.compensator import resting_displacements
 from hysteresis_ros.models.linear import StateSpace
@@ -106,6 +107,7 @@ class StageNodeParameters(NodeParameters):
         description="from the commands of the degrees of freedom to those of the actuators, n·n "
         "numbers row by row; empty: each actuator drives its axis",
     )
+    feedforward: StageFeedforwardParameters = group(StageFeedforwardParameters)
     scan: StageScanParameters = group(StageScanParameters)
 
     def matrix(self, name: str) -> np.ndarray:
@@ -131,6 +133,10 @@ class StageNodeParameters(NodeParameters):
             if size not in (0, count * count):
                 allowed = f"has {size} numbers and must have {count}·{count} = {count * count}, or be empty"
                 yield Problem(name, getattr(self, name), allowed)
+        fed, needed = self.feedforward, count * count * 2 * self.feedforward.preview
+        if fed.weights and len(fed.weights) != needed:
+            allowed = f"has {len(fed.weights)} numbers and must have {count}·{count}·2·{fed.preview} = {needed}"
+            yield Problem("feedforward.weights", fed.weights, f"{allowed}, or be empty")
         for name, words in (("inputs", "an actuator"), ("outputs", "a sensor")):
             size = getattr(self.structure, name)
             if size != count:
@@ -210,6 +216,17 @@ def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
     if stage.type == INTERNAL and plant.hysteresis.type != "proportional":
         allowed = "must be proportional with type: internal, where the plays of the structure are the hysteresis"
         yield Problem("hysteresis.type", plant.hysteresis.type, allowed)
+
+
+def _unfit_feedforward(axis: AxisParameters, stage: StageNodeParameters):
+    """Yield a Problem for a feedforward of an axis that does not belong to that of its stage."""
+    own = axis.motion_controller.feedforward
+    if stage.feedforward.weights and own.type == "none":
+        allowed = "must be inverse_dynamics or static, because the stage has feedforward.weights"
+        yield Problem("feedforward.type", own.type, allowed)
+    if stage.feedforward.weights and own.preview != stage.feedforward.preview:
+        allowed = f"must equal feedforward.preview of the stage, {stage.feedforward.preview}"
+        yield Problem("feedforward.preview", own.preview, allowed)
 
 
 @dataclass(frozen=True)
@@ -343,6 +360,9 @@ class StageParameters:
         for axis in self.axes:
             where = f"{axis.namespace}/plant_simulator"
             problems += [replace(found, name=f"{where}: {found.name}") for found in _unfit_axis(axis, self.stage)]
+            control = f"{axis.namespace}/motion_controller"
+            unfit = _unfit_feedforward(axis, self.stage)
+            problems += [replace(found, name=f"{control}: {found.name}") for found in unfit]
             joint = axis.plant_simulator.joint
             if joint in joints:
                 allowed = (

@@ -22,6 +22,8 @@ import math
 import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.inner_loop import inner_loop
+from hysteresis_ros.control.damping.kind import NOTHING
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.loop.parameters import part
@@ -105,9 +107,30 @@ def stage_loop(parameters: StageParameters) -> StateSpace:
 
 def stage_response(parameters: StageParameters, angles) -> np.ndarray:
     """Return the closed loop from references to displacements at angles [rad per sample], shape (F, n, n)."""
+    return _closed(parameters, controllers_of(parameters), angles)
+
+
+def damped_response(parameters: StageParameters, angles) -> np.ndarray:
+    """Return the response from the outputs of the control laws, behind which the dampings are, to displacements.
+
+    Its shape is (F, n, n); ``angles`` are in rad per sample. This is the plant that the feedforward inverts.
+    """
+    dampings = []
+    for axis in parameters.axes:
+        control = part(axis.motion_controller, ControllerParameters)
+        law = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
+        if control.damping.source != NOTHING:
+            own = control.damping, control.model.dynamics, 1.0 / parameters.sample_rate, control.model.force
+            law = inner_loop(*own).behind(law)
+        dampings.append(law)
+    return _closed(parameters, dampings, angles)
+
+
+def _closed(parameters: StageParameters, loops, angles) -> np.ndarray:
+    """Return the closed loop with systems from (input, measurement) to command, shape (F, n, n)."""
     z = np.exp(1j * np.maximum(np.abs(angles), RESTING))
     plant, count = stage_plant(parameters).response(z), len(parameters.names)
-    both = np.array([one.response(z)[:, 0] for one in controllers_of(parameters)])
+    both = np.array([one.response(z)[:, 0] for one in loops])
     forward, back = (np.swapaxes(both[:, :, place], 0, 1)[:, np.newaxis] for place in (0, 1))
     return np.linalg.solve(np.eye(count) - plant * back, plant * forward)
 

@@ -37,14 +37,17 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hysteresis_ros import signals
 from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.control import feedforward as feeding
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError, Problem
 from hysteresis_ros.loop.axis import Change
-from hysteresis_ros.loop.controller import STOP
+from hysteresis_ros.loop.controller import RETURNING, STOP
 from hysteresis_ros.loop.stage import (
     WITH_STAGE,
     Coupling,
     advance_structure,
+    feed_across,
     hold_with_stage,
+    report_reference,
     to_actuators,
     to_axes,
     to_pose,
@@ -414,12 +417,29 @@ class StageCompensatorNode(HysteresisCompensatorNode):
 
 
 class StageControllers(Group):
-    """The controllers of a stage: while the measurement of one axis is stale, the others are safe, too."""
+    """The controllers of a stage: they share a feedforward, and while one measurement is stale, all are safe."""
 
-    def look_for_stale(self) -> None:
-        """Stop or start the controllers, once all of them have answered a sample."""
+    def exchange_references(self) -> None:
+        """Add the part of the feedforward of the stage to the next command of each axis."""
+        arrays = self.coupling.arrays
+        states = [(node.part.arrays.x.feedforward, node.part.arrays.watch_x.own) for node in self.nodes]
+        calls = [1.0 if own[RETURNING] else fed[feeding.CALLS] for fed, own in states]
+        # in real time an axis may miss a sample: it is not awaited a second time
+        if not self.nodes[0].runner.exact and min(calls) < 1.0 and max(calls) < 2.0:
+            return
+        for (fed, own), row in zip(states, self.rows, strict=True):
+            report_reference(fed, own, row)
+        feed_across(arrays, self.rows)
+        for (fed, _), row in zip(states, self.rows, strict=True):
+            fed[feeding.GIVEN] = row[signals.TRIPPED]
+
+    def close_sample(self) -> None:
+        """Exchange references, and look for stale measurements, once all controllers have answered a sample."""
         if not self.runners or (self.nodes[0].runner.exact and len({node.sample for node in self.nodes}) > 1):
             return
+        # a fused loop exchanges them itself
+        if self.coupling.arrays.weights.size and not self.nodes[0].is_fused:
+            self.exchange_references()
         stale = [is_stale(node.part.arrays.watch_p.guard, node.part.arrays.watch_x.guard) for node in self.nodes]
         for node, own in zip(self.nodes, stale, strict=True):
             hold_with_stage(node.part.arrays.watch_x.own, float(any(stale) and not own))
@@ -434,9 +454,14 @@ class StageControllerNode(MotionControllerNode):
         group.nodes.append(self)
 
     def after_missing(self) -> None:
-        """Log changes of mode, and check whether the measurement of an axis is stale."""
+        """Log changes of mode; with the last answer to a sample also close the sample of the stage."""
         super().after_missing()
-        self.group.look_for_stale()
+        self.group.close_sample()
+
+    def reset_blocks(self) -> None:
+        """Reset the controller to rest; its references begin anew."""
+        super().reset_blocks()
+        self.group.coupling.arrays.known[self.group.nodes.index(self)] = 0.0
 
     def health(self):
         """Report stale and rejected measurements, saturated commands, and whether another axis keeps this one safe."""

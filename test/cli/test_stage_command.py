@@ -23,6 +23,7 @@ import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 
@@ -316,6 +317,26 @@ def test_all_axes_learn_together_from_recorded_runs(tmp_path):
     assert "--run belongs to --learning coupled" in hysteresis(*words, code=2)
     words = ("design", "kim2009", "--learning", "coupled", "--period", "0.2s", "-o", files[0])
     assert "are for a stage" in hysteresis(*words, code=2)
+
+
+def test_the_feedforward_of_a_stage_is_designed_for_its_controllers(tmp_path):
+    path = tmp_path / "fed.yaml"
+    said = hysteresis("design", "xy_scanner", "--feedforward", "--bandwidth", "800Hz", "-o", path)
+    assert "preview                  13 samples, 1.3 ms" in said and "decoupled up to          800 Hz" in said
+    assert (
+        len(re.findall(r"largest voltage step     \S+ V in a sample for a setpoint 20 µm away in [xy], \S+ %", said))
+        == 2
+    )
+    assert "V in a sample for the configured waveforms" in said
+    left, before = map(float, re.search(r"coupling, model +(\S+) %; (\S+) % with the inverses alone", said).groups())
+    assert left < 0.1 < 5.0 < before
+    fed = StageParameters.from_configuration(load_configuration(str(path)))
+    assert fed.stage.feedforward.matrix(2).shape == (2, 2, 26)
+    refused = hysteresis("design", path, "--controller", "pid", "-o", path, code=2)
+    assert "its feedforward was designed for its present controllers: give --feedforward too" in refused
+    refused = hysteresis("design", path, "--feedforward", "--noise", "5nm", "-o", path, code=2)
+    assert "--noise does not belong to --feedforward alone" in refused
+    assert "missing option '-o'" in hysteresis("design", path, "--feedforward", code=2)
 
 
 def test_controllers_of_all_axes_are_designed_and_written(tmp_path):

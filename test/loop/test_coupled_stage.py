@@ -33,6 +33,8 @@ from loop_support import assert_same_bits
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
+from hysteresis_ros.designs.stage_feedforward import design_stage_feedforward
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.parameters import AxisParameters
@@ -79,6 +81,15 @@ def adapting() -> dict:
     return {"adaptation__type": "recursive", **dynamics}
 
 
+def fed(preview: int = 3) -> dict:
+    """Return parameters of a feedforward of the stage without symmetry, as values of its nodes."""
+    weights = np.random.default_rng(7).normal(scale=0.01, size=(2, 2, 2 * preview))
+    weights -= weights.mean(axis=2, keepdims=True)
+    given = {"feedforward__preview": preview, "feedforward__weights": tuple(map(float, weights.ravel()))}
+    own = {"feedforward__type": "static", "feedforward__preview": preview}
+    return {"stage": given, "motion_controller": own}
+
+
 def single(dynamics: dict) -> Configuration:
     """Return the axis x of xy_scanner alone, with given dynamics."""
     own = configured()
@@ -87,13 +98,54 @@ def single(dynamics: dict) -> Configuration:
     return alone.override("plant_simulator", **{f"dynamics__{name}": value for name, value in dynamics.items()})
 
 
+def impulse(preview: int, offset: int) -> dict:
+    """Return a feedforward whose only weight is that of r_x(k + offset) in y, besides that of the oldest reference."""
+    weights = np.zeros((2, 2, 2 * preview))
+    weights[1, 0, preview + offset] += 0.1
+    weights[1, 0, 0] -= 0.1
+    given = fed(preview)
+    given["stage"]["feedforward__weights"] = tuple(map(float, weights.ravel()))
+    return given
+
+
+def test_the_feedforward_of_a_stage_is_the_sum_over_the_references_of_all_axes():
+    preview, random = 3, np.random.default_rng(3)
+    given = fed(preview)
+    one = stage(
+        **{**LINEAR, "motion_controller": LINEAR["motion_controller"] | given["motion_controller"]},
+        stage=given["stage"],
+    )
+    weights = one.parameters.stage.feedforward.matrix(2)
+    references = 20e-6 + random.uniform(-1e-6, 1e-6, (2, 40))
+    references[:, :6] = 20e-6
+    found = one.run(dict(zip("xy", references, strict=True)))
+    # what the stage is given at sample k is r(k + N)
+    ahead = np.hstack([np.full((2, 2 * preview), 20e-6), references])
+    for i, name in enumerate("xy"):
+        own = ahead[i, preview : preview + 40]
+        across = [np.sum(weights[i] * ahead[:, k : k + 2 * preview]) for k in range(40)]
+        np.testing.assert_allclose(found[name]["command"], own + across, atol=1e-18)
+
+
+def test_an_axis_that_is_stopped_adds_nothing_to_the_others_and_returns_without_a_jump():
+    given = impulse(3, 2)
+    values = {**LINEAR, "motion_controller": LINEAR["motion_controller"] | given["motion_controller"]}
+    one = stage(**values, stage=given["stage"])
+    moving = 20e-6 + 1e-6 * np.sin(0.05 * np.arange(800))
+    changes = {"x": [Change(300, "motion_controller", "stop"), Change(500, "motion_controller", "start")]}
+    command = one.run({"x": moving, "y": np.full(800, 20e-6)}, changes)["y"]["command"] - 20e-6
+    assert np.max(np.abs(command[10:300])) > 1e-8
+    assert np.max(np.abs(command[301:500])) == 0.0
+    assert np.max(np.abs(command[510:])) > 1e-8
+    assert np.max(np.abs(np.diff(command[302:]))) < 2e-8
+
+
+@pytest.mark.parametrize("feeds", [False, True], ids=["feedback", "feedforward"])
 @pytest.mark.parametrize("delay", [0.0, SAMPLE_TIME], ids=["prompt", "late"])
-def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay):
+def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay, feeds):
     A, B = modes((700.0,), (0.01,))
     dynamics = {"A": tuple(A.ravel()), "B": tuple(B.ravel()), "C": (1.0, 0.0), "input_scale": 1.0}
-    alone = Axis(
-        AxisParameters.from_configuration(single({**dynamics, "delay": delay, "sample_time": SAMPLE_TIME}), "/x")
-    )
+    own = AxisParameters.from_configuration(single({**dynamics, "delay": delay, "sample_time": SAMPLE_TIME}), "/x")
     # the delay is part of the structure here, and part of the axis' linear dynamics there
     model = LinearParameters(**dynamics, delay=delay, sample_time=SAMPLE_TIME).state_space
     values = {f"structure__{name}": tuple(getattr(model, name).ravel()) for name in ("A", "B", "C", "D")} | {
@@ -105,7 +157,15 @@ def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay):
     entries = tuple((name, given) for name, given in configured().entries if not name.startswith("/y/"))
     configuration = replace(configured(), entries=entries).override("stage", **values)
     configuration = configuration.override("plant_simulator", dynamics__delay=0.0, dynamics__sample_time=0.0)
-    coupled = Stage(StageParameters.from_configuration(configuration))
+    parameters = StageParameters.from_configuration(configuration)
+    if feeds:
+        parameters = design_stage_feedforward(parameters).parameters
+        control = own.motion_controller
+        feedforward = FeedforwardParameters(
+            "inverse_dynamics", designed_preview(control.before_damping(SAMPLE_TIME).model.dynamics)
+        )
+        own = replace(own, motion_controller=replace(control, feedforward=feedforward))
+    alone, coupled = Axis(own), Stage(parameters)
     samples = 1500
     expected = alone.run(alone.default_setpoints(samples))
     assert np.ptp(expected["displacement"]) > 15e-6
@@ -140,7 +200,9 @@ def test_three_axes_that_do_not_couple_are_the_axes_that_they_are_alone():
         assert_same_bits(alone.run(setpoints[name]), found[name])
 
 
-@pytest.mark.parametrize("expression", ["whole_run(400)", "internal_run(400)", "adapting_run(400)"])
+@pytest.mark.parametrize(
+    "expression", ["whole_run(400)", "internal_run(400)", "adapting_run(400)", "whole_run(400, **fed())"]
+)
 def test_the_compiled_loop_has_the_bits_of_its_python_form(expression, tmp_path):
     found = eval(expression)
     np.testing.assert_array_equal(bits(found), bits(interpreted("test_coupled_stage", expression, tmp_path)))

@@ -90,7 +90,11 @@ class Running:
 
 
 def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
-    one = Running(SLOWLY)
+    # a feedforward across the axes without symmetry, whose references begin anew with each stop
+    weights = [0.01, -0.03, 0.02, 0.0, -0.02, 0.03, 0.01, -0.02, 0.02, 0.01, -0.04, 0.01, 0.0, 0.02, -0.01, -0.01]
+    given = {"feedforward__preview": 2, "feedforward__weights": weights}
+    fed = {"motion_controller": {"feedforward__type": "static", "feedforward__preview": 2}}
+    one = Running(SLOWLY, stage=MOVING["stage"] | given, **fed)
     loop = one.loop
     loop.start()
     steps = (

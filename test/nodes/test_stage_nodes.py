@@ -29,7 +29,13 @@ from hysteresis_ros.models.block import COMPILED  # noqa: E402
 SAMPLES = 300
 #: Both axes move within some hundred samples, and every matrix changes if its axes are exchanged.
 MOVING = {
-    "stage": {"sensor_matrix": [1.0, 0.02, -0.01, 1.0], "decoupling": [1.0, -0.05, -0.03, 1.0]},
+    "stage": {
+        "sensor_matrix": [1.0, 0.02, -0.01, 1.0],
+        "decoupling": [1.0, -0.05, -0.03, 1.0],
+        "feedforward.preview": 1,
+        "feedforward.weights": [0.01, -0.01, 0.02, -0.02, -0.03, 0.03, 0.04, -0.04],
+    },
+    "motion_controller": {"feedforward.type": "static", "feedforward.preview": 1},
     "x/reference_generator": {"waveform__type": "sine", "waveform__frequency": 100.0, "waveform__amplitude": 2e-6},
     "y/reference_generator": {"waveform__type": "sine", "waveform__frequency": 60.0, "waveform__amplitude": 3e-6},
 }

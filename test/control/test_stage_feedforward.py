@@ -1,0 +1,175 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Dynamic decoupling of a stage: the inverse of all axes together, zeros outside the unit circle, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_stage_support import SAMPLE_TIME, late_structure, stage
+
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.control.feedforward import inverse_filter
+from hysteresis_ros.designs.stage_feedforward import (
+    GRID,
+    VoltageSteps,
+    design_stage_feedforward,
+    finite_response,
+    require_gentle_steps,
+    stage_feedforward_file,
+    without_stage_feedforward,
+)
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.loop.stage_feedforward import StageFeedforwardParameters
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_response import damped_response
+from hysteresis_ros.loop.stage_simulation import simulate_stage
+
+#: Controllers that only pass on the command, so that nothing corrects what the feedforward does.
+OPEN = {
+    "motion_controller": {"type": "open_loop", "damping__type": "none"},
+    "reference_generator": {f"approach__maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")},
+}
+#: A sine of x within the band, which begins and ends smoothly.
+FREQUENCY, AMPLITUDE = 250.0, 2e-6
+
+
+def response(parameters: StageParameters, z: np.ndarray) -> np.ndarray:
+    """Return the feedforward of a stage, shape (F, n, n), term by term."""
+    fed = parameters.stage.feedforward
+    found = np.zeros((len(z), len(parameters.names), len(parameters.names)), dtype=complex)
+    for i, axis in enumerate(parameters.axes):
+        model = axis.motion_controller.before_damping(SAMPLE_TIME).model.dynamics
+        found[:, i, i] = inverse_filter(model, axis.motion_controller.feedforward.preview).response(z)
+    for i, row in enumerate(fed.matrix(len(parameters.names))):
+        for j, taps in enumerate(row):
+            found[:, i, j] += sum(tap * z**m for m, tap in enumerate(taps, start=-fed.preview))
+    return found
+
+
+def moved(parameters: StageParameters) -> np.ndarray:
+    """Return the motion that a sine of x adds to x, apart from the sine, and to y [m], shape (2, N)."""
+    time = np.arange(900) * SAMPLE_TIME
+    sine = AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * time) * np.hanning(len(time)) ** 2
+    runs = [simulate_stage(parameters, setpoints={"x": 20e-6 + part * sine}) for part in (1.0, 0.0)]
+    x, y = (runs[0][f"{name}/displacement"] - runs[1][f"{name}/displacement"] for name in "xy")
+    late = parameters.axes[0].motion_controller.feedforward.preview
+    return np.array([x - np.append(np.zeros(late), sine)[: len(sine)], y])
+
+
+@pytest.mark.parametrize("structure", [None, late_structure()], ids=["as it is", "zero outside"])
+def test_the_displacements_of_all_axes_follow_without_coupling(structure):
+    parameters = stage(structure=structure, **OPEN)
+    if structure is not None:  # the sensor x has 4 % of static cross-talk here, too
+        gain = parameters.stage.structure.linear.dc_gain
+        decoupling = tuple(map(float, np.linalg.solve(gain, np.diag(np.diag(gain))).ravel()))
+        parameters = replace(parameters, stage=replace(parameters.stage, decoupling=decoupling))
+    found = design_stage_feedforward(parameters)
+    without = replace(found.parameters, stage=replace(found.parameters.stage, feedforward=StageFeedforwardParameters()))
+    (_, coupled), (own, left) = moved(without), moved(found.parameters)
+    assert np.max(np.abs(coupled)) > 2e-3 * AMPLITUDE
+    assert np.max(np.abs(left)) < 2e-6 * AMPLITUDE
+    assert np.max(np.abs(own)) < 1e-4 * AMPLITUDE
+    assert found.after < 1e-3 < 0.1 < found.before
+
+
+def test_a_zero_outside_the_unit_circle_needs_preview():
+    parameters = stage(structure=late_structure(), **OPEN)
+    gain = parameters.stage.structure.linear.dc_gain
+    decoupling = tuple(map(float, np.linalg.solve(gain, np.diag(np.diag(gain))).ravel()))
+    parameters = replace(parameters, stage=replace(parameters.stage, decoupling=decoupling))
+    left = [design_stage_feedforward(parameters, preview, 1000.0).after for preview in (12, 30, 50)]
+    assert left[0] > 5.0 * left[1] and left[1] > 1.2 * left[2]
+
+
+def test_the_inverse_is_that_of_python_control():
+    control = pytest.importorskip("control")
+    parameters = design_stage_feedforward(stage(**OPEN)).parameters
+    linear, into = parameters.stage.structure.linear, parameters.stage.matrix("decoupling")
+    # the structure is measured before the command of the sample, and the actuators add a sample of delay
+    plant = control.ss(linear.A, linear.B @ into, linear.C, np.zeros((2, 2)), SAMPLE_TIME)
+    delay = control.ss(np.zeros((2, 2)), np.eye(2), np.eye(2), np.zeros((2, 2)), SAMPLE_TIME)
+    turns = GRID[(GRID > 1e-3) & (GRID <= 0.1)]
+    plant = np.moveaxis((plant * delay)(np.exp(2j * np.pi * turns)), 2, 0)
+    whole = plant @ response(parameters, np.exp(2j * np.pi * turns))
+    error = np.abs(whole - np.eye(2))
+    assert np.max(error) < 3e-3 and np.max(error[:, [0, 1], [1, 0]]) < 1e-3
+    np.testing.assert_allclose(damped_response(parameters, 2.0 * np.pi * turns), plant, atol=1e-9)
+
+
+def test_a_finite_response_in_its_window_is_found_exactly():
+    taps = np.random.default_rng(1).normal(size=(2, 2, 8))
+    taps -= taps.mean(axis=2, keepdims=True)
+    z = np.exp(2j * np.pi * GRID)
+    wanted = np.moveaxis(sum(taps[..., m, None] * z ** (m - 4) for m in range(8)), 2, 0)
+    np.testing.assert_allclose(finite_response(wanted, 4, 0.5), taps, atol=1e-9)
+    assert np.max(np.abs(finite_response(wanted, 4, 0.1).sum(axis=2))) < 1e-12
+
+
+def test_a_stage_of_one_axis_gets_the_inverse_of_its_axis():
+    configuration = load_configuration("xy_scanner")
+    entries = tuple(entry for entry in configuration.entries if not entry[0].startswith("/y/"))
+    model = configuration.node("motion_controller", "x")
+    values = {f"structure__{name}": model[f"model.dynamics.{name}"] for name in ("A", "B", "C")}
+    one = {"axes": ["x"], "decoupling": [], "structure__inputs": 1, "structure__outputs": 1, **values}
+    parameters = StageParameters.from_configuration(replace(configuration, entries=entries).override("stage", **one))
+    found = design_stage_feedforward(parameters)
+    assert found.parameters.stage.feedforward == StageFeedforwardParameters()
+    assert found.parameters.axes[0].motion_controller.feedforward.type == "inverse_dynamics"
+
+
+def test_what_a_stage_cannot_invert_is_refused():
+    smc = stage(motion_controller={"type": "sliding_mode"})
+    with pytest.raises(
+        ConfigurationError, match="/x/motion_controller: type = sliding_mode: the feedforward of a stage needs"
+    ):
+        design_stage_feedforward(smc)
+    with pytest.raises(
+        ConfigurationError, match=r": 4 % of coupling remain at rest, .*: give decoupling: \[1.0016, -0.04"
+    ):
+        design_stage_feedforward(stage(structure={"decoupling": []}))
+    with pytest.raises(ConfigurationError, match="--bandwidth 4000 Hz: must be 20 … 2500 Hz"):
+        design_stage_feedforward(stage(), band=4000.0)
+    with pytest.raises(ParameterError, match="feedforward.preview = 1: must be at least"):
+        design_stage_feedforward(stage(), preview=1)
+    fed = {"stage": {"feedforward__preview": 2, "feedforward__weights": [0.0] * 16}}
+    with pytest.raises(ParameterError, match="/x/motion_controller: feedforward.type = 'none': must be inverse"):
+        stage(**fed)
+    with pytest.raises(ParameterError, match=r"/y/motion_controller: feedforward.preview = 3: must equal .* stage, 2"):
+        stage(**fed, motion_controller={"feedforward__type": "static", "feedforward__preview": 3})
+    fed["stage"]["feedforward__weights"] = [0.0] * 12
+    with pytest.raises(ParameterError, match="feedforward.weights = .*: has 12 numbers and must have 2·2·2·2 = 16"):
+        stage(**fed)
+
+
+def test_full_scale_in_a_sample_is_refused():
+    require_gentle_steps([VoltageSteps("a setpoint 1 µm away in x", 6.0, 7.0, 100.0)])
+    require_gentle_steps([VoltageSteps("the configured waveforms", 8.0, 7.0, 100.0)])
+    for steps in (
+        VoltageSteps("a setpoint 1 µm away in x", 8.0, 7.0, 100.0),
+        VoltageSteps("the configured waveforms", 100.0, np.inf, 100.0),
+    ):
+        with pytest.raises(ConfigurationError, match=f"{steps.what} needs a change of {steps.asked:g} V in a sample"):
+            require_gentle_steps([steps])
+
+
+def test_the_file_has_the_designed_feedforward_and_loses_it_again():
+    configuration = load_configuration("xy_scanner")
+    found = design_stage_feedforward(StageParameters.from_configuration(configuration), preview=14)
+    written = parse_configuration(stage_feedforward_file(configuration, found, "--feedforward"), "the file")
+    again = StageParameters.from_configuration(written)
+    assert again.stage == found.parameters.stage
+    assert [axis.motion_controller for axis in again.axes] == [axis.motion_controller for axis in found.parameters.axes]
+    twice = stage_feedforward_file(written, found, "--feedforward")
+    assert twice.count("# Feedforward designed by") == 1
+    bare = StageParameters.from_configuration(without_stage_feedforward(written))
+    assert bare.stage.feedforward == StageFeedforwardParameters()
