@@ -93,7 +93,7 @@ def played_stage(
     """
     parameters = StageParameters.from_configuration(configuration)
     rate, path = parameters.sample_rate, pathlib.Path(path)
-    given = configuration.override(STAGE, decoupling=(), scan__kind="")
+    given = configuration.override(STAGE, decoupling=(), feedforward__weights=(), scan__kind="")
     for place, (axis, name, volts) in enumerate(zip(parameters.axes, parameters.names, voltages.T, strict=True)):
         compensator = axis.hysteresis_compensator
         limits = compensator.limits

@@ -383,6 +383,16 @@ def test_options_of_a_single_axis_are_refused_for_a_stage(truth):
         assert "--linear, -p and --inverse are for a single axis" in hysteresis(*words, *option, code=2)
 
 
+def test_a_stage_with_decoupling_and_feedforward_is_excited_without_them(tmp_path):
+    configuration = load_configuration("xy_scanner")
+    fed = configuration.override("stage", feedforward__preview=1, feedforward__weights=[0.1] * 8)
+    fed = fed.override("motion_controller", feedforward__type="static", feedforward__preview=1)
+    assert StageParameters.from_configuration(fed).stage.feedforward.weights
+    plain, found = (excited_stage(one, StageExcitation(realisations=2), tmp_path / "m") for one in (configuration, fed))
+    assert found.stage.stage.feedforward.weights == () == found.stage.stage.decoupling
+    np.testing.assert_array_equal(found.voltages, plain.voltages)
+
+
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
     configuration = load_configuration(truth)
     for asked, words in (
