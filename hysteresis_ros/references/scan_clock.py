@@ -112,11 +112,14 @@ class ScanClock:
         order = np.argsort(self._places, kind="stable")
         self._rows, self._places = self._rows[order], self._places[order]
 
-    def _counts(self, samples: ArrayLike, places: np.ndarray) -> np.ndarray:
-        """Return how many of the marks at ``places`` of each period have begun up to each of these samples."""
+    def _counts(self, samples: ArrayLike, places: np.ndarray, end: int) -> np.ndarray:
+        """Return how many of the marks at ``places`` of each period have begun up to each of these samples.
+
+        From sample ``end`` on nothing begins; 0: there is no end.
+        """
         k = np.asarray(samples, dtype=np.int64)
-        if self._end:
-            k = np.minimum(k, self._end - 1)
+        if end:
+            k = np.minimum(k, end - 1)
         numerator, denominator = self._period.numerator, self._period.denominator
         repeated, rest = np.divmod(k, numerator)
         period, place = np.divmod(rest * denominator, numerator)
@@ -146,7 +149,7 @@ class ScanClock:
         Marks
             In the order of time; ``sample`` and ``place`` count the samples of the waveform, ``time`` its seconds.
         """
-        return self._marks(*map(int, self._counts([after, until], self._places)))
+        return self._marks(*map(int, self._counts([after, until], self._places, self._end)))
 
     def next_after(self, sample: int) -> float:
         """Return the first sample of the waveform after ``sample`` at which something begins; infinite: none.
@@ -157,22 +160,18 @@ class ScanClock:
         """
         if not self._places.size:
             return math.inf
-        number = int(self._counts(sample, self._places))
+        number = int(self._counts(sample, self._places, self._end))
         found = int(self._marks(number, number + 1).sample[0])
         return math.inf if self._end and found >= self._end else found
 
     def edges(self) -> np.ndarray:
-        """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N + 1,).
+        """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N,).
 
-        N is the number of samples after which the path repeats: sample k > N has the bits of sample k - N. Sample 0
-        has no bits of marks before the beginning, so it can differ from sample N.
+        N is the number of samples after which the path repeats: sample k has the bits of sample k mod N. The end of the
+        scan is not in them.
         """
-        count = self._period.numerator
-        samples = np.arange(-1, count + 1)
-        unending = self._end
-        self._end = 0
-        found = np.zeros(count + 1)
+        samples = np.arange(-1, self._period.numerator)
+        found = np.zeros(samples.size - 1)
         for edge, places in self._of_level.items():
-            found += edge * (np.diff(self._counts(samples, places)) > 0)
-        self._end = unending
+            found += edge * (np.diff(self._counts(samples, places, end=0)) > 0)
         return found
