@@ -89,7 +89,7 @@ def test_a_trajectory_is_followed_answered_when_arrived_and_its_end_is_the_setpo
     axis.send(trajectory((60.0, 11e-6)), "2 taken")
     assert axis.send(trajectory((0.05, 4e-6)), "2 replaced") and axis.hear(known, "3 arrived")
     axis.send(trajectory((60.0, 11e-6)), "4 taken")
-    assert axis.send(JointTrajectory(joint_names=["extender"]), "4 cancelled: held")
+    assert axis.send(JointTrajectory(joint_names=["extender"]), "4 cancelled: the motion was stopped")
     axis.send(trajectory((60.0, 11e-6)), "5 taken")
     known = len(axis.said)
     axis.setpoints.publish(Float64(data=2e-6))
