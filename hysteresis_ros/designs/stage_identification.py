@@ -52,7 +52,7 @@ from hysteresis_ros.identification.frequency_response import (
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
 from hysteresis_ros.identification.response_check import LOWEST, measured_plant
-from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, slowest
+from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.stage_data import StageReading, loops_of, without_drift
 from hysteresis_ros.identification.subspace import refine_on_response, subspace_model
 from hysteresis_ros.loop.stage import Stage
@@ -648,34 +648,19 @@ def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, d
         preloads = (np.array(_means(reading)[1]) - plant.gain @ np.array(_means(reading)[0])).tolist()
     ranges = _ranges(plant, compensators, decoupling, step)
     for i, name in enumerate(names):
-        model, late = _linear(analyses[i].response, None, AXIS_ORDERS, AXIS_ENOUGH)
-        dynamics = replace(model.linear_parameters(), delay=late * step)
-        z = analyses[i].response.frequency
-        own = analyses[i].response.single
-        fitted = model.frequency_response(z)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * z * late * step)
-        relative = np.abs(own - fitted) / np.maximum(np.abs(fitted), 1e-12)
-        deviations[f"model_{name}_deviation_percent"] = 100.0 * float(np.median(relative))
-        values = {f"model.dynamics.{key}": value for key, value in dynamics.to_mapping().items() if value != ()}
-        values["model.dynamics.sample_time"] = step
-        compensator = compensators[i]
-        span = compensator["limits.maximum"] - compensator["limits.minimum"]
-        pace, resonant = slowest(dynamics, step)
-        slew = float(f"{safe_slew(span, pace, resonant, changes[i]).rate:.3g}")
-        low, high = ranges[i]
-        velocity, acceleration, jerk = safe_approach(slew, span, high - low, pace if resonant else 0.0)
-        offset = float(preloads[i])
+        values, deviations[f"model_{name}_deviation_percent"] = _axis_model(analyses[i].response, step)
+        compensator, (low, high), offset = compensators[i], ranges[i], float(preloads[i])
         limits = {key: value for key, value in compensator.items() if key.startswith("limits.")}
         hysteresis = {key: value for key, value in compensator.items() if key.split(".")[0] in ("hysteresis", "creep")}
         nodes[f"/{name}/plant_simulator"] = {
             "joint": name,
             **limits,
-            "limits.slew_rate": slew,
             **hysteresis,
             **({"dynamics.sample_time": step, "dynamics.delay": plant.delay * step} if plant.delay else {}),
             **({"preload.A1": offset} if offset else {}),
             **({"sensor.noise": float(noise[i]), "sensor.seed": i + 1} if noise is not None else {}),
         }
-        nodes[f"/{name}/hysteresis_compensator"] = {**compensator, "limits.slew_rate": slew}
+        nodes[f"/{name}/hysteresis_compensator"] = dict(compensator)
         nodes[f"/{name}/motion_controller"] = {
             "type": "open_loop",
             **values,
@@ -685,14 +670,25 @@ def _file(reading, loops, plant: _Plant, names, analyses, noise) -> tuple[str, d
             "minimum": low,
             "maximum": high,
             "initial_setpoint": float(f"{0.5 * (low + high):.4g}"),
-            "approach.maximum_velocity": velocity,
-            "approach.maximum_acceleration": acceleration,
-            "approach.maximum_jerk": jerk,
             "waveform.type": "hold",
         }
         for other in ("hysteresis_compensator", "motion_controller", "reference_generator"):
             nodes[f"/{name}/{other}"]["joint"] = name
-    return _HEADER + dump_configuration(_copied(nodes)), deviations
+    text = _HEADER + dump_configuration(_copied(nodes))
+    for name, change in zip(names, changes, strict=True):
+        text = with_safe_motion(text, "the identified stage", f"/{name}", change)
+    return text, deviations
+
+
+def _axis_model(response: FrequencyResponse, step: float) -> tuple[dict, float]:
+    """Return the dynamics of the controller's model of an axis, and the error of its response [%]."""
+    model, late = _linear(response, None, AXIS_ORDERS, AXIS_ENOUGH)
+    dynamics = replace(model.linear_parameters(), delay=late * step)
+    f = response.frequency
+    fitted = model.frequency_response(f)[:, 0, 0] / model.dc_gain * np.exp(-2j * np.pi * f * late * step)
+    relative = np.abs(response.single - fitted) / np.maximum(np.abs(fitted), 1e-12)
+    values = {f"model.dynamics.{key}": value for key, value in dynamics.to_mapping().items() if value != ()}
+    return values | {"model.dynamics.sample_time": step}, 100.0 * float(np.median(relative))
 
 
 def _copied(nodes: dict) -> dict:
@@ -737,7 +733,8 @@ def put_into(into: Configuration, designed: Configuration, found: StageParameter
                 values = {"damping.type": "none", "feedforward.type": "none", "learning.type": "none", **values}
             entries.append((f"{given.namespace}/{name}/{node}", values))
     whole = replace(into, entries=(*into.entries, *entries))
-    return _HEADER + StageParameters.from_configuration(whole).configuration_text()
+    text = StageParameters.from_configuration(whole).configuration_text()
+    return _HEADER + with_comments(text, designed.text)
 
 
 def _compensator(plant: _Plant, i: int, low: float, high: float) -> tuple[dict, float]:

@@ -340,6 +340,11 @@ def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(tr
         "disk margin of all at once",
     ):
         assert text in shown
+    # limits of the motion, with their reasons
+    for axis in StageParameters.from_configuration(load_configuration(closed)).axes:
+        assert axis.hysteresis_compensator.limits.slew_rate > 0.0 and not axis.reference_generator.approach.unlimited
+    text = closed.read_text(encoding="utf-8")
+    assert text.count("m/s: half of the slew rate over the range") == 2, text
     scan = {"waveform__type": "triangle", "waveform__frequency": 10.0, "waveform__amplitude": 6e-6}
     scan |= {"waveform__cycles": 3, "waveform__polarity": "symmetric"}
     configuration = load_configuration(closed).override("x/reference_generator", **scan)
