@@ -174,11 +174,14 @@ def _situation(configuration, directory, resumed, plant, offline, choices):
     """Return the data that all stages share, and the bench."""
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
     from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
+    from hysteresis_ros.loop.parameters import in_time, require_carried
     from hysteresis_ros.loop.reach import single_axis
 
     if plant is not None:
         configuration = configuration.override("", external_plant=plant == "external")
     axis = single_axis(configuration, choices["namespace"] or None)
+    if not offline:
+        require_carried(in_time(axis))
     plan = _given(choices, plan_of(configuration, axis))
     bench = OfflineBench() if offline else GraphBench(axis.plant_simulator.external_plant)
     against = tuple(name for name in choices["against"] if name != "none") if choices["against"] else None

@@ -86,6 +86,12 @@ def test_wrong_input_is_named(tmp_path, case):
     assert not list(tmp_path.glob("*/noise.npz"))
 
 
+def test_an_external_plant_too_fast_for_messages_is_refused_before_anything_begins(tmp_path):
+    answer = called(written(tmp_path, sample_rate=2000.0), "--plant", "external", "--yes")
+    assert answer.exit_code == 2 and "2000" in answer.output and "300 Hz" in answer.output, answer.output
+    assert [one.name for one in tmp_path.iterdir()] == ["stage.yaml"]
+
+
 @needs_ros
 def test_a_device_that_is_not_there_is_named_by_its_node_and_ends_it(tmp_path, capfd):
     (tmp_path / "mine.py").write_text(DRIVER)
