@@ -177,7 +177,7 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         stage_lines,
     )
     from hysteresis_ros.designs.learning import asked, learning_lines
-    from hysteresis_ros.designs.stage_feedforward import without_stage_feedforward
+    from hysteresis_ros.designs.stage_feedforward import voltage_step_rows, voltage_steps, without_stage_feedforward
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -236,10 +236,12 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
     with shown("designing"):
         designs = design_controllers(parameters, request, known, namespace or None)
         text = controllers_file(configuration, designs, f"--controller {request.controller}")
-        lines = stage_lines(StageParameters.from_configuration(parse_configuration(text, "the designed file")))
+        designed = StageParameters.from_configuration(parse_configuration(text, "the designed file"))
         if request.feedforward:
             text, fed = _with_feedforward(text, configuration.source, request.preview, None)
-            lines += fed
+            lines = [*stage_lines(designed), *fed]
+        else:
+            lines = stage_lines(designed, voltage_step_rows(voltage_steps(designed)))
     write_file(output, text)
     for name, design in designs.items():
         click.echo("\n".join([f"axis {name}", *design_lines(design), ""]))

@@ -19,7 +19,7 @@ errors that the model does not predict.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,9 +51,9 @@ Uncertainties = Mapping[str, ResponseUncertainty]
 PRINTED, GRID = (1e-3, 1e-2), np.geomspace(1e-4, 0.5, 2000)
 
 
-def stage_lines(parameters: StageParameters) -> list[str]:
-    """Return the printed table of a stage: interaction of its axes, and the margins of its loops."""
-    rows = stage_rows(parameters)
+def stage_lines(parameters: StageParameters, more: Iterable[tuple[str, str]] = ()) -> list[str]:
+    """Return the printed table of a stage: interaction of its axes, the margins of its loops, and further rows."""
+    rows = [*stage_rows(parameters), *more]
     width = max(len(name) for name, _ in rows)
     return [f"{name:<{width}}  {text}" for name, text in rows]
 

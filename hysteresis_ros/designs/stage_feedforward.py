@@ -210,6 +210,7 @@ class VoltageSteps:
     asked: float  #: Largest change in a sample [V].
     allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf without a slew rate.
     span: float  #: Range of the voltage [V].
+    overshoot: float | None = None  #: Of a setpoint, as a fraction of its size.
 
 
 def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
@@ -227,7 +228,10 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
         setpoints[:settled] = source.initial_setpoint
         run = simulate_stage(still, setpoints={name: setpoints})
         way = f"a setpoint {readable(abs(target - source.initial_setpoint), 'm')} away in {name}"
-        found.append(_largest(parameters, run, settled, way))
+        moved = (run[f"{name}/displacement"] - source.initial_setpoint) / (target - source.initial_setpoint)
+        step = _largest(parameters, run, settled, way)
+        # the error of a loop that has not settled is no overshoot
+        found.append(replace(step, overshoot=max(float(moved[settled:].max() / max(moved[-1], 1.0)) - 1.0, 0.0)))
     if any(parameters.waveform(name) != "hold" for name in parameters.names):
         samples = min(max(Stage(free).default_samples(), 2 * settled), MOST)
         run = simulate_stage(free, duration=samples / rate)
@@ -269,11 +273,19 @@ def stage_feedforward_lines(found: StageFeedforward, steps: list[VoltageSteps]) 
             ("coupling, model", f"{100.0 * found.after:.3g} %; {100.0 * found.before:.3g} % with the inverses alone"),
         ]
     rows.append(("error of an axis, model", f"{100.0 * found.own:.3g} % up to {found.band:.4g} Hz"))
-    for step in steps:
-        share = "" if np.isinf(step.allowed) else f", {100.0 * step.asked / step.allowed:.3g} % of the slew limit"
-        rows.append(("largest voltage step", f"{step.asked:.3g} V in a sample for {step.what}{share}"))
+    rows += voltage_step_rows(steps)
     width = max(len(name) for name, _ in rows)
     return [f"{name:<{width}}  {text}" for name, text in rows]
+
+
+def voltage_step_rows(steps: list[VoltageSteps]) -> list[tuple[str, str]]:
+    """Return the printed rows of the largest voltage steps."""
+    rows = []
+    for step in steps:
+        share = "" if np.isinf(step.allowed) else f", {100.0 * step.asked / step.allowed:.3g} % of the slew limit"
+        over = "" if step.overshoot is None else f", overshoot {100.0 * step.overshoot:.3g} %"
+        rows.append(("largest voltage step", f"{step.asked:.3g} V in a sample for {step.what}{share}{over}"))
+    return rows
 
 
 def without_stage_feedforward(configuration: Configuration) -> Configuration:
