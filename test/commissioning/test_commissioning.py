@@ -27,6 +27,7 @@ from hysteresis_ros.cli.commissioning.stages import STAGES, NotAllowedError, com
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 
 
@@ -297,3 +298,16 @@ def test_the_damping_of_a_resonance_is_read_whatever_it_is(tmp_path):
         for name in ("noise", "gain", "resonance"):
             commission(situation, ForeignBench(stage), Willing(), [name])
         assert situation.found["resonance"].figures["damping"] == pytest.approx(damping, rel=0.15)
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 10.0), (20.0, 30.0), (-3.0, 4.0)])
+def test_the_voltages_of_a_stage_leave_as_they_were_planned_also_far_from_0_v(tmp_path, first, last):
+    situation = sitting(tmp_path)
+    voltages = np.clip(np.linspace(first, last, 400), situation.plan.minimum, situation.plan.maximum)
+    for node in ("plant_simulator", "hysteresis_compensator"):
+        situation.configuration = situation.configuration.override(node, safe_voltage=float(np.mean(voltages)))
+    setpoint = float(np.mean(voltages)) * situation.plan.gain
+    ends = {"minimum": -1e-4, "maximum": 1e-4, "initial_setpoint": setpoint}
+    situation.configuration = situation.configuration.override("reference_generator", **ends)
+    run = simulate(situation.driven_axis("gain", voltages), describe=False)
+    assert run["voltage"] == pytest.approx(voltages, abs=0.01)

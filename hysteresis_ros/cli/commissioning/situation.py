@@ -297,8 +297,11 @@ class Situation:
         limits = single_axis(configuration, self.axis.namespace).hysteresis_compensator.limits
         block = hysteresis_block(self.axis.hysteresis_compensator.hysteresis, 1.0 / self.rate)
         path = write_samples(self.folder.path / "waveforms" / f"{stage}.npz", voltages * block.gain, self.rate)
-        waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
-        found = single_axis(driven(configuration, limits, block.gain, waveform), self.axis.namespace)
+        waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference"}
+        # the samples are absolute, and the setpoint is not 0 where the limits exclude 0 V
+        setpoint = min(max(0.0, block.gain * limits.minimum), block.gain * limits.maximum)
+        configuration = driven(configuration, limits, block.gain, waveform | {"offset": -setpoint})
+        found = single_axis(configuration, self.axis.namespace)
         return found.with_duration(voltages.size / self.rate)
 
     def _watched(self) -> dict:
