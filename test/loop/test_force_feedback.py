@@ -123,4 +123,4 @@ def test_resonances_off_by_ten_per_cent_are_damped_as_well():
         made = stage(plant).run(np.full(1600, 4e-6))
         assert made["tripped"][-1] == 0.0
         assert np.abs(made["displacement"][-100:] - 4e-6).max() < 1e-9
-    assert ACTUATOR.row[-1].name == "force"
+    assert "force" in [signal.name for signal in ACTUATOR.row]

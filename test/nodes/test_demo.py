@@ -84,7 +84,7 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     page = (made / "report.html").read_text(encoding="utf-8")
     assert [one["part"] for one in metrics["parts"]][-2:] == ["steps", "shutdown"]
     assert metrics["duration_s"] == pytest.approx(steps.time[-1] - steps.time[0]), "all samples are evaluated"
-    assert page.count("<img") >= 4 and page.index("without the inverse") < page.index("over time")
+    assert page.count("<img") >= 4 and page.index("without the inverse") < page.index("Displacement over time")
     assert (made / "inverse.png").read_bytes().startswith(b"\x89PNG")
 
     again = subprocess.run(command, capture_output=True, text=True, timeout=60)

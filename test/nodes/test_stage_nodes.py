@@ -39,6 +39,8 @@ MOVING = {
     "x/reference_generator": {"waveform__type": "sine", "waveform__frequency": 100.0, "waveform__amplitude": 2e-6},
     "y/reference_generator": {"waveform__type": "sine", "waveform__frequency": 60.0, "waveform__amplitude": 3e-6},
 }
+#: Controllers that wait 2 ms for a measurement.
+PATIENT = MOVING["motion_controller"] | {"measurement_timeout": 0.002}
 
 
 def stage(overrides: dict, samples: int = SAMPLES, **common) -> StageParameters:
@@ -108,7 +110,7 @@ def test_while_the_measurement_of_an_axis_is_lost_the_whole_stage_goes_to_safe(p
     from hysteresis_ros.loop.watch import RUNNING, STALE, STOPPED
     from hysteresis_ros.recordings.files import load_run
 
-    path = write(tmp_path / "stage.yaml", stage(MOVING | {"motion_controller": {"measurement_timeout": 0.002}}))
+    path = write(tmp_path / "stage.yaml", stage(MOVING | {"motion_controller": PATIENT}))
     words = ("--fault", "stale:0.008:0.01", "--namespace", "x")
     run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify", *words)
     assert run.wait() == 0, run.output
@@ -241,7 +243,8 @@ def test_a_fused_stage_is_steered_and_stopped_as_a_whole_and_repeated_bit_for_bi
     joints = observer.listen(JointState, "/joint_states")
     estop, setpoint = observer.talk(Bool, "/y/estop"), observer.talk(Float64, "/x/setpoint")
     setpoints = observer.talk(Float64MultiArray, "/setpoints")
-    holding = {"reference_generator": {"waveform__type": "hold"}, "plant_simulator": {"late_limit": -1}}
+    own = {"motion_controller": MOVING["motion_controller"]}
+    holding = own | {"reference_generator": {"waveform__type": "hold"}, "plant_simulator": {"late_limit": -1}}
     path = write(tmp_path / "stage.yaml", stage({"stage": MOVING["stage"]} | holding, 0, time_mode="fused"))
     run = processes.command("up", path, "--factor", "0.1", "--record", str(tmp_path / "bag"), "--verify")
 
@@ -297,7 +300,7 @@ def test_a_fused_stage_whose_axis_trips_or_loses_its_measurement_is_safe_as_a_wh
     from hysteresis_ros.loop.watch import STALE, STOPPED
     from hysteresis_ros.recordings.files import load_run
 
-    given = MOVING | {"motion_controller": {"measurement_timeout": 0.002}, "plant_simulator": {"late_limit": 5}}
+    given = MOVING | {"motion_controller": PATIENT, "plant_simulator": {"late_limit": 5}}
     path = write(tmp_path / "stage.yaml", stage(given, 600))
     words = ("--fault", "stale:0.008:0.01", "--fault", "lost_voltage:0.04:0.002", "--namespace", "x")
     asked = ("--fused", "--factor", "0.01", "--record", str(tmp_path / "bag"), "--verify", *words)
