@@ -76,20 +76,24 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
     still = replace(axis, reference_generator=own)
     found = simulate(still, setpoints=setpoints, describe=False)
     free = simulate(unlimited(still), setpoints=setpoints, describe=False)
-    displacement, size = found["displacement"], abs(target - start)
-    toward = np.sign(target - start)
-    goal = toward * float(displacement[-1] - displacement[0])
-    passed = float(np.max(toward * (displacement - displacement[0])))
+    size = abs(target - start)
     rates = (node.limits.slew_rate for node in (axis.plant_simulator, axis.hysteresis_compensator))
     allowed = min((one / rate for one in rates if one > 0.0), default=math.inf)
     return SetpointStep(
         size=size,
-        overshoot=max(round(passed / goal - 1.0, 9), 0.0) if goal > 0.0 else math.inf,
+        overshoot=overshoot_of(found["displacement"], target - start),
         largest=_largest(found["voltage"]),
         asked=_largest(free["voltage"]),
         allowed=allowed,
         feedforward=axis.motion_controller.feedforward.type == "inverse_dynamics",
     )
+
+
+def overshoot_of(displacement: np.ndarray, move: float) -> float:
+    """Return the overshoot of a step beyond its final displacement, as a fraction; ``move`` [m] gives its direction."""
+    way = np.sign(move) * (displacement - displacement[0])
+    goal = float(way[-1])
+    return max(round(float(np.max(way)) / goal - 1.0, 9), 0.0) if goal > 0.0 else math.inf
 
 
 def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:

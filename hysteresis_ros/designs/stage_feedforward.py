@@ -37,7 +37,7 @@ from hysteresis_ros.control.feedforward import (
     inverse_filter,
 )
 from hysteresis_ros.designs.controller import feedforward_text
-from hysteresis_ros.designs.setpoint_step import AFTER, MOST, SETTLING, unlimited
+from hysteresis_ros.designs.setpoint_step import AFTER, MOST, SETTLING, overshoot_of, unlimited
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.stage import Stage
@@ -202,6 +202,10 @@ def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray
     return np.ascontiguousarray(found.T.reshape(*wanted.shape[1:], len(shifts)))
 
 
+#: A setpoint counts as reached from this fraction of the move on.
+REACHED = 0.98
+
+
 @dataclass(frozen=True)
 class VoltageSteps:
     """Largest changes of a voltage in a sample, of any actuator of a stage, without slew rates."""
@@ -210,7 +214,7 @@ class VoltageSteps:
     asked: float  #: Largest change in a sample [V].
     allowed: float  #: Largest change in a sample that the slew rate allows [V]; inf without a slew rate.
     span: float  #: Range of the voltage [V].
-    overshoot: float | None = None  #: Of a setpoint, as a fraction of its size.
+    overshoot: float | None = None  #: Of a setpoint, as a fraction; None: no setpoint, or it is not reached.
 
 
 def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
@@ -221,17 +225,21 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
     still = free.scanning([])
     for name, axis in zip(parameters.names, still.axes, strict=True):
         source = replace(axis.generator, waveform=WaveformParameters())
-        target = max((source.minimum, source.maximum), key=lambda end: abs(end - source.initial_setpoint))
         approach = ReferenceGenerator(part(source, ReferenceParameters), 1.0 / rate).approach
-        moving = round(approach.duration(target - source.initial_setpoint) * rate)
-        setpoints = np.full(min(settled + moving + AFTER, MOST), target)
-        setpoints[:settled] = source.initial_setpoint
-        run = simulate_stage(still, setpoints={name: setpoints})
-        way = f"a setpoint {readable(abs(target - source.initial_setpoint), 'm')} away in {name}"
-        moved = (run[f"{name}/displacement"] - source.initial_setpoint) / (target - source.initial_setpoint)
-        step = _largest(parameters, run, settled, way)
-        # the error of a loop that has not settled is no overshoot
-        found.append(replace(step, overshoot=max(float(moved[settled:].max() / max(moved[-1], 1.0)) - 1.0, 0.0)))
+        start, over, rows = source.initial_setpoint, None, []
+        for target in sorted((source.minimum, source.maximum), key=lambda end: -abs(end - start)):
+            moving = round(approach.duration(target - start) * rate)
+            setpoints = np.full(min(settled + moving + AFTER, MOST), target)
+            setpoints[:settled] = start
+            run = simulate_stage(still, setpoints={name: setpoints})
+            way = f"a setpoint {readable(abs(target - start), 'm')} away in {name}"
+            rows.append(_largest(parameters, run, settled, way))
+            displacement = run[f"{name}/displacement"][settled - 1 :]
+            # hysteresis may keep the voltage at its limit before an end of the range; the other end is tried then
+            if abs(displacement[-1] - displacement[0]) > REACHED * abs(target - start):
+                over = overshoot_of(displacement, target - start)
+                break
+        found.append(replace(max(rows, key=lambda row: row.asked), overshoot=over))
     if any(parameters.waveform(name) != "hold" for name in parameters.names):
         samples = min(max(Stage(free).default_samples(), 2 * settled), MOST)
         run = simulate_stage(free, duration=samples / rate)
@@ -283,7 +291,9 @@ def voltage_step_rows(steps: list[VoltageSteps]) -> list[tuple[str, str]]:
     rows = []
     for step in steps:
         share = "" if np.isinf(step.allowed) else f", {100.0 * step.asked / step.allowed:.3g} % of the slew limit"
-        over = "" if step.overshoot is None else f", overshoot {100.0 * step.overshoot:.3g} %"
+        over = ", not reached: the voltage is at its limit" if step.what.startswith("a setpoint") else ""
+        if step.overshoot is not None:
+            over = f", overshoot {100.0 * step.overshoot:.3g} %"
         rows.append(("largest voltage step", f"{step.asked:.3g} V in a sample for {step.what}{share}{over}"))
     return rows
 

@@ -326,6 +326,8 @@ def test_the_feedforward_of_a_stage_is_designed_for_its_controllers(tmp_path):
     plain = hysteresis("design", "xy_scanner", "--controller", "pid", "--damping", "none", "-o", tmp_path / "pid.yaml")
     row = r"largest voltage step +\S+ V in a sample for a setpoint 20 µm away in [xy], \S+ % of .*, overshoot \S+ %"
     assert len(re.findall(row, said)) == len(re.findall(row, plain)) == 2
+    # it is that of a setpoint within the range of the voltage: at 0 µm there would be none
+    assert all(0.05 < float(one) < 1.0 for one in re.findall(r"overshoot (\S+) %", plain)), plain
     assert "V in a sample for the configured waveforms" in said
     left, before = map(float, re.search(r"coupling, model +(\S+) %; (\S+) % with the inverses alone", said).groups())
     assert left < 0.1 < 5.0 < before
