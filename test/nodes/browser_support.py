@@ -16,6 +16,7 @@ import contextlib
 import pathlib
 import shutil
 import subprocess
+import tempfile
 import time
 
 import aiohttp
@@ -31,13 +32,14 @@ class Browser:
     Parameters
     ----------
     folder : pathlib.Path
-        Folder for the browser's profile.
+        Folder in which the browser's profile is made.
     address : str
         Address of the page.
     """
 
     def __init__(self, folder: pathlib.Path, address: str):
-        self._folder, self._address = folder / "chromium", address
+        # a profile of its own: an earlier browser's file with its port would send this one to a closed port
+        self._folder, self._address = pathlib.Path(tempfile.mkdtemp(prefix="chromium-", dir=folder)), address
         self._number = 0
         self.errors: list[str] = []
 
