@@ -281,12 +281,7 @@ def identify_stage(
     names = _names(reading, request, into)
     if loops is not None and (loops.inputs, loops.outputs) != (reading.inputs, reading.outputs):
         raise DataError("columns", f"{loops.source}: has other inputs or outputs than {reading.source}")
-    several = data is not None and len(data.levels) > 1 and loops is None and request.plays > 0
-    kind = request.type or (INTERNAL if several else HAMMERSTEIN)
-    if kind == INTERNAL and loops is not None:
-        raise IdentificationError(f"type {INTERNAL}: the hysteresis is identified from the levels; omit the loops")
-    if kind == INTERNAL and data is None:
-        raise DataError("shape", f"type {INTERNAL}: the inputs do not repeat; excite with periodic multisines")
+    kind = _kind(data, request, loops)
     if data is not None:
         responses, judged = _responses(data, request.held_out)
     else:
@@ -297,17 +292,7 @@ def identify_stage(
         plant, held = _internal(data, request, (0.999 * ends[0], 1.001 * ends[1]))
     else:
         plant, held = _hammerstein(responses[0], judged, reading, loops, names, request)
-    lost = _lost(plant.gain, responses[0], names)
-    if lost:
-        raise ParameterError(
-            [
-                Problem(
-                    "static gain [m/V]",
-                    [[float(f"{value:.4g}") for value in row] for row in plant.gain],
-                    f"is singular: the direction {lost} moves no sensor; excite more strongly, or move the sensors",
-                )
-            ]
-        )
+    _require_regular(plant.gain, responses[0], names)
     analyses = decoupled_responses(responses[0], plant.gain)
     noise = _noise(responses[0], data)
     text, deviations = _file(reading, loops, plant, names, analyses, noise)
@@ -340,6 +325,32 @@ def identify_stage(
         figures,
         tuple(warnings),
     )
+
+
+def _kind(data: StructureData | None, request: StageRequest, loops: StageReading | None) -> str:
+    """Return the type of the stage: with hysteresis inside the structure if the recordings have several levels."""
+    several = data is not None and len(data.levels) > 1 and loops is None and request.plays > 0
+    kind = request.type or (INTERNAL if several else HAMMERSTEIN)
+    if kind == INTERNAL and loops is not None:
+        raise IdentificationError(f"type {INTERNAL}: the hysteresis is identified from the levels; omit the loops")
+    if kind == INTERNAL and data is None:
+        raise DataError("shape", f"type {INTERNAL}: the inputs do not repeat; excite with periodic multisines")
+    return kind
+
+
+def _require_regular(gain: np.ndarray, found: ResponseMatrix, names: tuple[str, ...]) -> None:
+    """Refuse a static gain [m/V] that has a direction without any displacement."""
+    lost = _lost(gain, found, names)
+    if lost:
+        raise ParameterError(
+            [
+                Problem(
+                    "static gain [m/V]",
+                    [[float(f"{value:.4g}") for value in row] for row in gain],
+                    f"is singular: the direction {lost} moves no sensor; excite more strongly, or move the sensors",
+                )
+            ]
+        )
 
 
 def _linear_response(plant: _Plant, frequency: np.ndarray) -> np.ndarray:
