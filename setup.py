@@ -152,6 +152,7 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.analysis": ["templates/*.j2", "assets/*"],
         f"{NAME}.hardware": ["*.h"],
+        f"{NAME}.laboratory.benchmark": ["*.yaml"],
         f"{NAME}.laboratory.watch": ["page/*"],
     },
     data_files=[

@@ -365,6 +365,7 @@ FULL_MODULES = {
     "identification/coupled.py",
     "identification/local_polynomial.py",
     "identification/workflow.py",
+    "laboratory/benchmark/models.py",
     "laboratory/studies.py",
     "laboratory/swept.py",
 }

@@ -108,6 +108,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "hysteresis_ros.laboratory.sweeps.command:sweep",
             "Run an axis with varied parameters: yield, sensitivity.",
         ),
+        "benchmark": (
+            "hysteresis_ros.laboratory.benchmark.command:benchmark",
+            "Test models of hysteresis on public recordings and synthetic plants.",
+        ),
         "reproduce": (
             "hysteresis_ros.laboratory.papers.command:reproduce",
             "Repeat a paper's experiments: published and reproduced figures.",

@@ -42,6 +42,7 @@ SNIPPETS = {
     "hardware": "a driver of one's own: examples/driver_skeleton.py is run by test/nodes/test_external_plant.py",
     "scale": "test/loop/test_axis_arrays.py",
     "scans": "test/references/test_scans.py",
+    "benchmark": "test/benchmark/test_benchmark_command.py",
     "coupled_identification": "recordings of one's own; test/identification/test_coupled_identification.py",
     "epics": "ophyd and bluesky are not installed",
 }

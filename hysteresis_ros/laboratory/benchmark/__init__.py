@@ -1,0 +1,15 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A benchmark of models of hysteresis: public recordings and synthetic plants, models of the package and of anyone.
+
+Start with ``manifest`` (which recordings, and their parts for fit and test) and ``models`` (the contract ``fit`` and
+``predict``, and the models of the package); ``simple_models`` has models to compare with, ``synthetic`` the plants with
+a known truth; ``judging`` fits and judges one model on one recording, and ``table`` prints all of them.
+"""
