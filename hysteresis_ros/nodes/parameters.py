@@ -73,6 +73,8 @@ def _value(text: str):
     return value
 
 
+#: Limits that protect the connected device, by the last two words of their names, with the sign of a wider limit.
+WIDER = {"limits.minimum": -1.0, "limits.maximum": 1.0, "limits.slew_rate": 1.0, "safe_slew_rate": 1.0}
 #: Environment variable with allowed folders, as in PATH; default: the working folder of the node, except hidden files.
 FOLDERS = "HYSTERESIS_FILES"
 
@@ -385,25 +387,29 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse voltage limits wider than those at the start of the node, which protect the connected device."""
-        beyond = {
-            name: self._at_start.get(name)
-            for name, sign in (("limits.minimum", -1.0), ("limits.maximum", 1.0))
-            if name in changed
-            and isinstance(changed[name], (int, float))
-            and isinstance(self._at_start.get(name), (int, float))
-            and sign * changed[name] > sign * self._at_start[name]
-        }
+        """Refuse limits of the voltage wider than those at the start of the node; they protect the connected device."""
+        beyond = [name for name, value in changed.items() if self._is_beyond(name, value, self._at_start.get(name))]
         if beyond:
             raise ParameterError(
                 Problem(
                     name,
                     changed[name],
-                    f"beyond the {limit:g} V at the start of the node; give the wider limit in the parameter file, or "
-                    f"with -p {name}:=…, and start the node again",
+                    f"beyond the {self._at_start[name]:g} {self._rows[name].unit} at the start of the node; give the "
+                    f"wider limit in the parameter file, or with -p {name}:=…, and start the node again",
                 )
-                for name, limit in beyond.items()
+                for name in beyond
             )
+
+    def _is_beyond(self, name: str, value, limit) -> bool:
+        """Return whether a value allows more voltage, or faster changes of it, than the limit at the start."""
+        sign = WIDER.get(".".join(name.split(".")[-2:]), 0.0)
+        if not sign or self._rows[name].unit not in ("V", "V/s"):
+            return False
+        if not isinstance(value, (int, float)) or not isinstance(limit, (int, float)):
+            return False
+        if name.endswith("limits.slew_rate"):  # 0: unlimited
+            return limit > 0.0 and (value == 0.0 or value > limit)
+        return sign * value > sign * limit
 
     def _refuse_misplaced(self, changed: dict) -> None:
         """Refuse paths that must not be set over the graph; the initial values of the node remain allowed."""

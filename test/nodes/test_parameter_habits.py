@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode  # noqa: E402
 from hysteresis_ros.nodes.parameters import assigned  # noqa: E402
+from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402
 
 
@@ -96,16 +97,31 @@ def test_ranges_are_described_and_refused_in_words(inside):
     assert not refused.successful and "allowed" in refused.reason
 
 
-def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(inside):
+@pytest.mark.parametrize("cls", [HysteresisCompensatorNode, PlantSimulatorNode])
+def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(inside, cls):
     """They protect the connected device; a typing error on the command line must not remove the protection."""
-    overrides = {"hysteresis_compensator": {"limits__minimum": -30.0, "limits__maximum": 90.0}}
-    node = inside.add(HysteresisCompensatorNode, axis_parameters(overrides=overrides).hysteresis_compensator)
+    name = "hysteresis_compensator" if cls is HysteresisCompensatorNode else "plant_simulator"
+    given = {"limits__minimum": -30.0, "limits__maximum": 90.0, "limits__slew_rate": 500.0, "safe_slew_rate": 200.0}
+    node = inside.add(cls, getattr(axis_parameters(overrides={name: given}), name), autostart=False)
+    assert node.configure_now()
     refused = set_(node, **{"limits.maximum": 10000.0})
     assert not refused.successful and "beyond the 90 V at the start of the node" in refused.reason
-    assert not set_(node, **{"limits.minimum": -30.1}).successful
-    assert set_(node, **{"limits.maximum": 50.0}).successful and set_(node, **{"limits.minimum": 0.0}).successful
-    assert set_(node, **{"limits.maximum": 90.0}).successful and set_(node, **{"limits.minimum": -30.0}).successful
-    assert node.get_parameter("limits.maximum").value == 90.0
+    refused = set_(node, **{"limits.slew_rate": 0.0})  # unlimited
+    assert not refused.successful and "beyond the 500 V/s at the start of the node" in refused.reason
+    for limit, value in (("limits.minimum", -30.1), ("limits.slew_rate", 500.1), ("safe_slew_rate", 200.1)):
+        assert not set_(node, **{limit: value}).successful, limit
+    narrow = {"limits.minimum": 0.0, "limits.maximum": 50.0, "limits.slew_rate": 100.0, "safe_slew_rate": 50.0}
+    for values in (narrow, {key.replace("__", "."): value for key, value in given.items()}):
+        for limit, value in values.items():
+            assert set_(node, **{limit: value}).successful, limit
+            assert node.get_parameter(limit).value == value
+
+
+def test_what_has_no_slew_rate_at_its_start_takes_any_live(inside):
+    given = axis_parameters(overrides={"hysteresis_compensator": {"limits__slew_rate": 0.0}}).hysteresis_compensator
+    node = inside.add(HysteresisCompensatorNode, given)
+    for value in (500.0, 1000.0, 0.0):
+        assert set_(node, **{"limits.slew_rate": value}).successful
 
 
 @pytest.mark.parametrize(
