@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.analysis.metrics import limited_text
-from hysteresis_ros.analysis.report import sampling_text
+from hysteresis_ros.analysis.report import render_report, sampling_text
 from hysteresis_ros.loop.watch import STALE
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -35,6 +35,17 @@ def test_most_of_a_run_at_a_slew_rate_is_said_first_with_its_share_and_time():
     assert said.startswith("the output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate")
     assert sampling_text(recording).startswith("The output was limited for 67 %")
     assert "Evaluated at all 2000 samples" in sampling_text(recording)
+
+
+def test_the_page_of_a_run_says_it_before_its_figures():
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: no plots")
+    pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
+    cut = run(np.arange(N) < 1340)
+    path = 5e-6 * (1.0 - np.cos(20.0 * cut.time))
+    signals = {"reference": path, "displacement": path, "measured": path}
+    page = render_report(Recording(cut.time, {**cut.signals, **signals}, {}, {}), "cut")
+    said = "The output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate"
+    assert page.count(said) == 1 and page.index(said) < page.index('<table class="figures">')
 
 
 @pytest.mark.parametrize(("samples", "said"), [(0, False), (19, False), (20, False), (21, True), (101, True)])

@@ -13,17 +13,23 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from waiting import until
 
+from hysteresis_ros.cli import commission, progress
+from hysteresis_ros.cli.commissioning import fitting, stages
 from hysteresis_ros.cli.commissioning.bench import require_sound
 from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
-from hysteresis_ros.cli.commissioning.situation import plan_of
+from hysteresis_ros.cli.commissioning.situation import Folder, plan_of
+from hysteresis_ros.cli.commissioning.stages import Computation
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import HysteresisError, IdentificationError
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.references.recipes import driven, write_samples
 
@@ -74,6 +80,7 @@ WRONG = {
     "before its time": (("--yes", "--stage", "creep"), "creep needs the results of noise, gain"),
     "nothing to resume": (("--resume",), "no commissioning to resume"),
     "unit": (("--yes", "--scan-stroke", "70V"), "--scan-stroke '70V': is in V"),
+    "no unit": (("--scan-stroke", "60"), "--scan-stroke '60': of which unit? Write 60um or 60nm"),
     "no frequency": (("--yes", "--scan-frequency", "0Hz"), "/commissioning: scan_frequency"),
 }
 
@@ -90,6 +97,29 @@ def test_an_external_plant_too_fast_for_messages_is_refused_before_anything_begi
     answer = called(written(tmp_path, sample_rate=2000.0), "--plant", "external", "--yes")
     assert answer.exit_code == 2 and "2000" in answer.output and "300 Hz" in answer.output, answer.output
     assert [one.name for one in tmp_path.iterdir()] == ["stage.yaml"]
+
+
+def test_a_long_fit_shows_that_it_goes_on_and_its_state(tmp_path, monkeypatch):
+    """The fit waits until its state is in the output."""
+    lines = []
+    say = Progress.say
+    monkeypatch.setattr(Progress, "say", lambda self, text: (lines.append(text), say(self, text)))
+    monkeypatch.setattr(commission, "SILENCE", 0.01)
+    monkeypatch.setattr(progress, "SHORT", 0.01)
+
+    def fit(*data, progress, **options):
+        progress(7, "residual 12 nm")
+        until(lambda: any("still running" in line and line.endswith(", residual 12 nm") for line in lines))
+        raise IdentificationError("enough")
+
+    for name in ("fast_data", "read_data", "slow_data", "_is_quick"):
+        monkeypatch.setattr(fitting, name, lambda *arguments: None)
+    monkeypatch.setattr(fitting, "identify", fit)
+    # the stage of the fit comes first, because the movements before it take long
+    monkeypatch.setitem(stages.STAGES, "noise", Computation("model", fitting.identify_stage))
+    monkeypatch.setattr(Folder, "recording", lambda self, stage: None)
+    answer = called(written(tmp_path), "--offline", "--yes", "--stage", "noise")
+    assert "enough" in answer.output and re.search(r"… still running: \d+ s, residual 12 nm", answer.output)
 
 
 @needs_ros

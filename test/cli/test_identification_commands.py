@@ -273,14 +273,20 @@ def test_bad_data_is_refused_in_one_line(name, tmp_path):
     assert not (tmp_path / "p.yaml").exists()
 
 
-def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(tmp_path):
-    voltage = loops(1000)
-    time = (np.arange(1000) + np.random.default_rng(3).uniform(-0.3, 0.3, 1000)) / RATE
-    voltage = np.interp(time * RATE, np.arange(1000), voltage)
-    table = np.column_stack([time, voltage, measured(voltage) * 1e6])
-    path = tmp_path / "jitter.csv"
+@pytest.mark.parametrize("uneven", ["jitter", "holes"])
+def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(uneven, tmp_path):
+    """No part between two holes is long enough to be used alone."""
+    number = np.arange(1000.0)
+    if uneven == "jitter":
+        number += np.random.default_rng(3).uniform(-0.3, 0.3, 1000)
+    else:
+        number = number[number % 250.0 < 200.0]
+    voltage = np.interp(number, np.arange(1000), loops(1000))
+    table = np.column_stack([number / RATE, voltage, measured(voltage) * 1e6])
+    path = tmp_path / "uneven.csv"
     np.savetxt(path, table, delimiter=",", header="t_s,control_V,gauge_um", comments="")
-    assert "not uniformly sampled" in refused(run("identify", path, "-o", tmp_path / "p.yaml"))
+    said = refused(run("identify", path, "-o", tmp_path / "p.yaml"))
+    assert "not uniformly sampled" in said and "add --resample auto" in said
     result = run("identify", path, "--model", "preisach", "--resample", "auto", "-o", tmp_path / "p.yaml")
     assert result.exit_code == 0, result.output
     assert any("resampled" in text for text in load_chain(tmp_path / "p.yaml")[1]["notes"])

@@ -95,6 +95,13 @@ def test_the_fastest_filter_is_left_where_a_slower_one_tolerates_a_sample_of_del
         design_among(monkeypatch, [fast], late)
 
 
+@pytest.mark.slow
+def test_a_law_is_slowed_down_where_both_loops_together_would_have_too_large_a_peak(monkeypatch):
+    """Its own loop would have M_s = 1.9, and both loops 2.34; two thirds of its gain leave 1.94 for both."""
+    filtered = (1400.0, -6.0)
+    assert design_among(monkeypatch, [filtered], stage()) == filtered
+
+
 def test_modes_come_by_their_damping_the_least_damped_first():
     wanted = [(700.0, 0.3), (2000.0, 0.01), (900.0, 0.05)]
     omega = 2.0 * np.pi * np.array([frequency for frequency, _ in wanted])

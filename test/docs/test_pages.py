@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import pathlib
@@ -53,6 +54,19 @@ def test_every_page_and_notebook_is_in_a_list(pages):
     there = {path.stem for path in DOCS.glob("*.md")} - {"index"}
     there |= {f"notebooks/{path.stem}" for path in (DOCS / "notebooks").glob("*.ipynb")}
     assert listed(source[0]) == there | {"reference/index"}
+
+
+def test_tables_of_the_site_break_long_words_beside_both_side_bars():
+    """Otherwise the last column, the meaning, is beyond the edge of a window of 1400 px."""
+    text = (DOCS / "conf.py").read_text(encoding="utf-8")
+    given = {ast.unparse(one.targets[0]): one.value for one in ast.parse(text).body if isinstance(one, ast.Assign)}
+    folders, files = (ast.literal_eval(given[name]) for name in ("html_static_path", "html_css_files"))
+    (sheet,) = [DOCS / folder / name for folder in folders for name in files if name == "tables.css"]
+    rules = re.sub(r"/\*.*?\*/", "", sheet.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert re.search(r"table\.docutils td[^{}]*\{[^}]*overflow-wrap: anywhere", rules)
+    assert re.search(r"code\.literal \{[^}]*white-space: normal", rules)
+    (wide,) = re.findall(r"@media \(min-width: (\d+)px\) \{ [^{]*\.content \{ width: 50em", rules)
+    assert int(wide) <= 1400
 
 
 def test_a_page_that_no_list_names_comes_into_the_last_one(pages, tmp_path):

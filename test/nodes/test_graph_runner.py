@@ -18,6 +18,7 @@ import itertools
 import json
 import os
 import pathlib
+import signal
 import socket
 import subprocess
 import sys
@@ -38,7 +39,7 @@ from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.nodes import domain as domains
 from hysteresis_ros.nodes.domain import OWN, Domain, entered, require_admission
-from hysteresis_ros.nodes.launcher import GraphError, node_environment
+from hysteresis_ros.nodes.launcher import Graph, GraphError, node_environment
 
 HOLD = 0.02  # s
 
@@ -111,6 +112,37 @@ def test_an_error_names_the_run(monkeypatch):
     line = result.output.splitlines()[-1]
     assert "run 1 (controller sliding_mode, inverse exact, waveform steps, 270 samples)" in line
     assert "killed by SIGKILL" in line
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The graphs that a command started, without their processes."""
+    graphs = []
+    monkeypatch.setattr(Graph, "start", lambda self: graphs.append(self))
+    monkeypatch.setattr(Graph, "stop", lambda self: None)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield graphs
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "mode"),
+    [
+        ("kim2009", (), "fused"),
+        ("steering_mirror", (), "fused"),
+        ("kim2009", ("--factor", "0.1"), "realtime"),
+        ("kim2009", ("--processes",), "realtime"),
+        ("kim2009", ("--rate", "lockstep"), "lockstep"),
+        ("picma_stage", (), "realtime"),
+    ],
+)
+def test_what_is_too_fast_for_messages_is_started_fused_unless_another_way_is_asked_for(started, name, words, mode):
+    result = CliRunner().invoke(main, ["up", name, *words])
+    assert result.exit_code == 0, result.output
+    (graph,) = started
+    assert {axis.plant_simulator.time_mode for axis in graph.axes} == {mode}
+    assert ("fused, one process: " in result.output) == (mode == "fused")
 
 
 def test_without_ros_one_line_says_what_to_install(monkeypatch):

@@ -17,6 +17,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose, write_axis  # noqa: E402
 
+from hysteresis_ros.nodes.base import diagnostics  # noqa: E402
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all  # noqa: E402
 from hysteresis_ros.signals import COMMAND, PLANT_VOLTAGE, VOLTAGE  # noqa: E402
 
@@ -48,6 +49,22 @@ def test_counters_that_were_reset_count_from_zero():
     assert limited.report(counted(900), RATE, 1.0) == f"output limited for 9 s, by {AMPLIFIER}"
     assert limited.report(counted(5), RATE, 2.0) == ""
     assert limited.report(counted(30), RATE, 3.0) == f"output limited for 0.3 s of the last 1 s, by {AMPLIFIER}"
+
+
+def assert_on_the_page(node, beginning):
+    """Require that the status of a page has the message of a node, which is the headline of the page."""
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
+    from pretended_axis import Pretended
+
+    from hysteresis_ros.laboratory.watch.access import Access
+    from hysteresis_ros.laboratory.watch.link import AxisLink
+    from hysteresis_ros.laboratory.watch.server import Server
+
+    link = Pretended()
+    AxisLink._on_health(link, diagnostics(node))
+    (said,) = Server(link, Access("127.0.0.1", "")).status()["health"]
+    assert (said["node"], said["level"]) == (node.get_name(), "warning")
+    assert said["message"].startswith(beginning) and said["message"].endswith(AMPLIFIER)
 
 
 def test_plant_and_compensator_count_what_they_hold_back(inside):
@@ -84,6 +101,7 @@ def test_plant_and_compensator_count_what_they_hold_back(inside):
     assert cut >= 39
     level, words, _ = compensator.health()
     assert level == 1 and words.startswith(f"output limited for {cut / RATE:.3g} s") and words.endswith(AMPLIFIER)
+    assert_on_the_page(compensator, f"output limited for {cut / RATE:.3g} s")
     plant.part.halt()
     for _ in range(20):
         sample(10.0)
