@@ -12,13 +12,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from damping_support import T, stage
 
+from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
 from hysteresis_ros.control.damping.inner_loop import KINDS, DampingParameters, damped, modes
-from hysteresis_ros.designs.damping import damping_plants, design_damping, mode_to_damp
+from hysteresis_ros.designs.damping import (
+    RESONANCE,
+    DampedDesign,
+    around_model,
+    damping_plants,
+    design_damping,
+    mode_to_damp,
+)
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 
@@ -140,3 +149,50 @@ def test_a_filter_whose_gain_at_rest_outweighs_the_plant_is_refused(k):
     still = LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,), sample_time=T)
     with pytest.raises(ParameterError, match=r"damping\.irc"):
         damped(still, chosen, T)
+
+
+def margins(bandwidth, peak, late, said=()):
+    """Return what a design prints of a loop, and the requirements that it does not meet."""
+    values = {"gain_margin": 9.0, "delay_margin": late * T, "delay_margin_samples": late, "misses": lambda: said}
+    return SimpleNamespace(bandwidth=bandwidth, sensitivity_peak=peak, **values)
+
+
+def judged(undamped=20.0, **changes):
+    """Return a damping judged on the model and on two plants around it, of which each is the worst of something."""
+    outer = (margins(100.0, 1.7, 3.0), margins(80.0, 1.8, 3.0), margins(120.0, 1.9, 3.0))
+    whole = (margins(90.0, 1.5, 2.0), margins(90.0, 1.75, 1.5), margins(90.0, 1.6, 1.2))
+    values = {"inner": whole, "outer": outer, "whole": whole, "resonance": 0.1, "undamped": undamped} | changes
+    return DampedDesign(replace(DampingParameters(), type="irc"), (700.0, 0.01), (0.3, 0.2, 0.25), **values)
+
+
+def test_a_design_prints_the_worst_of_its_plants():
+    rows = dict(judged().rows())
+    assert rows["resonances ±10 %"] == "bandwidth 80 Hz, M_s 1.900, of both 1.750, delay margin 1.2 samples"
+    assert rows["damping reached"] == "0.3; resonances ±10 %: 0.2"
+    assert rows["bandwidth without damping"] == "20 Hz; with it 5 times that"
+    assert judged(None).times == np.inf and "bandwidth without damping" not in dict(judged(None).rows())
+
+
+def test_a_damping_of_little_use_is_warned_of_and_another_is_not():
+    much, alone, little = (judged(undamped).doubts() for undamped in (20.0, None, 90.0))
+    assert much == () == alone and len(little) == 1
+    assert "irc is of little use here: the bandwidth is 1.11 times" in little[0]
+
+
+@pytest.mark.parametrize("place", [0, 2])
+@pytest.mark.parametrize(("which", "words"), [("outer", "of the law's loop"), ("whole", "of both loops")])
+def test_what_a_loop_does_not_meet_is_said_with_its_loop_and_plant(place, which, words):
+    loops = [margins(100.0, 1.5, 3.0) for _ in range(3)]
+    loops[place] = margins(100.0, 2.5, 3.0, ("M_s 2.5 is above 2",))
+    where = " with resonances off by 10 %" if place else ""
+    assert judged(**{which: tuple(loops)}).misses() == (f"M_s 2.5 is above 2 {words}{where}",)
+    assert judged().misses() == ()
+
+
+def test_plants_around_the_model_are_as_far_from_it_as_was_asked():
+    control = ControllerParameters(model=ModelParameters(dynamics=stage()))
+    for robust, part in ((None, RESONANCE), (SimpleNamespace(resonance=0.2), 0.2)):
+        found = around_model(control, T, SimpleNamespace(robust=robust, damping="irc"))
+        assert found.resonance == part
+        turns = [modes(one.plant.poles.astype(complex), T)[0][0] for one in found.plants]
+        np.testing.assert_allclose(np.sort(turns) / 700.0, [1 / (1 + part), 1.0, 1 / (1 - part)], rtol=1e-3)

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -217,10 +219,11 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
         learning().learned()
 
 
-def test_a_command_that_is_cut_after_a_late_voltage_does_not_take_the_correction_back():
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_a_command_that_is_cut_after_a_late_voltage_does_not_take_the_correction_back(late):
     block = learning(shortfall=1e-7, recovery=20 / RATE)
     wrong = 1e-8
-    entries = [shown(block.p, block.x, wrong, 0.0, float(k < 3)) for k in range(4)]
+    entries = [shown(block.p, block.x, wrong, 0.0, float(k < late)) for k in range(late + 1)]
     entries += [shown(block.p, block.x, wrong, 1e-6, 0.0)]  # the axis is far from its path
     entries += [shown(block.p, block.x, wrong, 0.0, 0.0) for _ in range(20)]
     assert np.isnan(entries).all() and shown(block.p, block.x, wrong, 0.0, 0.0) == wrong
@@ -229,3 +232,49 @@ def test_a_command_that_is_cut_after_a_late_voltage_does_not_take_the_correction
         *(shown(block.p, block.x, wrong, 0.0, 0.0) for _ in range(20)),
     ]
     assert entries == [LIMITED] * 21  # without a late voltage the correction itself is too large
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_learning_pauses_for_the_whole_answer_to_the_last_late_voltage(count):
+    block = learning(recovery=5 / RATE, late_recovery=30 / RATE)
+    entries = [shown(block.p, block.x, 1e-8, 0.0, float(k < count)) for k in range(count + 40)]
+    assert np.isnan(entries[: count + 30]).all() and entries[count + 30 :] == [1e-8] * 10
+    # a command that is cut meanwhile does not shorten the pause
+    entries = [shown(block.p, block.x, 1e-8, 1e-6 * (k == 1), float(k == 0)) for k in range(41)]
+    assert np.isnan(entries[:32]).all() and entries[32:] == [1e-8] * 9
+
+
+def test_what_was_not_measured_is_weighed_by_its_part_of_the_filter():
+    """The taps nearly cancel; a hole of 2 % of their weight changes little, and one of half of it a lot."""
+    m, _ = followed(learning(error_filter=(0.5, -0.45, 0.02), lead=1), (0.0, 0.9), 5, bad={2 * N + 17})
+    np.testing.assert_array_equal(np.flatnonzero(m[3] == m[2]), [16, 17])
+
+
+def test_the_correction_of_a_file_is_repeated_until_there_are_errors_to_learn_from(tmp_path):
+    path, random = tmp_path / "learned.yaml", np.random.default_rng(1)
+    correction = 1e-7 * random.standard_normal(N)
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, correction, REFERENCE))
+    block = learning(robustness_filter=(0.6, 0.2), file=str(path))
+    m, _ = followed(block, (0.0, 0.8), 2)
+    np.testing.assert_array_equal(m[0], correction)
+    assert not np.any(m[1] == correction)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"lead": 0}, {"error_filter": (0.5,)}, {"robustness_filter": (0.9,)}, {"period": 2 * N / RATE}],
+    ids=lambda other: next(iter(other)),
+)
+def test_filters_and_period_are_fixed_while_running(other):
+    block = learning(lead=1)
+    with pytest.raises(ParameterError, match=rf"learning\.{next(iter(other))} = .*is fixed while running"):
+        block.changed(replace(block.parameters, **other), 0.0)
+    block.take(block.changed(replace(block.parameters, gain=0.5), 0.0))
+    assert block.p[at.GAIN] == 0.5
+
+
+def test_the_limit_is_reached_when_the_correction_is_there_whatever_the_errors_are():
+    frozen, learns = (learning(error_filter=(1.0,), lead=1, maximum=2e-7, active=active) for active in (False, True))
+    for block, there in ((frozen, False), (learns, True)):
+        _, e = followed(block, (0.0, 0.3), 5)
+        assert np.max(np.abs(e[-1])) > 2e-7 and block.at_maximum == there

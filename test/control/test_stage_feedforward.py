@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_stage_support import SAMPLE_TIME, late_structure, stage
+from plain_stage_support import PROPORTIONAL, SAMPLE_TIME, late_structure, stage
 
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.feedforward import inverse_filter
@@ -26,6 +26,7 @@ from hysteresis_ros.designs.stage_feedforward import (
     finite_response,
     require_gentle_steps,
     stage_feedforward_file,
+    voltage_steps,
     without_stage_feedforward,
 )
 from hysteresis_ros.errors import ConfigurationError, ParameterError
@@ -149,6 +150,46 @@ def test_what_a_stage_cannot_invert_is_refused():
     fed["stage"]["feedforward__weights"] = [0.0] * 12
     with pytest.raises(ParameterError, match="feedforward.weights = .*: has 12 numbers and must have 2·2·2·2 = 16"):
         stage(**fed)
+
+
+def gentle(**limits) -> StageParameters:
+    """Return a stage in open loop whose setpoints move at 1 mm/s."""
+    slow = {"approach__maximum_velocity": 1e-3, "approach__maximum_acceleration": 0.0, "approach__maximum_jerk": 0.0}
+    own = {"limits__bits": 0, "limits__slew_rate": limits.pop("compensator", 0.0)}
+    plant = {"limits__bits": 0, "limits__slew_rate": limits.pop("plant", 0.0)}
+    model = PROPORTIONAL | {"sensor__noise": 0.0, "sensor__resolution": 0.0, "overtravel": -1.0}
+    return stage(
+        motion_controller=OPEN["motion_controller"],
+        reference_generator=slow,
+        plant_simulator=model | plant,
+        hysteresis_compensator=PROPORTIONAL | own,
+    )
+
+
+def test_the_voltage_steps_of_a_stage_are_those_of_its_setpoints_without_the_way_to_the_first_one():
+    """1 mm/s at 10 kHz and 0.4 µm/V are 0.25 V a sample, of the axis that moves; from 0 V to 20 µm it is 50 V."""
+    for step, name in zip(voltage_steps(gentle()), "xy", strict=True):
+        assert step.asked == pytest.approx(0.25 * 1.0016, rel=1e-3) and step.what.endswith(f"µm away in {name}")
+        assert step.allowed == np.inf and step.span == 100.0
+    for rates in ({"plant": 7e4, "compensator": 5e4}, {"plant": 5e4, "compensator": 7e4}, {"plant": 5e4}):
+        assert [step.allowed for step in voltage_steps(gentle(**rates))] == [pytest.approx(5.0)] * 2
+
+
+def test_what_no_preview_decouples_is_refused_unless_preview_and_band_are_both_given():
+    """A zero close to the unit circle: what it leaves decays more slowly than the longest preview."""
+    C = np.reshape(load_configuration("xy_scanner").node("stage")["structure.C"], (2, 4)).copy()
+    C[0, 1] = -10.0
+    parameters = stage(structure={"structure__C": tuple(C.ravel())}, **OPEN)
+    assert design_stage_feedforward(parameters, 60, 1000.0).after > 0.1
+    with pytest.raises(ConfigurationError, match=r"63 samples of preview \S+ % of coupling remain up to 1000 Hz"):
+        design_stage_feedforward(parameters, None, 1000.0)
+
+
+def test_an_axis_that_learns_gets_no_feedforward():
+    given = {"learning__type": "inversion", "learning__period": 0.01, "learning__maximum": 1e-6}
+    given |= {"learning__error_filter": [1.0], "learning__robustness_filter": [1.0]}
+    with pytest.raises(ConfigurationError, match="learning.type = inversion: its corrections were designed without"):
+        design_stage_feedforward(stage(motion_controller=given))
 
 
 def test_full_scale_in_a_sample_is_refused():

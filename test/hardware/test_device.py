@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 
 import pytest
 
@@ -112,3 +113,37 @@ def test_closing_never_fails_and_happens_once(declared):
     device.close()
     device.close()
     assert Stage.calls == ["open", "close"]
+
+
+def test_a_device_that_has_refused_a_voltage_is_made_safe_all_the_same(declared):
+    """It may have put the voltage out before the error."""
+    device = Device(declared, Parameters(), 100.0)
+    Stage.raised["write"] = OSError("no answer")
+    with pytest.raises(DriverError, match="cannot be written"):
+        device.write([5.0])
+    assert device.left_at == 5.0
+    assert device.close() == "" and Stage.calls == ["open", "write", "make_safe", "close"]
+
+
+def test_a_device_that_is_safe_has_no_voltage_left_and_is_not_made_safe_again(declared):
+    device = Device(declared, Parameters(), 100.0)
+    device.write([5.0])
+    device.make_safe()
+    assert device.left_at is None
+    device.close()
+    assert Stage.calls == ["open", "write", "make_safe", "close"]
+
+
+def test_attempts_in_the_background_end_with_the_device(declared):
+    device, asked = Device(declared, Parameters(), 100.0), threading.Event()
+    device.write([5.0])
+    Stage.raised["make_safe"] = OSError("no answer")
+    device.insist(1e-3, lambda: asked.set() or True, lambda: pytest.fail("it was never safe"))
+    assert asked.wait(60.0)
+    assert "the output is still at 5 V" in device.close()
+    attempts = Stage.calls.count("make_safe")
+    over = device._over
+    assert over.is_set() and Stage.calls[-1] == "close"
+    Stage.raised.clear()
+    device._insist(over, 0.0, lambda: pytest.fail("after the end"), lambda: pytest.fail("after the end"))
+    assert Stage.calls.count("make_safe") == attempts

@@ -96,6 +96,15 @@ def test_it_begins_where_the_converter_is_and_switches_it_on_when_it_is_safe(tre
     assert set(way[switched + 1 :]) == {2448} and tree.file(1, "out_voltage3_powerdown").read_text().startswith("0\n")
 
 
+def test_a_converter_that_counts_downwards_has_its_range_in_order(tree):
+    tree.file(1, "out_voltage3_scale").write_text("-2.5\n")
+    device = tree.open()
+    assert (device.capabilities.minimum, device.capabilities.maximum) == pytest.approx((-5.1175, 5.12))
+    device.write([1.0])
+    assert tree.raw == 1648
+    device.close()
+
+
 def test_a_range_that_the_device_says_is_taken(tree):
     tree.file(1, "out_voltage3_raw_available").write_text("[1024 1 3072]\n")
     device = tree.open()

@@ -140,6 +140,27 @@ def test_an_axis_that_is_stopped_adds_nothing_to_the_others_and_returns_without_
     assert np.max(np.abs(np.diff(command[302:]))) < 2e-8
 
 
+def test_after_a_reset_of_its_controller_the_references_of_an_axis_count_as_always_constant():
+    given = impulse(3, 2)
+    values = {**LINEAR, "motion_controller": LINEAR["motion_controller"] | given["motion_controller"]}
+    one = stage(**values, stage=given["stage"])
+    moving = 20e-6 + 1e-6 * np.sin(0.05 * np.arange(800))
+    changes = {"x": [Change(300, "motion_controller", "reset")]}
+    command = one.run({"x": moving, "y": np.full(800, 20e-6)}, changes)["y"]["command"] - 20e-6
+    assert np.min(np.abs(command[290:301])) > 1e-9
+    assert abs(command[301]) < 1e-18, "the first reference is the only one that is known"
+    assert np.max(np.abs(command[310:])) > 1e-8
+
+
+def test_a_plant_that_is_reset_is_at_rest_with_its_structure():
+    one = linear_stage()
+    changes = {name: [Change(50, "plant_simulator", "reset")] for name in "xy"}
+    found = one.run({name: np.full(60, 20e-6) for name in "xy"}, changes)
+    for name in "xy":
+        assert abs(found[name]["displacement"][50]) < 1e-15 < 1e-6 < found[name]["displacement"][49]
+        np.testing.assert_array_equal(found[name]["displacement"][50:60], found[name]["displacement"][:10])
+
+
 @pytest.mark.parametrize("feeds", [False, True], ids=["feedback", "feedforward"])
 @pytest.mark.parametrize("delay", [0.0, SAMPLE_TIME], ids=["prompt", "late"])
 def test_a_stage_of_one_axis_has_the_bits_of_the_axis(delay, feeds):
@@ -290,8 +311,9 @@ def test_a_permutation_of_the_axes_permutes_the_run_bit_for_bit():
         assert_same_bits(first[name], second[name])
 
 
-def test_a_run_in_pieces_and_a_run_after_a_reset_have_the_bits_of_the_run():
-    one = stage()
+@pytest.mark.parametrize("feeds", [False, True], ids=["feedback", "feedforward"])
+def test_a_run_in_pieces_and_a_run_after_a_reset_have_the_bits_of_the_run(feeds):
+    one = stage(**(fed() if feeds else {}))
     setpoints = one.default_setpoints(900)
     whole = one.run(setpoints)
     one.reset()
@@ -403,6 +425,10 @@ def test_the_allowed_travel_is_that_of_the_degrees_of_freedom():
     axes = tuple(replace(axis, plant_simulator=replace(axis.plant_simulator, overtravel=1e-6)) for axis in one.axes)
     # 40 µm of its own actuator, and 4 % of the other actuator
     np.testing.assert_allclose(replace(one, axes=axes).travel(), [[-1e-6, 42.6e-6]] * 2, rtol=1e-9)
+    # a preload moves the zero of its own sensor
+    plant = replace(axes[0].plant_simulator, preload=replace(axes[0].plant_simulator.preload, A1=3e-6))
+    loaded = replace(one, axes=(replace(axes[0], plant_simulator=plant), axes[1]))
+    np.testing.assert_allclose(loaded.travel(), [[2e-6, 45.6e-6], [-1e-6, 42.6e-6]], rtol=1e-9)
 
 
 def test_an_axis_that_leaves_its_range_stops_the_whole_stage():

@@ -22,6 +22,7 @@ import hysteresis_ros as hr
 from hysteresis_ros.analysis.scan_report import scan_figures
 from hysteresis_ros.api import configuration_of
 from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.stage import Stage
@@ -129,6 +130,10 @@ def test_a_scan_beyond_the_bandwidth_of_the_loop_is_warned_of_with_the_frame_rat
     assert rate == pytest.approx(4.0 * 3.18 / 10.0, rel=0.02) and "hysteresis design --learning" in x and y[0] == "y"
     assert 1.25 < rate < 1.28
     assert scan_warnings(slow_loop(1.25)) == () and len(scan_warnings(slow_loop(1.28))) == 1
+    learns = LearningParameters("inversion", 0.25, (1.0,), robustness_filter=(1.0,), maximum=1e-6)
+    first = replace(parameters.axes[0].motion_controller, learning=learns)
+    axes = (replace(parameters.axes[0], motion_controller=first), parameters.axes[1])
+    assert scan_warnings(replace(parameters, axes=axes)) == (y,), "corrections of the reference can follow it"
     assert scan_warnings(following()) == (), "xy_scanner follows its raster"
     with pytest.warns(UserWarning, match="times the bandwidth of the loop"):
         hr.simulate(parse_configuration(parameters.configuration_text(), "text"), duration=0.01)

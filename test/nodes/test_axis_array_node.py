@@ -11,9 +11,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
+import threading
+from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +34,9 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String  # noqa:
 from hysteresis_ros.configuration import load_configuration, parse_configuration  # noqa: E402
 from hysteresis_ros.loop.axis_array import ArrayNodeParameters, AxisArray, parameters_of_each  # noqa: E402
 from hysteresis_ros.loop.parameters import AxisParameters  # noqa: E402
-from hysteresis_ros.nodes.axis_array import AxisArrayNode  # noqa: E402
+from hysteresis_ros.models.actuator import PreloadParameters  # noqa: E402
+from hysteresis_ros.nodes.axis_array import ArrayRunner, AxisArrayNode  # noqa: E402
+from hysteresis_ros.nodes.base import ERROR, OK, WARN  # noqa: E402
 
 AXES, RATE = 12, 200.0
 
@@ -223,3 +229,94 @@ def test_what_does_not_fit_is_refused(inside, tmp_path, capfd, values, words):
     inside.nodes.append(node)
     assert not node.configure_now() and node.exit_code == 2
     assert words in node.failure
+
+
+def test_a_reset_begins_again_at_rest_with_the_configured_setpoints_and_is_recorded(inside, tmp_path):
+    """Samples are computed here, one by one, without a thread and without other nodes."""
+    axis, bag = axis_of(), tmp_path / "bag"
+    axis = replace(axis, plant_simulator=replace(axis.plant_simulator, preload=PreloadParameters(force=2.0)))
+    given = {"axes": 3, "time_mode": "lockstep", "sample_rate": RATE, "path": str(bag)}
+    node = inside.add(partial(AxisArrayNode, axis, "text"), ArrayNodeParameters.from_mapping(given), autostart=False)
+    assert node.configure_now()
+    assert list(node._joints.effort) == [2.0] * 3, "the force of the preload [N]"
+
+    def computed(count: int) -> np.ndarray:
+        found = []
+        for _ in range(count):
+            node.compute_sample()
+            found.append(node.array["measured"])
+        return np.array(found)
+
+    first = computed(10)
+    node._on_setpoints(setpoints_of(3e-6))
+    moved = computed(10)
+    assert np.all(np.abs(moved[-1] - first[-1]) > 1e-6) and node.sample == 20
+    node.reset_blocks()
+    assert node.sample == 0
+    np.testing.assert_array_equal(computed(10), first)
+    node.unbuild()
+    # in lockstep the array is the source of time, which begins again at 0, and bags are read by time
+    kept = [(time, list(message.data)) for time, message in messages_of(bag, "setpoints")]
+    rest = list(AxisArray(parameters_of_each(axis, 3)).initial_setpoints)
+    assert kept == [(0, rest), (0, rest), (round(1e9 * 10 / RATE), [3e-6] * 3)]
+
+
+def reported(tripped, late=0, refused=0, lost=""):
+    """Return level and text of the health of an array in which these axes are stopped."""
+    bag = SimpleNamespace(stopped=lost, bag=None) if lost else None
+    node = SimpleNamespace(
+        array={"tripped": np.array(tripped, dtype=float), "saturated": np.array([1.0, 0.0, 1.0])},
+        parameters=SimpleNamespace(axes=3),
+        late=late,
+        refused=refused,
+        recording=bag,
+        has_lost=bool(lost),
+        since_report=lambda name, value: value,
+    )
+    level, text, values = AxisArrayNode.health(node)
+    assert values["saturated_axes"] == 2 and values["stopped_axes"] == np.count_nonzero(tripped)
+    return level, text
+
+
+def test_the_health_of_an_array_tells_the_worst_first():
+    assert reported([0, 0, 0]) == (OK, "")
+    assert reported([0, 0, 0], late=2) == (WARN, "2 samples late, 0 messages on setpoints refused")
+    assert reported([0, 0, 0], refused=1) == (WARN, "0 samples late, 1 messages on setpoints refused")
+    assert reported([0, 3, 1], late=2) == (ERROR, "2 axes are stopped (1, 2): call ~/reset")
+    assert reported([0, 3, 1], lost="disk full") == (ERROR, "recording ended: disk full")
+
+
+@pytest.mark.parametrize(("pause", "late", "shifts"), [(0.015, 0, 1), (0.055, 4, 1), (0.5, 1, 2)])
+def test_late_samples_are_counted_and_a_schedule_far_behind_is_shifted(monkeypatch, pause, late, shifts):
+    """A sample of 1 ms each 10 ms, and one that lasts longer: the following ones catch up, or all come later."""
+    now, ran = [100.0], []
+    monkeypatch.setattr("hysteresis_ros.nodes.axis_array.time.monotonic", lambda: now[0])
+
+    def compute() -> None:
+        ran.append(now[0])
+        now[0] += pause if node.sample == 5 else 0.001
+        node.sample += 1
+
+    def wait(seconds: float) -> None:
+        now[0] += seconds
+
+    begun: list[int] = []
+    node = SimpleNamespace(
+        parameters=SimpleNamespace(samples=30, wait_for_setpoints=False, sample_rate=100.0),
+        sample=0,
+        running=True,
+        lock=contextlib.nullcontext(),
+        answered=threading.Event(),
+        compute_sample=compute,
+        stamps=SimpleNamespace(go_on=begun.append),
+        late=0,
+        finish=lambda: None,
+    )
+    runner = ArrayRunner.__new__(ArrayRunner)
+    runner.node, runner.exact = node, False
+    runner._leaving = SimpleNamespace(is_set=lambda: False, wait=wait)
+    runner._run_samples()
+    assert node.sample == 30, "no sample is dropped"
+    assert node.late == late and len(begun) == shifts
+    # without a shift the last samples are where they would have been
+    assert ran[-1] == pytest.approx(100.29 if shifts == 1 else 100.05 + 0.5 + 0.23, abs=1e-9)

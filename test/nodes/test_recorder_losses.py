@@ -65,6 +65,10 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
     if lost:
         text, how = said[0]
         assert text.startswith("7 samples were overwritten before they were recorded") and how == {"error": True}
+        # what is lost later counts in addition
+        taken = Samples(20, np.zeros((3, 5)), np.arange(5), None, 3)
+        RecorderNode.take_samples(recorder)
+        assert recorder._lost == 10 and recorder._counts == [15, 15] and said[1][0].startswith("3 samples")
 
 
 def recorder_of(counts, **values):

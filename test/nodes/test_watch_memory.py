@@ -100,6 +100,22 @@ def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_you
     assert np.isnan(found.table[signals.VOLTAGE]).all()
 
 
+def test_a_time_that_begins_again_shows_nothing_of_the_run_before():
+    """An incomplete sample of the earlier run is newer by its stamp than all samples of the new one."""
+    collector, late = Collector(signals.ACTUATOR), 10 * PART_PATIENCE
+    for node in NODES:
+        collector.add(node, said(0, late, node))
+    collector.add(NODES[0], said(1, late + 1_000, NODES[0]))
+    assert collector.take().stamps.tolist() == [late]
+    for node in NODES[:-1]:
+        collector.add(node, said(5, 1_000, node))
+    assert collector.take().numbers.size == 0, "the missing part may still arrive"
+    collector.add(NODES[-1], said(5, 1_000, NODES[-1]))
+    found = collector.take()
+    assert found.stamps.tolist() == [1_000] and found.numbers.tolist() == [0]
+    assert found.table[signals.MEASURED].tolist() == [5.0] == found.table[signals.VOLTAGE].tolist()
+
+
 @pytest.mark.parametrize(
     "origin",
     ["http://127.0.0.1:8123.evil.example", "http://127.0.0.1:81234", "https://127.0.0.1:8123", "http://127.0.0.1"],

@@ -104,6 +104,15 @@ def test_commands_that_the_lag_makes_larger_than_the_stroke_are_named():
     assert "waveform.frequency = 4.0" in doubt
 
 
+@pytest.mark.parametrize("middle", [38e-6, 12e-6])
+def test_the_room_of_a_waveform_is_that_to_the_nearer_end_of_the_stroke(middle):
+    """At 12 Hz a sine of 10 µm needs 14 µm to each side, and there are 12 µm to one of them; 5 µm need 7 µm."""
+    given = {"minimum": 0.0, "maximum": 50e-6}
+    (doubt,) = reach_warnings(axis("picma_stage", reference_generator=sine(10e-6, 12.0, middle, **given)))
+    assert "waveform.frequency = 12.0" in doubt
+    assert reach_warnings(axis("picma_stage", reference_generator=sine(5e-6, 12.0, middle, **given))) == ()
+
+
 @pytest.mark.parametrize(
     "excitation",
     [

@@ -25,9 +25,15 @@ from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
 from hysteresis_ros.designs.coupled import controllers_file, design_controllers
-from hysteresis_ros.designs.setpoint_step import require_gentle, setpoint_step, step_lines
+from hysteresis_ros.designs.setpoint_step import overshoot_of, require_gentle, setpoint_step, step_lines
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, with_safe_motion
+from hysteresis_ros.identification.safe_motion import (
+    largest_change,
+    safe_approach,
+    safe_slew,
+    slowest_of,
+    with_safe_motion,
+)
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -246,3 +252,42 @@ def test_a_design_does_not_refuse_gentle_steps_and_walkers_have_none():
     require_gentle(None)
     require_gentle(setpoint_step(single_axis(parse_configuration(designed(FLEXURE), "designed.yaml"))))
     assert step_lines(load_configuration("inchworm_travel").text, None, True) == []
+
+
+def test_a_resonance_goes_before_a_lag_and_of_lags_the_slowest_counts():
+    assert slowest_of(np.diag([0.5, 0.9]), 1 / RATE) == (pytest.approx(-np.log(0.9) * RATE), False)
+    # a lag of 211/s, slower than the resonance, of which a model of the plant alone knows nothing
+    lag = "{A: [0.9], B: [0.1], C: [1.0], sample_time: 0.0005}"
+    for plant in (f"    dynamics: {lag}\n", ""):
+        text = with_safe_motion(FLEXURE.replace(f"    dynamics: {DYNAMICS}\n", plant, 1), "stage.yaml")
+        assert text.count("slew_rate: 57000.0") == 2 and "the resonance, 380 Hz" in text
+    lags = with_safe_motion(FLEXURE.replace(DYNAMICS, lag), "stage.yaml")
+    assert "the lag of the model, 4.75 ms" in lags and lags.count("slew_rate: 31600.0") == 2
+
+
+def test_the_approach_is_for_the_range_between_both_ends_and_a_stated_limit_is_kept_alone():
+    text = with_safe_motion(FLEXURE.replace("minimum: 0.0\n    maximum: 99", "minimum: 39.0e-6\n    maximum: 99"), "a")
+    own = yaml.safe_load(text)["/**/reference_generator"]["ros__parameters"]["approach"]
+    # half of 57000 V/s, of 150 V for 60 µm
+    assert own["maximum_velocity"] == pytest.approx(0.5 * 57000.0 * 60e-6 / 150.0)
+    limited = FLEXURE.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_jerk: 5.0}\n")
+    own = yaml.safe_load(with_safe_motion(limited, "a"))["/**/reference_generator"]["ros__parameters"]["approach"]
+    assert own == {"maximum_jerk": 5.0}
+
+
+def test_of_two_stated_slew_rates_the_slower_one_is_the_limit_of_the_approach():
+    two = FLEXURE.replace("maximum: 150.0}", "maximum: 150.0, slew_rate: 2000.0}")
+    two = two.replace("maximum: 150.0   # V", "maximum: 150.0\n      slew_rate: 3000.0")
+    values = yaml.safe_load(with_safe_motion(two, "a"))
+    assert values["/**/plant_simulator"]["ros__parameters"]["limits"]["slew_rate"] == 2000.0
+    velocity = values["/**/reference_generator"]["ros__parameters"]["approach"]["maximum_velocity"]
+    assert velocity == pytest.approx(0.5 * 2000.0 * 99e-6 / 150.0)
+
+
+@pytest.mark.parametrize("move", [1e-6, -1e-6])
+@pytest.mark.parametrize("damping", [0.1, 0.4])
+def test_the_overshoot_of_a_step_is_that_of_its_damping_in_both_directions(move, damping):
+    turn = np.sqrt(1.0 - damping**2)
+    time = np.linspace(0.0, 20.0 / damping, 20001)
+    step = 1.0 - np.exp(-damping * time) * (np.cos(turn * time) + damping / turn * np.sin(turn * time))
+    assert overshoot_of(3e-6 + move * step, move) == pytest.approx(np.exp(-np.pi * damping / turn), rel=1e-3)
