@@ -51,9 +51,14 @@ def pages() -> list[pathlib.Path]:
     return sorted([*kept, *ROOT.glob("*.md"), ROOT / "setup.py"])
 
 
-def occurrences(phrase: str, text: str) -> int:
-    """Count a phrase in a text, also across line ends and comment marks."""
-    return len(re.findall(rf"\b(?:{phrase})\b", re.sub(r"\s+(?:(?:#:?|//|\*|>)\s+)?", " ", text)))
+def in_one_line(text: str) -> str:
+    """Return a text without line ends and comment marks."""
+    return re.sub(r"\s+(?:(?:#:?|//|\*|>)\s+)?", " ", text)
+
+
+def occurrences(phrase: str, line: str) -> int:
+    """Count a phrase in a text in one line."""
+    return len(re.findall(rf"\b(?:{phrase})\b", line))
 
 
 def too_many(counts: dict[str, dict[str, int]]) -> list[str]:
@@ -69,7 +74,7 @@ def too_many(counts: dict[str, dict[str, int]]) -> list[str]:
 
 def counted() -> dict[str, dict[str, int]]:
     """Return for each phrase the files that contain it, with numbers of occurrences."""
-    texts = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in pages()}
+    texts = {path.relative_to(ROOT).as_posix(): in_one_line(path.read_text(encoding="utf-8")) for path in pages()}
     found = {phrase: {name: occurrences(phrase, text) for name, text in texts.items()} for phrase in NOT_OURS}
     return {phrase: {name: number for name, number in places.items() if number} for phrase, places in found.items()}
 
