@@ -36,7 +36,14 @@ BESIDE = (
 
 
 def pytest_configure(config):
-    """Fork processes of this package from one that has imported it, except where the start itself is tested."""
+    """Fork processes of this package from one that has imported it, except where the start itself is tested.
+
+    Processes that a test starts in another folder import the tested package, too: an installed copy beside it would
+    compile all kernels again.
+    """
+    tested, given = str(preloaded_support.tested_folder()), os.environ.get("PYTHONPATH", "")
+    if "site-packages" not in tested and given.split(os.pathsep)[0] != tested:
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [tested, given]))
     preloaded_support.install()
 
 

@@ -62,7 +62,7 @@ class _Starter:
         self.pid = os.getpid()
         self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         with other:
-            command = [sys.executable, __file__, str(other.fileno()), str(_home())]
+            command = [sys.executable, __file__, str(other.fileno()), str(tested_folder())]
             os.set_inheritable(other.fileno(), True)
             self._process = subprocess.Popen(
                 command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, env=self.environment
@@ -105,7 +105,7 @@ def _usual_environment() -> dict[str, str]:
     return dict(_usual or os.environ)
 
 
-def _home() -> pathlib.Path:
+def tested_folder() -> pathlib.Path:
     """Return the folder in which this package lies, as the tests import it."""
     return pathlib.Path(importlib.util.find_spec(PACKAGE).origin).resolve().parents[1]
 
@@ -115,7 +115,7 @@ def _path_of(environment: dict, cwd) -> list[str] | None:
     folder = os.path.abspath(cwd or os.getcwd())
     own = [] if environment.get("PYTHONSAFEPATH") else [folder]
     path = own + [entry for entry in environment.get("PYTHONPATH", "").split(os.pathsep) if entry]
-    home = _home()
+    home = tested_folder()
     for entry in map(pathlib.Path, path):
         if entry.resolve() == home:
             return path

@@ -39,7 +39,7 @@ def imports_everything(process: subprocess.Popen) -> bool:
 
 
 def test_nothing_but_imports_differs(cold, tmp_path):
-    environment = {**os.environ, "ROS_DOMAIN_ID": "17", "PYTHONPATH": str(preloaded_support._home())}
+    environment = {**os.environ, "ROS_DOMAIN_ID": "17", "PYTHONPATH": str(preloaded_support.tested_folder())}
     options = {"cwd": tmp_path, "env": environment, "start_new_session": True, "stderr": subprocess.PIPE}
     command = [sys.executable, "-m", "hysteresis_ros.cli.entry", "emulate", "gcs", "--port", "0", "--model", "E-709"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, **options) as process:
@@ -81,7 +81,7 @@ def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
 
 @pytest.mark.parametrize("case", ["other variable", "other package in the path", "modules beside it"])
 def test_what_could_import_otherwise_is_started_truly(case, tmp_path, monkeypatch):
-    home = str(preloaded_support._home())
+    home = str(preloaded_support.tested_folder())
     beside, other = tmp_path / "beside", tmp_path / "other"
     beside.mkdir()
     (beside / "yaml.py").write_text("")
