@@ -33,15 +33,19 @@ SLOW = ResponseUncertainty(np.array([1.0, 5.0, 20.0]), np.array([0.05, 0.1, 0.3]
 CONTROLLERS = ("pid", "offset_free", "integral_smc")
 
 
-def axis():
+def axis(step: float = STEP):
     """Return an axis whose model is a lag."""
-    dynamics = LinearPart(lag=LAG, hold=STEP).dynamics(STEP)
+    dynamics = LinearPart(lag=LAG, hold=step).dynamics(step)
     values = {
         f"model.dynamics.{name}": list(value) if isinstance(value, tuple) else value
         for name, value in dynamics.to_mapping().items()
         if value != ()
-    } | {"model.dynamics.sample_time": STEP}
-    return single_axis(load_configuration("kim2009").override("motion_controller", type="open_loop", **values), None)
+    } | {"model.dynamics.sample_time": step}
+    configuration = load_configuration("kim2009").override("motion_controller", type="open_loop", **values)
+    if step != STEP:
+        configuration = configuration.override("", sample_rate=1.0 / step)
+        configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
+    return single_axis(configuration, None)
 
 
 def held(dynamics: LinearParameters, gain: float) -> StateSpace:
@@ -54,17 +58,17 @@ def held(dynamics: LinearParameters, gain: float) -> StateSpace:
     return StateSpace(A, B, C, np.zeros((1, 1)))
 
 
-def plants():
+def plants(step: float = STEP):
     """Return plants that equal the model up to 20 Hz, with modes of the smallest assumed damping."""
     for frequency, damping in ((35.0, 0.01), (165.0, DAMPING), (421.0, DAMPING), (900.0, DAMPING)):
-        for gain in (0.9, 1.1):
-            part = LinearPart(modes=(Mode(frequency, damping),), lag=LAG, hold=STEP)
-            yield frequency, held(part.dynamics(STEP), gain)
+        for gain in (0.9, 1.1) if frequency < 0.5 / step else ():
+            part = LinearPart(modes=(Mode(frequency, damping),), lag=LAG, hold=step)
+            yield frequency, held(part.dynamics(step), gain)
 
 
-def radius(parameters, plant: StateSpace) -> float:
+def radius(parameters, plant: StateSpace, step: float = STEP) -> float:
     """Return the largest modulus of the poles of the closed loop."""
-    controller, _ = whole_loop(parameters, STEP)
+    controller, _ = whole_loop(parameters, step)
     return float(np.max(np.abs(np.linalg.eigvals(close(controller, plant).A))))
 
 
@@ -88,6 +92,17 @@ def test_no_controller_is_unstable_on_resonances_that_the_recording_did_not_show
         if design is not None:
             unstable = [frequency for frequency, plant in plants() if not radius(design.parameters, plant) < 1.0]
             assert not unstable, f"{controller} is unstable with modes at {unstable} Hz"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [1000.0, 4000.0])
+def test_no_pid_is_unstable_on_them_at_other_rates(rate):
+    """Of seven plants of such modes two were unstable at these rates."""
+    step = 1.0 / rate
+    design, bold = (design_axis(axis(step), DesignRequest("pid"), *known) for known in ((SLOW,), ()))
+    radii = [radius(design.parameters, plant, step) for _, plant in plants(step)]
+    assert max(radii) < 1.0, radii
+    assert any(radius(bold.parameters, plant, step) > 1.0 for _, plant in plants(step)), "the plants are too easy"
 
 
 def test_without_the_bound_the_same_controllers_are_unstable():
