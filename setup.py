@@ -69,6 +69,8 @@ EXTRAS = {
     "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
     # EPICS motor records, in pure Python
     "epics": ["caproto"],
+    # an axis as a device of bluesky
+    "bluesky": ["ophyd-async>=0.13", "bluesky"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # Not part of "all": what makes the pages and runs the notebooks, for those who change them.
