@@ -110,8 +110,8 @@ def test_wheel_holds_modules_shares_and_executables(wheel):
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
     data = wheel.name.split("-py3")[0] + ".data/data/"
     executables = {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
-    header = "hysteresis_ros/hardware/hysteresis_driver.h"  # for drivers in C
-    assert names == MODULES | {header} | {data + name for name in SHARES | executables}
+    others = {"hysteresis_ros/hardware/hysteresis_driver.h", "hysteresis_ros/laboratory/benchmark/recordings.yaml"}
+    assert names == MODULES | others | {data + name for name in SHARES | executables}
 
 
 def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):

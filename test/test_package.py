@@ -373,6 +373,7 @@ FULL_MODULES = {
     "identification/local_polynomial.py",
     "identification/workflow.py",
     "laboratory/benchmark/models.py",
+    "laboratory/bluesky.py",
     "laboratory/studies.py",
     "laboratory/swept.py",
 }
