@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -55,6 +56,7 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
     for delay in found["delays"]:
         assert delay["state"] and delay["cost"] and f"  {delay['name']} " in result.output
     assert len(found["delays"]) == 8
+    assert_verdicts_end_their_blocks(result.output.splitlines())
     assert all(found["messages"][name]["lockstep_hz"] > 0.0 for name in ("composed", "processes"))
     for name in ("composed", "processes"):
         real = found["messages"][name]["realtime"]
@@ -68,6 +70,19 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
     assert found["libraries"]["numpy"] != "not installed"
     permitted = not any(row["warning"] for row in found["fused"])
     assert ("limits.conf" in result.output) != permitted
+
+
+def assert_verdicts_end_their_blocks(lines):
+    """A verdict follows the rows of its own heading, begins with a sign of its own, and is indented as they are."""
+    rows = [number for number, line in enumerate(lines) if re.match(r" +\d+ Hz: late ", line)]
+    headings = [number for number, line in enumerate(lines) if line.startswith("fused with ")]
+    verdicts = [number for number, line in enumerate(lines) if line.startswith("  = ")]
+    assert len(headings) == len(verdicts) == 2
+    for heading, verdict in zip(headings, verdicts, strict=True):
+        between = range(heading + 1, verdict)
+        assert between and set(between) <= set(rows), lines[heading : verdict + 1]
+        assert re.match(r"  = (holds|not permitted)", lines[verdict])
+    assert not any(re.match(r"(= )?(holds|not permitted)", line) for line in lines)
 
 
 def test_nodes_that_answer_nothing_are_said_to(monkeypatch, tmp_path, short):

@@ -133,6 +133,35 @@ def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     assert halted["x"][0] - halted["y"][0] == 1 and halted["x"][-1] == halted["y"][-1] < len(made["x"]["tripped"]) - 8
 
 
+#: Both plants go to their safe voltage after 50 skipped samples; x then returns at less than its path needs.
+CUT = {
+    "plant_simulator": {"late_limit": -1, "voltage_timeout": 0.005, "safe_slew_rate": 2000.0},
+    "hysteresis_compensator": {"safe_slew_rate": 2000.0},
+    "x__reference_generator": {"waveform__type": "triangle", "waveform__frequency": 50.0, "waveform__amplitude": 8e-6},
+}
+
+
+def test_the_recorded_voltage_of_each_axis_is_the_one_that_left_also_where_plants_limit_it():
+    """The offline twin of a fused run, within the rounding of converters of 16 bits over 100 V.
+
+    The amplifier of y gives 40 V, and its compensator up to 100 V.
+    """
+    y = {"waveform__type": "sine", "waveform__frequency": 60.0, "waveform__amplitude": 8e-6}
+    given = MOVING | CUT | {"y__plant_simulator": {"limits__maximum": 40.0}, "y__reference_generator": y}
+    one = Stage(StageParameters.from_configuration(configured(**given)))
+    skipped = np.zeros(3000)
+    skipped[1000:1200] = 1.0
+    made = one.run({"x": np.full(3000, 20e-6), "y": np.full(3000, 20e-6)}, skipped=skipped)
+    for axis, table in made.items():
+        np.testing.assert_allclose(table["voltage"], table["plant_voltage"], rtol=0.0, atol=100.0 / 2**16, err_msg=axis)
+        held = table["plant_mode"] == STALE
+        assert 140 < np.count_nonzero(held) < 160 and np.all(table["saturated"][held] == 1.0)
+        assert np.ptp(table["voltage"][1200:]) > 10.0
+    at_end = made["y"]["voltage"] >= 40.0 - 1e-9
+    assert np.count_nonzero(made["y"]["saturated"][at_end]) > 10
+    assert not np.any(made["x"]["saturated"][1:1000]), "an amplifier limits its own axis only"
+
+
 def test_an_emergency_stop_stops_all_axes_in_the_same_sample():
     one = Running(SLOWLY)
     one.loop.start()

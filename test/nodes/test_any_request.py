@@ -21,7 +21,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, until, write_axis  # noqa: E402
+from nodes_support import axis_parameters, compose_stage, until, write_axis  # noqa: E402
 from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 
@@ -102,13 +102,13 @@ def axis(processes, observer, tmp_path):
     return nodes, heard
 
 
-def services_of(observer, node: str) -> dict[str, str]:
+def services_of(observer, node: str, namespace: str = "") -> dict[str, str]:
     """Return the services of a node by their last word, with their types, once all services are found."""
 
     def found():
-        if node not in observer.node.get_node_names():
+        if (node, namespace or "/") not in observer.node.get_node_names_and_namespaces():
             return {}
-        listed = observer.node.get_service_names_and_types_by_node(node, "/")
+        listed = observer.node.get_service_names_and_types_by_node(node, namespace or "/")
         return {name.rsplit("/", 1)[1]: types[0] for name, types in listed}
 
     expected = SERVICES if node != "setpoint_publisher" else {name for name in SERVICES if "param" in name}
@@ -125,17 +125,17 @@ def assert_goes_on(observer, nodes, heard, what: str) -> None:
     until(lambda: len(heard) > since + 5 and heard[-1].header.frame_id == "", what=f"samples after {what}")
 
 
-def ask_anything(observer, node: str, chance: random.Random) -> int:
+def ask_anything(observer, node: str, chance: random.Random, namespace: str = "", requests: int = REQUESTS) -> int:
     """Send each service of a node some requests and wait for the answers; return the number of requests."""
     asked = 0
-    for name, kind in services_of(observer, node).items():
+    for name, kind in services_of(observer, node, namespace).items():
         package, _, service = kind.split("/")
         cls = getattr(importlib.import_module(f"{package}.srv"), service)
-        observer.keep_client(cls, f"/{node}/{name}")
-        for _ in range(REQUESTS):
+        observer.keep_client(cls, f"{namespace}/{node}/{name}")
+        for _ in range(requests):
             request = any_message(cls.Request, chance)
             if not stops_the_node(name, request):
-                observer.call(cls, f"/{node}/{name}", request)
+                observer.call(cls, f"{namespace}/{node}/{name}", request)
                 asked += 1
     return asked
 
@@ -167,6 +167,25 @@ def test_the_other_nodes_survive_them_too(inside, observer, kind):
     inside.spin()
     some = {"set_parameters", "set_parameters_atomically"}
     assert ask_anything(observer, kind, random.Random(SEED)) > REQUESTS * len(some)
+
+
+def test_the_nodes_of_a_stage_survive_them_too(inside, observer):
+    """The nodes of one axis receive the requests; then both axes continue together."""
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.loop.stage_parameters import StageParameters
+
+    configuration = load_configuration("xy_scanner").override("", time_mode="realtime")
+    configuration = configuration.override("plant_simulator", real_time_factor=0.005, late_limit=-1)
+    made = compose_stage(inside, StageParameters.from_configuration(configuration))
+    inside.spin()
+    chance = random.Random(SEED)
+    for kind in NODES:
+        assert ask_anything(observer, kind, chance, "/y", REQUESTS // 4 or 1) > len(SERVICES) / 2
+    for node in made:
+        assert observer.trigger(f"{node.get_fully_qualified_name()}/start").success, node.get_name()
+    for node in made:
+        since = node.sample
+        until(lambda node=node, since=since: node.sample > since + 5, what=f"samples of {node.get_name()}")
 
 
 @pytest.mark.parametrize("atomically", [False, True])
