@@ -19,13 +19,6 @@ from nodes_support import InProcess, Observer, Processes
 from hysteresis_ros.nodes.domain import Domain
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _frozen():
-    """Exclude what exists before a file of tests from collections: a test begins with one, 0.27 s for 7400 tests."""
-    gc.collect()
-    gc.freeze()
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("nodes")
