@@ -122,6 +122,41 @@ SIGNALS = (
         "what begins at this sample of a scan, sum of 1: a frame, 2: a line, 4: a pixel",
         _at(SOURCE, MOTOR_SOURCE, name="scan_edges"),
     ),
+    Signal(
+        "trigger",
+        "1",
+        SOURCE,
+        "number of the trigger of this sample, 0: none",
+        _at(SOURCE, MOTOR_SOURCE, name="trigger"),
+    ),
+    Signal(
+        "trigger_position",
+        "m",
+        SOURCE,
+        "position of the axis at the trigger",
+        _at(SOURCE, MOTOR_SOURCE, name="trigger_position"),
+    ),
+    Signal(
+        "trigger_direction",
+        "1",
+        SOURCE,
+        "direction of motion at the trigger, 1: up, -1: down",
+        _at(SOURCE, MOTOR_SOURCE, name="trigger_direction"),
+    ),
+    Signal(
+        "trigger_delay",
+        "s",
+        SOURCE,
+        "time from the trigger to this sample",
+        _at(SOURCE, MOTOR_SOURCE, name="trigger_delay"),
+    ),
+    Signal(
+        "trigger_in",
+        "1",
+        USER,
+        "pulses of the trigger input that this sample takes",
+        _at(SOURCE, MOTOR_SOURCE, name="trigger_in"),
+    ),
     _sequencer("origin", "m", "offset that the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
@@ -180,6 +215,11 @@ SIGNALS = (
     FORCE,
     WAVEFORM_SAMPLE,
     SCAN_EDGES,
+    TRIGGER,
+    TRIGGER_POSITION,
+    TRIGGER_DIRECTION,
+    TRIGGER_DELAY,
+    TRIGGER_IN,
     ORIGIN,
     EXTENDER,
     EXTENDER_DISPLACEMENT,
@@ -209,7 +249,7 @@ SIGNALS = (
     CYCLE_PHASE,
     PATH_ERROR,
     CORRECTION,
-) = range(54)
+) = range(59)
 
 
 class Edge(enum.IntFlag):
@@ -220,12 +260,12 @@ class Edge(enum.IntFlag):
     PIXEL = 4
 
 
-#: Indices of the requests of the user: any axis has the first one, a motor has all of them.
-ASKED = (SETPOINT, REQUEST, SPEED)
+#: Indices of the requests of the user: any axis has the first two, a motor has all of them.
+ASKED = (SETPOINT, TRIGGER_IN, REQUEST, SPEED)
 
-#: Indices of the inputs of a run: any axis has the first two, a motor has all of them.
-GIVEN = (SETPOINT, SKIPPED, REQUEST, SPEED)
-ACTUATOR_GIVEN = 2
+#: Indices of the inputs of a run: any axis has the first three, a motor has all of them.
+GIVEN = (SETPOINT, SKIPPED, TRIGGER_IN, REQUEST, SPEED)
+ACTUATOR_GIVEN = 3
 
 #: Length of a row for the axis of an actuator, and for that of a motor.
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
@@ -243,6 +283,9 @@ UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 #: Name of the requested voltage in a run whose recorded ``voltage`` differs from it.
 ASKED_VOLTAGE = "asked_voltage"
 UNITS[ASKED_VOLTAGE] = "V"
+
+#: Signals of the triggers of an axis.
+TRIGGER_SIGNALS = tuple(signal.name for signal in SIGNALS[TRIGGER : TRIGGER_DELAY + 1])
 
 #: Columns of every recording of a run, and the additional columns for a motor.
 COLUMNS = tuple(signal.name for signal in SIGNALS[: ESTIMATED + 1])

@@ -154,6 +154,50 @@ class Device:
         with self._named("cannot output the clock of the scan"):
             self._driver.output_clock(edges)
 
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Output a trigger.
+
+        Parameters
+        ----------
+        number : int
+        delay : float
+            Time from the trigger to the sample [s].
+
+        Raises
+        ------
+        DriverError
+            The device has no such output, or does not answer.
+        """
+        with self._named("cannot output a trigger"):
+            self._driver.output_trigger(number, delay)
+
+    def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
+        """Let the device compare positions.
+
+        Parameters
+        ----------
+        up, down : sequence of float
+            [position_unit]
+
+        Raises
+        ------
+        DriverError
+            The device cannot compare them, or does not answer.
+        """
+        with self._named("cannot compare the positions of its triggers"):
+            self._driver.compare(up, down)
+
+    def pulses(self) -> int:
+        """Return the number of pulses at the trigger input since the last call.
+
+        Raises
+        ------
+        DriverError
+            The device has no such input, or does not answer.
+        """
+        with self._named("cannot read its trigger input"):
+            return int(self._driver.pulses())
+
     def note(self, voltage: float) -> None:
         """Store a voltage that machine code has written to the device.
 

@@ -77,6 +77,13 @@ class Capabilities:
         Number of forces [N] that it reads in addition to the positions: for an axis 1 (the force in the stack) or 0.
     clock : bool
         Whether it outputs the frame, line and pixel clock of a scan (:meth:`Driver.output_clock`).
+    trigger_rate : float
+        Highest rate of triggers that it outputs [Hz]; 0: it has no output for triggers.
+    compares : bool
+        Whether it outputs triggers by comparing positions itself (:meth:`Driver.compare`); otherwise the loop asks for
+        each of them (:meth:`Driver.output_trigger`).
+    trigger_input : bool
+        Whether it has a trigger input (:meth:`Driver.pulses`).
     """
 
     joints: int
@@ -90,6 +97,9 @@ class Capabilities:
     voltage_unit: str = "V"
     forces: int = 0
     clock: bool = False
+    trigger_rate: float = 0.0
+    compares: bool = False
+    trigger_input: bool = False
 
 
 class Compiled(NamedTuple):
@@ -108,7 +118,14 @@ class Compiled(NamedTuple):
     explain: Callable[[int], DriverError]
     #: ``int32_t clock(void *device, int64_t edges)``: 0 or an error code; 0: the device has no outputs for the clock.
     clock: int = 0
+    #: ``int32_t trigger(void *device, int64_t number, double delay)``: 0 or an error code; 0: no output for triggers.
+    trigger: int = 0
+    #: ``int32_t pulses(void *device, int64_t *count)``: 0 or an error code; 0: no trigger input.
+    pulses: int = 0
 
+
+#: Remedy for a device without triggers.
+NO_TRIGGERS = "set trigger_output: false; the topic trigger_out has the triggers"
 
 #: Result of reading: this sample has no measurement, without an error.
 NOTHING_NEW = -1
@@ -191,6 +208,59 @@ class Driver(ABC):
         """
         remedy = "set scan_clock: false; the topic scan_clock has the clock"
         raise DriverError(type(self).__name__, "has no outputs for the clock of a scan", remedy)
+
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Output a trigger, for instance a pulse of a digital line; optional.
+
+        It is called after :meth:`write` of the sample that follows the trigger, and only for a device with
+        ``trigger_rate`` in its capabilities and with ``trigger_output`` in the parameters of the plant's node. In nodes
+        that exchange messages it is called when the message on ``trigger_out`` arrives.
+
+        Parameters
+        ----------
+        number : int
+            Number of the trigger, from 1; a gap: triggers that followed each other too fast.
+        delay : float
+            Time from the trigger to the sample [s], for a device that corrects it.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer; by default: it has no such output.
+        """
+        raise DriverError(type(self).__name__, "has no output for triggers", NO_TRIGGERS)
+
+    def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
+        """Output a trigger at each of these positions; optional.
+
+        The device does so from the next :meth:`write` on, until :meth:`make_safe`, and measures by itself. This method
+        is called once after :meth:`open`, only for a device with ``compares`` in its capabilities.
+
+        Parameters
+        ----------
+        up, down : sequence of float
+            Increasing positions that trigger when they are passed upwards, and downwards [position_unit].
+
+        Raises
+        ------
+        DriverError
+            The device cannot compare these positions; by default: none.
+        """
+        raise DriverError(type(self).__name__, "does not compare positions", NO_TRIGGERS)
+
+    def pulses(self) -> int:
+        """Return the number of pulses at the trigger input since the last call; optional.
+
+        It is called after :meth:`read`, only for a device with ``trigger_input`` in its capabilities and with
+        ``trigger_input`` in the parameters of the plant's node.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer; by default: it has no such input.
+        """
+        remedy = "set trigger_input: false; the topic trigger_in takes messages"
+        raise DriverError(type(self).__name__, "has no trigger input", remedy)
 
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code accesses the open device; None: it has only Python methods.

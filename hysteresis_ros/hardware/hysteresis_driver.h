@@ -64,6 +64,15 @@ void hysteresis_close(void *device);
  * if the parameter scan_clock of the plant's node is true; the fused loop calls it from machine code. */
 int32_t hysteresis_clock(void *device, int64_t edges);
 
+/* Optional: outputs trigger `number` (from 1), `delay` seconds after the exact instant, for instance as a pulse of a
+ * digital line. Called after hysteresis_write of the same sample if the parameter trigger_output of the plant's node is
+ * true; the fused loop calls it from machine code. */
+int32_t hysteresis_trigger(void *device, int64_t number, double delay);
+
+/* Optional: fills in the number of pulses at the trigger input since the last call. Called after hysteresis_read if the
+ * parameter trigger_input of the plant's node is true. */
+int32_t hysteresis_pulses(void *device, int64_t *count);
+
 /* Optional: returns the meaning of an error code, "PROBLEM; REMEDY", to follow the driver's name. Called after a failure. */
 const char *hysteresis_describe(int32_t code);
 

@@ -27,6 +27,7 @@ import pwd
 import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.hardware.driver import (
@@ -134,6 +135,7 @@ def _user(number: int) -> str:
 FUNCTIONS = ("hysteresis_read", "hysteresis_write", "hysteresis_open", "hysteresis_make_safe", "hysteresis_close")
 #: Optional functions.
 DESCRIBE, CLOCK = "hysteresis_describe", "hysteresis_clock"
+TRIGGER, PULSES = "hysteresis_trigger", "hysteresis_pulses"
 
 #: Suffixes of shared libraries.
 SUFFIXES = (".so", ".dylib")
@@ -194,6 +196,11 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
         library.hysteresis_describe.argtypes, library.hysteresis_describe.restype = (code,), ctypes.c_char_p
     if hasattr(library, CLOCK):
         library.hysteresis_clock.argtypes, library.hysteresis_clock.restype = (pointer, ctypes.c_int64), code
+    if hasattr(library, TRIGGER):
+        arguments = pointer, ctypes.c_int64, ctypes.c_double
+        library.hysteresis_trigger.argtypes, library.hysteresis_trigger.restype = arguments, code
+    if hasattr(library, PULSES):
+        library.hysteresis_pulses.argtypes, library.hysteresis_pulses.restype = (pointer, pointer), code
     return library
 
 
@@ -247,8 +254,10 @@ class SharedLibrary(Driver):
         watchdog = can.watchdog if can.watchdog > 0.0 else None
         units = can.position_unit.decode(errors="replace"), can.voltage_unit.decode(errors="replace")
         limits = can.minimum, can.maximum, can.highest_rate
-        clock = hasattr(self._library, CLOCK)
-        return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units, clock=clock)
+        given = self._library
+        extras: dict[str, Any] = {"clock": hasattr(given, CLOCK), "trigger_input": hasattr(given, PULSES)}
+        extras["trigger_rate"] = can.highest_rate if hasattr(given, TRIGGER) else 0.0
+        return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units, **extras)
 
     def _error(self, code: int) -> DriverError:
         """Return the exception for an error code."""
@@ -309,6 +318,38 @@ class SharedLibrary(Driver):
             super().output_clock(edges)
         self._check(self._library.hysteresis_clock(self._device, int(edges)))
 
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Output a trigger.
+
+        Parameters
+        ----------
+        number : int
+        delay : float
+            Time from the trigger to the sample [s].
+
+        Raises
+        ------
+        DriverError
+            The library has no such function, or reports an error.
+        """
+        if not hasattr(self._library, TRIGGER):
+            super().output_trigger(number, delay)
+        self._check(self._library.hysteresis_trigger(self._device, number, delay))
+
+    def pulses(self) -> int:
+        """Return the number of pulses at the trigger input since the last call.
+
+        Raises
+        ------
+        DriverError
+            The library has no such function, or reports an error.
+        """
+        if not hasattr(self._library, PULSES):
+            return super().pulses()
+        count = ctypes.c_int64()
+        self._check(self._library.hysteresis_pulses(self._device, ctypes.byref(count)))
+        return count.value
+
     def make_safe(self) -> None:
         """Bring the device to its safe state.
 
@@ -326,11 +367,14 @@ class SharedLibrary(Driver):
     def compiled(self) -> Compiled:
         """Return the addresses of the functions that are called in each sample."""
         library = self._library
-        functions = library.hysteresis_read, library.hysteresis_write, library.hysteresis_make_safe
-        read, write, make_safe = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in functions)
-        clock = ctypes.cast(library.hysteresis_clock, ctypes.c_void_p).value or 0 if hasattr(library, CLOCK) else 0
+
+        def address(name: str) -> int:
+            return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 if hasattr(library, name) else 0
+
+        names = "hysteresis_read", "hysteresis_write", "hysteresis_make_safe", CLOCK, TRIGGER, PULSES
+        read, write, make_safe, *optional = map(address, names)
         device = self._device.value if self._device is not None else None
-        return Compiled(read, write, make_safe, device or 0, self._error, clock)
+        return Compiled(read, write, make_safe, device or 0, self._error, *optional)
 
     def close(self) -> None:
         """Release the device."""

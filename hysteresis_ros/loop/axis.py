@@ -125,7 +125,14 @@ class Axis:
         return np.array([*self.kind.given, *self.plant.given], dtype=float)
 
     def run(
-        self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None, answers=None
+        self,
+        setpoints,
+        requests=None,
+        speeds=None,
+        changes: Sequence[Change] = (),
+        skipped=None,
+        pulses=None,
+        answers=None,
     ) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples, one for each setpoint [m]."""
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
@@ -134,6 +141,7 @@ class Axis:
         given = {
             signals.SETPOINT: setpoints,
             signals.SKIPPED: 0.0 if skipped is None else skipped,
+            signals.TRIGGER_IN: 0.0 if pulses is None else pulses,
             signals.REQUEST: 0.0 if requests is None else requests,
             signals.SPEED: math.nan if speeds is None else speeds,
         }

@@ -29,7 +29,7 @@ import numpy as np
 from hysteresis_ros import signals as at
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.driver import NOTHING_NEW, Capabilities, Compiled, DriverError
+from hysteresis_ros.hardware.driver import NO_TRIGGERS, NOTHING_NEW, Capabilities, Compiled, DriverError
 from hysteresis_ros.hardware.library import nonsense
 from hysteresis_ros.hardware.registry import driver_of
 from hysteresis_ros.loop import faults as faulty
@@ -60,18 +60,21 @@ from hysteresis_ros.models.calibration import (
 )
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
-# Link to the device, int64: the addresses of its functions, of the device and of this array itself; that of the clock
-# is 0 if the device outputs none. In a copy of the arrays SELF no longer matches, so a copy never accesses the device.
-READ, WRITE, MAKE_SAFE, DEVICE, SELF, CLOCK = range(6)
-LINKS = 6
+# Link to the device, int64: the addresses of its functions, of the device and of this array itself; those of the clock,
+# of triggers and of the trigger input are 0 if they are not used. In a copy of the arrays SELF no longer matches, so a
+# copy never accesses the device.
+READ, WRITE, MAKE_SAFE, DEVICE, SELF, CLOCK, TRIGGER, PULSES = range(8)
+LINKS = 8
 
 # Failure, int64: the function that failed, its code, and the code of the attempt to make the device safe.
 FAILED, CODE, SAFE_CODE = range(3)
 ANSWERS = 3
-#: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan.
-NOTHING, READING, WRITING, NONSENSE, CLOCKING = range(5)
+#: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan, a trigger, the
+#: trigger input.
+NOTHING, READING, WRITING, NONSENSE, CLOCKING, TRIGGERING, PULSING = range(7)
 #: What cannot be done after these failures.
 _DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
+_DEEDS |= {TRIGGERING: "output a trigger", PULSING: "read its trigger input"}
 
 
 class DevicePlantArrays(NamedTuple):
@@ -82,6 +85,8 @@ class DevicePlantArrays(NamedTuple):
     #: Buffers of the device's voltages and positions, both in the units of the device; forces follow the positions.
     positions: np.ndarray
     voltages: np.ndarray
+    #: Buffer of the pulses at the trigger input, int64.
+    pulses: np.ndarray
     #: Last voltage [V] of a device that could not be made safe.
     left: np.ndarray
     limits_p: np.ndarray
@@ -93,11 +98,15 @@ class DevicePlantArrays(NamedTuple):
     watch_x: PlantWatchArrays
 
 
-def link_to(compiled: Compiled | None, clock: bool = False) -> np.ndarray:
-    """Return the link array of a device, all zeros without one; ``clock``: the device outputs the clock of a scan."""
+def link_to(
+    compiled: Compiled | None, clock: bool = False, trigger_output: bool = False, trigger_input: bool = False
+) -> np.ndarray:
+    """Return the link array of a device, all zeros without one, with the addresses of the functions that are used."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
         link[CLOCK] = compiled.clock if clock else 0
+        link[TRIGGER] = compiled.trigger if trigger_output else 0
+        link[PULSES] = compiled.pulses if trigger_input else 0
         link[:SELF] = compiled.read, compiled.write, compiled.make_safe, compiled.device
         link[SELF] = link.ctypes.data
     return link
@@ -110,21 +119,22 @@ if COMPILED:
     #: Numba passes the typing context; callers pass only the other arguments.
     intrinsic: Any = extending.intrinsic
 
-    def _caller(count: int, numbers: int = 0) -> Any:
-        """Return a caller of ``int32_t function(void *, …)`` with ``count`` pointers, then int64_t numbers.
+    def _caller(count: int, numbers: int = 0, reals: int = 0) -> Any:
+        """Return a caller of ``int32_t function(void *, …)`` with pointers, then int64_t, then double numbers.
 
         Addresses are data, so that the code can be cached.
         """
 
         def generate(context, builder, signature, arguments):
             pointer = ir.IntType(8).as_pointer()
-            kind = ir.FunctionType(ir.IntType(32), [pointer] * count + [ir.IntType(64)] * numbers)
+            given = [pointer] * count + [ir.IntType(64)] * numbers + [ir.DoubleType()] * reals
+            kind = ir.FunctionType(ir.IntType(32), given)
             function = builder.inttoptr(arguments[0], kind.as_pointer())
             pointers = [builder.inttoptr(item, pointer) for item in arguments[1 : count + 1]]
             code = builder.call(function, [*pointers, *arguments[count + 1 :]])
             return builder.sext(code, ir.IntType(64))
 
-        return types.int64(*(types.int64,) * (count + numbers + 1)), generate
+        return types.int64(*(types.int64,) * (count + numbers + 1), *(types.float64,) * reals), generate
 
     @intrinsic
     def _call_with(typing_context: Any, address, device, values):
@@ -137,6 +147,10 @@ if COMPILED:
     @intrinsic
     def _call_number(typing_context: Any, address, device, number):
         return _caller(1, numbers=1)
+
+    @intrinsic
+    def _call_event(typing_context: Any, address, device, number, real):
+        return _caller(1, numbers=1, reals=1)
 
     @kernel
     def call_with(link, which, values):
@@ -153,8 +167,14 @@ if COMPILED:
         """Call a function of the device that takes a whole number; return its code."""
         return _call_number(link[which], link[DEVICE], int(number))
 
+    @kernel
+    def call_event(link, which, number, real):
+        """Call a function of the device that takes a whole number and a real one; return its code."""
+        return _call_event(link[which], link[DEVICE], int(number), real)
+
 else:
     _NUMBER = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64)
+    _EVENT = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double)
     _WITH = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
     _ALONE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)
 
@@ -169,6 +189,10 @@ else:
     def call_number(link, which, number):
         """Call a function of the device that takes a whole number; return its code."""
         return _NUMBER(int(link[which]))(int(link[DEVICE]), int(number))
+
+    def call_event(link, which, number, real):
+        """Call a function of the device that takes a whole number and a real one; return its code."""
+        return _EVENT(int(link[which]))(int(link[DEVICE]), int(number), float(real))
 
 
 @nested
@@ -220,6 +244,17 @@ def read_device(arrays):
 
 
 @nested
+def take_pulses(arrays, row):
+    """Add the pulses at the trigger input of the device to those of the sample."""
+    if arrays.link[PULSES] != 0 and arrays.watch_x.trip[TRIP] != DEVICE_FAILED:
+        code = call_with(arrays.link, PULSES, arrays.pulses)
+        if code != 0:
+            fail_device(arrays, PULSING, code)
+        else:
+            row[at.TRIGGER_IN] += arrays.pulses[0]
+
+
+@nested
 def stop_for_homing(trip, homing):
     """Keep the axis at its safe voltage while its sensor is homed, then let it continue."""
     if homing and trip[TRIP] == NOT_TRIPPED:
@@ -237,6 +272,8 @@ def sense_device(laws, arrays, row):
     if is_linked(arrays.link):
         asked = trip[TRIP] != DEVICE_FAILED and row[at.SKIPPED] == 0.0
         row[at.MEASURED] = read_device(arrays) if asked else math.nan
+        if asked:
+            take_pulses(arrays, row)
         there = row[at.MEASURED] == row[at.MEASURED] and arrays.positions.shape[0] > 1
         row[at.FORCE] = told_force(arrays.watch_p, arrays.watch_x, arrays.positions[1] if there else math.nan)
         stop_for_homing(trip, arrays.sensor_x[HOMING] > 0.0)
@@ -252,12 +289,17 @@ def sense_device(laws, arrays, row):
 
 
 @nested
-def output_edges(arrays, row):
-    """Output what begins at this sample of a scan, if the device is asked to."""
+def output_events(arrays, row):
+    """Output what begins at this sample of a scan, and the trigger of the sample, if the device is asked to."""
     if row[at.SCAN_EDGES] != 0.0 and arrays.link[CLOCK] != 0 and is_linked(arrays.link):
         code = call_number(arrays.link, CLOCK, row[at.SCAN_EDGES])
         if code != 0:
             fail_device(arrays, CLOCKING, code)
+            return
+    if row[at.TRIGGER] != 0.0 and arrays.link[TRIGGER] != 0 and is_linked(arrays.link):
+        code = call_event(arrays.link, TRIGGER, row[at.TRIGGER], row[at.TRIGGER_DELAY])
+        if code != 0:
+            fail_device(arrays, TRIGGERING, code)
 
 
 @nested
@@ -265,7 +307,7 @@ def actuate_device(laws, arrays, row):
     """Output the voltage of the row after monitoring.
 
     In a skipped sample no voltage is written: the device holds it, even on the way to or from the safe voltage. The
-    clock of a scan is output nevertheless, so that the numbers of its frames, lines and pixels stay true.
+    clock of a scan and triggers are output nevertheless, so that their numbers stay true.
     """
     trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
@@ -279,7 +321,7 @@ def actuate_device(laws, arrays, row):
     if row[at.SKIPPED] != 0.0:
         hold[HELD] = before
         row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
-        output_edges(arrays, row)
+        output_events(arrays, row)
         return
     arrays.voltages[0] = amplifier_value(arrays.amplifier_p, limits(arrays.limits_p, arrays.limits_x, held))
     row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
@@ -288,7 +330,7 @@ def actuate_device(laws, arrays, row):
         if code != 0:
             fail_device(arrays, WRITING, code)
             return
-    output_edges(arrays, row)
+    output_events(arrays, row)
 
 
 sense.kinds[DevicePlantArrays], actuate.kinds[DevicePlantArrays] = sense_device, actuate_device
@@ -334,6 +376,18 @@ class DrivenPlant(Plant):
     def _open(self, parameters: PlantNodeParameters) -> None:
         declared = driver_of(parameters.driver)
         self._device = Device(declared, parameters.driver_parameters, parameters.sample_rate, self._require)
+        if parameters.trigger_output and self.capabilities.compares:
+            try:
+                self._device.compare(*self._compared())
+            except DriverError:
+                self._device.close()
+                raise
+
+    def _compared(self) -> tuple[list[float], list[float]]:
+        """Return the positions of the triggers in the units of the device, those up and those down in its direction."""
+        given, sensor = self.parameters.triggers, self.parameters.calibration.sensor
+        up, down = (sorted(map(self.sensor.reading, positions)) for positions in (given.up, given.down))
+        return (up, down) if sensor.sign > 0 else (down, up)
 
     @property
     def failure(self) -> str:
@@ -356,6 +410,7 @@ class DrivenPlant(Plant):
         if parameters.scan_clock and not can.clock:
             remedy = "set scan_clock: false; the topic scan_clock has the clock"
             raise DriverError(device, "the device has no outputs for the clock of a scan", remedy)
+        self._require_triggers(can, device)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if not 0 <= can.forces <= 1:
@@ -373,6 +428,32 @@ class DrivenPlant(Plant):
         if can.watchdog is not None and not can.watchdog * rate > 1.0:
             problem = f"the device's watchdog of {can.watchdog:g} s is not longer than a sample of {1.0 / rate:g} s"
             raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
+
+    def _require_triggers(self, can: Capabilities, device: str) -> None:
+        """Raise a DriverError unless the device makes the triggers of the axis and has the input that it takes."""
+        parameters = self.parameters
+        given = parameters.triggers
+        if parameters.trigger_input and not can.trigger_input:
+            remedy = "set trigger_input: false; the topic trigger_in takes messages"
+            raise DriverError(device, "the device has no trigger input", remedy)
+        if not parameters.trigger_output:
+            return
+        if not given.makes_events:
+            remedy = "give plant_simulator the triggers of the reference generator too, or start it with hysteresis up"
+            raise DriverError(device, "trigger_output is true, and the node has no triggers", remedy)
+        if not can.trigger_rate > 0.0:
+            raise DriverError(device, "the device has no output for triggers", NO_TRIGGERS)
+        wanted = given.rate or parameters.sample_rate
+        if wanted > can.trigger_rate:
+            asked = f"triggers.rate = {given.rate:g}" if given.rate else "triggers.rate = 0 (one in each sample)"
+            problem = f"the device outputs at most {can.trigger_rate:.6g} triggers/s, but {asked} allows {wanted:g}"
+            raise DriverError(device, problem, f"set triggers.rate: {math.floor(can.trigger_rate):d}")
+        if can.compares and not given.compares:
+            remedy = "give positions, or trigger_output: false; the topic trigger_out has the triggers"
+            raise DriverError(device, "the device compares positions itself, and these triggers have none", remedy)
+        if can.compares and parameters.calibration.sensor.reference == "relative":
+            remedy = "set trigger_output: false; the topic trigger_out has the triggers"
+            raise DriverError(device, "the device compares positions that are unknown until it is homed", remedy)
 
     @property
     def _opened(self) -> Device:
@@ -436,6 +517,8 @@ class DrivenPlant(Plant):
                 position, *forces = self._opened.read()
                 row[at.MEASURED] = self.sensor.step(position)
                 row[at.FORCE] = _TOLD(self._watch_p, self._watch_x, forces[0] if forces else math.nan)
+                if self.parameters.trigger_input:
+                    row[at.TRIGGER_IN] += self._opened.pulses()
             except DriverError as error:
                 self._fail(error)
         stop_for_homing(self._watch_x.trip, self.sensor.homing)
@@ -457,6 +540,14 @@ class DrivenPlant(Plant):
         if self.parameters.scan_clock and not self._failure:
             try:
                 self._opened.output_clock(edges)
+            except DriverError as error:
+                self._fail(error)
+
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Output a trigger that was ``delay`` [s] before a sample, if the loop has to ask for it."""
+        if self.parameters.trigger_output and not self._failure and not self.capabilities.compares:
+            try:
+                self._opened.output_trigger(number, delay)
             except DriverError as error:
                 self._fail(error)
 
@@ -647,10 +738,11 @@ class CompiledPlant(DrivenPlant):
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
         positions, voltages = map(np.zeros, sizes)
         self.arrays = DevicePlantArrays(
-            link_to(compiled, parameters.scan_clock),
+            link_to(compiled, parameters.scan_clock, parameters.trigger_output, parameters.trigger_input),
             np.zeros(ANSWERS, dtype=np.int64),
             positions,
             voltages,
+            np.zeros(1, dtype=np.int64),
             np.zeros(1),
             self.limits.p,
             self.limits.x,

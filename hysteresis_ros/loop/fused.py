@@ -421,6 +421,10 @@ class FusedLoop:
         """Request setpoints [m] of several axes, by index, for the same sample."""
         self._post({place: {at.POST_SETPOINT: value} for place, value in setpoints.items()})
 
+    def pulse(self, place: int = 0) -> None:
+        """Pulse the trigger input of an axis with the next sample."""
+        self._post({place: {at.POST_PULSES: None}})
+
     def halt(self) -> None:
         """Stop everything with the next sample; the plants stay safe until all stopped parts are started again."""
         self._post({place: {at.POST_HALTS: None} for place in range(len(self._asked))})
@@ -448,7 +452,7 @@ class FusedLoop:
         with self._posting:
             for place, values in given.items():
                 for column, value in values.items():
-                    if column == at.POST_HALTS:
+                    if column in (at.POST_HALTS, at.POST_PULSES):
                         asked[place, column] += 1
                     elif value is not None:
                         asked[place, column] = value

@@ -158,14 +158,14 @@ AHEAD, MOST_AHEAD, WAKE, LOOKED = 20, 21, 22, 23
 STATES = 24
 
 # Counters of an axis, written by the loop: setpoints, requests, speeds, switches and emergency stops taken; next entry
-# of the schedule.
-SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED = range(6)
-COUNTS = 6
+# of the schedule; pulses of the trigger input taken.
+SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED, SCHEDULED, PULSED = range(7)
+COUNTS = 7
 
 # Columns of a post: each value, followed by the number of times it was set.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
-POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
-POST = 9
+POST_SWITCH, POST_SWITCHES, POST_HALTS, POST_PULSES = range(6, 10)
+POST = 10
 
 #: Largest number of switches of an axis before one sample.
 MOST_SWITCHES = 2
@@ -307,12 +307,13 @@ def take_post(own, i, motor):
         column[at.REQUEST, 0] = post[POST_REQUEST]
     if motor and post[POST_SPEEDS] != counts[SPEEDS]:
         column[at.SPEED, 0] = post[POST_SPEED]
+    column[at.TRIGGER_IN, 0] = post[POST_PULSES] - counts[PULSED]
     first = own.row.shape[1]
     column[first, 0] = post[POST_SWITCH] if post[POST_SWITCHES] != counts[SWITCHED] else NOTHING
     column[first + 1, 0] = HALT if post[POST_HALTS] != counts[HALTED] else NOTHING
     counts[SETPOINTS], counts[REQUESTS] = int(post[POST_SETPOINTS]), int(post[POST_REQUESTS])
     counts[SPEEDS], counts[SWITCHED] = int(post[POST_SPEEDS]), int(post[POST_SWITCHES])
-    counts[HALTED] = int(post[POST_HALTS])
+    counts[HALTED], counts[PULSED] = int(post[POST_HALTS]), int(post[POST_PULSES])
     log_switches(own, i)
 
 
@@ -434,7 +435,7 @@ def pace(step, part, own, motor):
         else:
             state[IN_ROW] = 0
         for i in range(axes):
-            own.column[i, at.SKIPPED, 0] = skipped
+            own.column[i, at.SKIPPED, 0], own.column[i, at.TRIGGER_IN, 0] = skipped, 0.0
             if motor:
                 own.column[i, at.REQUEST, 0] = 0.0
                 own.column[i, at.SPEED, 0] = math.nan

@@ -47,6 +47,7 @@ from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed
 from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.moves import SettlingParameters
+from hysteresis_ros.references.triggers import TriggerParameters, longest_path, trigger_problems
 from hysteresis_ros.signals import ACTUATOR, INCHWORM, MOTOR_SOURCE, SOURCE, AxisKind, kind_of
 
 
@@ -219,6 +220,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         read_only=True,
         description="whether the device of a driver outputs the frame, line and pixel clock of a scan",
     )
+    trigger_output: bool = parameter(
+        False, read_only=True, description="whether the device of a driver outputs the triggers of the axis"
+    )
+    trigger_input: bool = parameter(
+        False, read_only=True, description="whether pulses at the input of a driver's device act on the axis"
+    )
+    triggers: TriggerParameters = group(TriggerParameters)
     calibration: CalibrationParameters = group(CalibrationParameters)
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
@@ -358,6 +366,12 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             remedy = "drives one actuator (type: actuator); an inchworm motor needs its own node, see docs/hardware.md"
             yield Problem("driver", self.driver, remedy)
 
+    def _trigger_problems(self):
+        for name in ("trigger_output", "trigger_input"):
+            if getattr(self, name) and not self.driver:
+                remedy = "belongs to the device of a driver; without one use the topics trigger_out, trigger_in"
+                yield Problem(name, True, remedy)
+
     def _spin_problems(self):
         spin, most = self.realtime.spin, SPIN_PART / (self.sample_rate * self.real_time_factor)
         if self.time_mode == "fused" and spin > most and not self.realtime.force:
@@ -372,6 +386,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         """Yield a Problem for each inconsistency."""
         yield from super().check()
         yield from self._spin_problems()
+        yield from self._trigger_problems()
         if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
             remedy = (
                 f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"
@@ -433,6 +448,7 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
     """Parameters of ``reference_generator``."""
 
     settled: SettlingParameters = group(SettlingParameters)
+    triggers: TriggerParameters = group(TriggerParameters)
     publish_description: bool = parameter(
         True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
     )
@@ -448,11 +464,25 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
         """Largest velocity of the reference [m/s]; without limits on steps, the whole range in a sample."""
         return self.approach.maximum_velocity or (self.maximum - self.minimum) * self.sample_rate
 
+    def trigger_problems(self):
+        """Yield a Problem for each trigger that the axis cannot make; on a stage its waveform may be a scan."""
+        if self.triggers.makes_events:
+            span, step = self.maximum - self.minimum, 1.0 / self.sample_rate
+            yield from trigger_problems(
+                self.triggers,
+                self.minimum,
+                self.maximum,
+                self.sample_rate,
+                lambda: longest_path(self.waveform, self.approach, span, step),
+                self.waveform,
+            )
+
 
 @dataclass(frozen=True)
 class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
     """Parameters of ``inchworm_sequencer``, which replaces ``reference_generator``."""
 
+    triggers: TriggerParameters = group(TriggerParameters)
     publish_description: bool = parameter(
         True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
     )
@@ -473,6 +503,12 @@ class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameter
     def fastest(self) -> float:
         """Largest velocity of the slider [m/s]."""
         return self.walk.fastest(self.gait) if self.walk.continuous else self.gait.speed
+
+    def trigger_problems(self):
+        """Yield a Problem for each trigger that the motor cannot make."""
+        if self.triggers.makes_events:
+            path, given = self.fastest / self.sample_rate, (self.triggers, self.minimum, self.maximum)
+            yield from trigger_problems(*given, self.sample_rate, lambda: (path, "the gait"))
 
 
 #: Parameters of the node that writes the reference.
@@ -717,6 +753,19 @@ TIMEOUTS = {
 }
 
 
+def _device_trigger_problems(plant, name: str, source):
+    """Yield a Problem unless the source has the triggers that the plant's device makes, and acts on its input."""
+    if plant.triggers not in (TriggerParameters(), source.triggers):
+        remedy = f"differ from those of the {name}: leave them out here, they are taken from there"
+        yield Problem("plant_simulator: triggers", name, remedy)
+    if plant.trigger_output and not source.triggers.makes_events:
+        remedy = f"there are no triggers: give {name} triggers"
+        yield Problem("plant_simulator: trigger_output", plant.trigger_output, remedy)
+    if plant.trigger_input and source.triggers.input.action == "none":
+        remedy = f"nothing acts on it: give {name} triggers.input.action"
+        yield Problem("plant_simulator: trigger_input", plant.trigger_input, remedy)
+
+
 def _short_timeouts(parts):
     """Yield a Problem for each time-out that is shorter than a sample."""
     for name, timeout in TIMEOUTS:
@@ -793,11 +842,13 @@ class AxisParameters:
                 problems += error.problems
         if problems:
             raise ParameterError(problems)
-        return cls.of_nodes(namespace, parts)
+        return cls.of_nodes(namespace, parts, coupled)
 
     @classmethod
-    def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
-        """Combine the parameters of nodes."""
+    def of_nodes(
+        cls, namespace: str, parts: Mapping[str, NodeParameters | None], coupled: bool = False
+    ) -> AxisParameters:
+        """Combine the parameters of nodes; the stage of ``coupled`` axes checks their triggers when it has its scan."""
         absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
         found: dict[str, Any] = {**absent, **parts}  # one instance of each class in NODE_PARAMETERS
         problems: list[Problem] = []
@@ -810,6 +861,12 @@ class AxisParameters:
                 if value != awaited:
                     remedy = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
                     problems.append(Problem(f"{name}: {shared}", value, remedy))
+        source = found[kind.source]
+        if plant.trigger_output or plant.trigger_input:
+            problems += _device_trigger_problems(plant, kind.source, source)
+            plant = found["plant_simulator"] = replace(plant, triggers=source.triggers)
+        if not coupled:
+            problems += [replace(item, name=f"{kind.source}: {item.name}") for item in source.trigger_problems()]
         sample_time = 1.0 / plant.sample_rate
         for name, dynamics, place in (
             ("plant_simulator", plant.dynamics, "dynamics"),

@@ -459,6 +459,9 @@ class Plant:
     def output_clock(self, edges: at.Edge) -> None:
         """Output what begins at this sample of a scan; a simulated plant has no outputs for it."""
 
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Output a trigger that was ``delay`` [s] before a sample; a simulated plant has no output for it."""
+
     def make_safe(self) -> None:
         """Bring a device to its safe state."""
 

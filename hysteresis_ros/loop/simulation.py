@@ -115,6 +115,7 @@ def simulate(
     changes: Sequence[Change] = (),
     drift: tuple[float, float] = (0.0, 0.0),
     skipped=None,
+    pulses=None,
     answers: dict | None = None,
     describe: bool = True,
     finished: Callable[[Axis], None] | None = None,
@@ -132,6 +133,7 @@ def simulate(
         raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
     setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
     asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan), "skipped": (skipped, 0.0)}
+    asked |= {"pulses": (pulses, 0.0)}
     given: dict[str, Any] = {
         name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None
     }
@@ -201,6 +203,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     failure. Everything that follows from them is computed again.
     """
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
+    given["pulses"] = recorded.signals.get("trigger_in")
     if parameters.plant_simulator.driver:
         nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
         absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}

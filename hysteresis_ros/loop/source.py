@@ -17,18 +17,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals as at
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters, part
 from hysteresis_ros.loop.watch import RUNNING, STOPPED, TRIPPED
 from hysteresis_ros.models.block import by_part, nested
 from hysteresis_ros.references import generator as generating
 from hysteresis_ros.references import inchworm_layout as gait
+from hysteresis_ros.references import triggers as triggering
+from hysteresis_ros.references.approach import HIGH, LOW
 from hysteresis_ros.references.declaration import COUNTER, END
 from hysteresis_ros.references.generator import (
     GeneratorArrays,
     ReferenceGenerator,
     ReferenceParameters,
     abandon,
+    begin_waveform,
     reference_step,
     setpoint_in_force,
 )
@@ -36,6 +40,8 @@ from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParam
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, sequence
 from hysteresis_ros.references.inchworm_steps import GAIN, OFFSET
 from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
+from hysteresis_ros.references.triggers import TriggerArrays, compare, rest_triggers, step_setpoint, trigger_arrays
+from hysteresis_ros.references.waveforms.scan import clock_of
 
 
 @by_part
@@ -79,11 +85,38 @@ def generate(laws, arrays, row):
     # in place: a function that takes all arrays of the generator cost some 30 ns a sample more
     row[at.WAVEFORM_SAMPLE] = -1.0
     row[at.SCAN_EDGES] = 0.0
+    row[at.TRIGGER] = row[at.TRIGGER_POSITION] = row[at.TRIGGER_DIRECTION] = row[at.TRIGGER_DELAY] = 0.0
     if mode == RUNNING and x[generating.RUNNING] == generating.WHOLE:
         k, end = arrays.x.waveform[COUNTER] - 1.0, arrays.p.waveform[END]
         row[at.WAVEFORM_SAMPLE] = k
         if arrays.edges.shape[0] > 1 and k >= 0.0 and (end == 0.0 or k < end):
             row[at.SCAN_EDGES] = arrays.edges[int(k % arrays.edges.shape[0])]
+
+
+class TriggeredSourceArrays(NamedTuple):
+    """All arrays of a reference generator with triggers in the loop."""
+
+    p: GeneratorArrays
+    x: GeneratorArrays
+    edges: np.ndarray  #: As in :class:`GeneratorSourceArrays`.
+    triggers: TriggerArrays
+
+
+@nested
+def generate_and_trigger(laws, arrays, row):
+    """Act on pulses of the trigger input, compute the reference, and find the trigger of the sample."""
+    triggers = arrays.triggers
+    action, pulsed = triggers.p[triggering.ACTION], row[at.TRIGGER_IN] > 0.0 and row[at.TRIPPED] == 0.0
+    if action == triggering.START and pulsed:
+        begin_waveform(laws.waveform, arrays.p, arrays.x)
+    if action == triggering.HOLD and pulsed:
+        arrays.x.range[generating.RUNNING] = 0.0
+        abandon(arrays.p, arrays.x)
+    if action == triggering.STEP_SETPOINT:
+        step_setpoint(triggers, row)
+    generate(laws, arrays, row)
+    triggers.x[triggering.IN_FORCE] = row[at.SETPOINT]
+    compare(triggers, row)
 
 
 @nested
@@ -101,6 +134,8 @@ def hold_generator(laws, arrays, column):
 
 refer.kinds[GeneratorSourceArrays], rest.kinds[GeneratorSourceArrays] = generate, rest_generator
 hold.kinds[GeneratorSourceArrays] = hold_generator
+refer.kinds[TriggeredSourceArrays], rest.kinds[TriggeredSourceArrays] = generate_and_trigger, rest_generator
+hold.kinds[TriggeredSourceArrays] = hold_generator
 
 
 class GeneratorSource:
@@ -109,11 +144,29 @@ class GeneratorSource:
     def __init__(self, parameters: ReferenceNodeParameters):
         self.parameters = parameters
         self.generator = ReferenceGenerator(part(parameters, ReferenceParameters), 1.0 / parameters.sample_rate)
+        self._arm()
+
+    def _arm(self) -> None:
+        """Make the triggers of the present parameters; a waveform that the trigger input starts waits for it."""
+        own = self.parameters
+        self.triggers = triggers_of(own)
+        self._bound()
+        if own.triggers.input.action == "start":
+            self.generator.begin_at(own.initial_setpoint)
+
+    def _bound(self) -> None:
+        """Limit steps of the setpoint to the range that the present waveform leaves."""
+        if self.triggers is not None:
+            bounds = self.generator.ps.approach[[LOW, HIGH]]
+            self.triggers.p[[triggering.LOWEST, triggering.HIGHEST]] = bounds
 
     @property
-    def arrays(self) -> GeneratorSourceArrays:
+    def arrays(self) -> GeneratorSourceArrays | TriggeredSourceArrays:
         """Arrays of the present waveform."""
-        return GeneratorSourceArrays(self.generator.ps, self.generator.xs, self.generator.waveform.edges)
+        ps, xs, edges = self.generator.ps, self.generator.xs, self.generator.waveform.edges
+        if self.triggers is None:
+            return GeneratorSourceArrays(ps, xs, edges)
+        return TriggeredSourceArrays(ps, xs, edges, self.triggers)
 
     @property
     def waveform(self):
@@ -122,7 +175,9 @@ class GeneratorSource:
 
     @property
     def duration_samples(self) -> int:
-        """Length of a run in samples, as determined by the waveform; 0: no end."""
+        """Length of a run in samples, as determined by the waveform; 0: no end, or it waits for a trigger."""
+        if self.parameters.triggers.input.action == "start":
+            return 0
         return self.generator.waveform.duration_samples
 
     @property
@@ -161,13 +216,38 @@ class GeneratorSource:
         """Reset: waveform at its start, setpoint as configured."""
         running = self.generator.running
         self.generator.reset()
+        if self.triggers is not None:
+            rest_triggers(self.triggers, self.parameters.initial_setpoint)
+        if self.parameters.triggers.input.action == "start":
+            self.generator.begin_at(self.parameters.initial_setpoint)
         if not running:
             self.generator.stop()
 
     def retune(self, parameters: ReferenceNodeParameters) -> None:
-        """Apply another waveform while stopped."""
+        """Apply another waveform while stopped, or other triggers."""
         self.generator.retune(part(parameters, ReferenceParameters))
-        self.parameters = parameters
+        before, self.parameters = self.parameters, parameters
+        if (parameters.triggers, parameters.waveform) != (before.triggers, before.waveform):
+            number = 0.0 if self.triggers is None else self.triggers.x[triggering.NUMBER]
+            self.triggers = triggers_of(parameters)
+            if self.triggers is not None:
+                self.triggers.x[triggering.NUMBER] = number
+            self._bound()
+
+
+def triggers_of(parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters) -> TriggerArrays | None:
+    """Return the arrays of the triggers of an axis; None: it has none."""
+    given, step = parameters.triggers, 1.0 / parameters.sample_rate
+    if not given.asked:
+        return None
+    problems = list(parameters.trigger_problems())
+    if problems:
+        raise ParameterError(problems)
+    rearm = given.rearmed(parameters.minimum, parameters.maximum)
+    clock = None
+    if isinstance(parameters, ReferenceNodeParameters) and given.each != "none":
+        clock = clock_of(parameters.waveform, step)
+    return trigger_arrays(given, rearm, parameters.initial_setpoint, step, clock)
 
 
 class SequencerArrays(NamedTuple):
@@ -207,6 +287,7 @@ def sequenced(laws, arrays, row):
     row[at.REFERENCE] = sequence(p, x, row[at.SETPOINT], slider, row[at.EXTENDER])
     row[at.SOURCE_MODE] = mode
     row[at.WAVEFORM_SAMPLE], row[at.SCAN_EDGES] = -1.0, 0.0  # a motor has no waveform
+    row[at.TRIGGER] = row[at.TRIGGER_POSITION] = row[at.TRIGGER_DIRECTION] = row[at.TRIGGER_DELAY] = 0.0
     row[at.ORIGIN] = x[gait.ORIGIN]
     row[at.FRONT_VOLTAGE] = x[gait.FRONT_VOLTAGE]
     row[at.REAR_VOLTAGE] = x[gait.REAR_VOLTAGE]
@@ -231,6 +312,30 @@ def sequenced(laws, arrays, row):
     row[at.CORRECTION] = x[gait.CORRECTION]
 
 
+class TriggeredSequencerArrays(NamedTuple):
+    """All arrays of an inchworm's sequencer with triggers in the loop."""
+
+    p: SequencerArrays
+    x: SequencerArrays
+    triggers: TriggerArrays
+
+
+@nested
+def sequence_and_trigger(laws, arrays, row):
+    """Act on pulses of the trigger input, compute the gait, and find the trigger of the sample."""
+    triggers = arrays.triggers
+    action, pulsed = triggers.p[triggering.ACTION], row[at.TRIGGER_IN] > 0.0 and row[at.TRIPPED] == 0.0
+    if action == triggering.START and pulsed:
+        row[at.REQUEST] = gait.START_REQUEST
+    if action == triggering.HOLD and pulsed:
+        row[at.REQUEST] = gait.STOP_REQUEST
+    if action == triggering.STEP_SETPOINT:
+        step_setpoint(triggers, row)
+    sequenced(laws, arrays, row)
+    triggers.x[triggering.IN_FORCE] = row[at.SETPOINT]
+    compare(triggers, row)
+
+
 @nested
 def rest_sequencer(laws, arrays, column):
     """Request a stop."""
@@ -239,6 +344,8 @@ def rest_sequencer(laws, arrays, column):
 
 refer.kinds[SequencerSourceArrays], rest.kinds[SequencerSourceArrays] = sequenced, rest_sequencer
 hold.kinds[SequencerSourceArrays] = rest_sequencer
+refer.kinds[TriggeredSequencerArrays], rest.kinds[TriggeredSequencerArrays] = sequence_and_trigger, rest_sequencer
+hold.kinds[TriggeredSequencerArrays] = rest_sequencer
 
 
 class SequencerSource:
@@ -248,12 +355,17 @@ class SequencerSource:
         self.parameters = parameters
         given = part(parameters, InchwormSequencerParameters)
         self.sequencer = InchwormSequencer(given, 1.0 / parameters.sample_rate)
+        self.triggers = triggers_of(parameters)
+        if self.triggers is not None:
+            self.triggers.p[[triggering.LOWEST, triggering.HIGHEST]] = parameters.minimum, parameters.maximum
         faults = faulty.fault_parameters(parameters.faults, (faulty.MEASUREMENT,), parameters.sample_rate)
         self._connect(faults)
 
     def _connect(self, faults: np.ndarray) -> None:
-        p = SequencerArrays(self.sequencer.p, faults)
-        self.arrays = SequencerSourceArrays(p, SequencerArrays(self.sequencer.x, faulty.fault_state(faults)))
+        p, x = SequencerArrays(self.sequencer.p, faults), SequencerArrays(self.sequencer.x, faulty.fault_state(faults))
+        self.arrays: SequencerSourceArrays | TriggeredSequencerArrays = SequencerSourceArrays(p, x)
+        if self.triggers is not None:
+            self.arrays = TriggeredSequencerArrays(p, x, self.triggers)
 
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from now."""
@@ -284,9 +396,14 @@ class SequencerSource:
         """Reset: both clamps close, steps and learned lengths are cleared."""
         self.sequencer.reset()
         self.arrays.x.faults[:] = faulty.fault_state(self.arrays.p.faults)
+        if self.triggers is not None:
+            rest_triggers(self.triggers, self.parameters.initial_setpoint)
 
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
-        """Apply new time-outs; changes of the gait are refused while the motor walks."""
+        """Apply new time-outs; changes of the gait are refused while the motor walks, and those of the triggers."""
+        if parameters.triggers != self.parameters.triggers:
+            text = "fixed while the sequencer is configured; clean up and configure again"
+            raise ParameterError([Problem("triggers", "changed", text)])
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters
 

@@ -463,11 +463,12 @@ class Stage:
         setpoints: Mapping[str, Sequence[float] | np.ndarray],
         changes: Mapping[str, Sequence[Change]] | None = None,
         skipped: np.ndarray | None = None,
+        pulses: Mapping[str, np.ndarray] | None = None,
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        Setpoints, changes and signals are given by the names of the axes. ``skipped`` is 1 for a sample that all axes
-        skip, otherwise 0.
+        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes. ``skipped`` is
+        1 for a sample that all axes skip, otherwise 0.
         """
         waiting = self._sorted(changes or {})
         given = self.given
@@ -475,6 +476,7 @@ class Stage:
         for i, name in enumerate(self.names):
             columns[i, at.SETPOINT] = setpoints[name]
             columns[i, at.SKIPPED] = 0.0 if skipped is None else skipped
+            columns[i, at.TRIGGER_IN] = (pulses or {}).get(name, 0.0)
         begin, count, first = self.sample, columns.shape[2], 0
         rows = np.zeros(columns.shape[:2])
         for change, place in waiting:

@@ -361,6 +361,8 @@ class StageParameters:
             where = f"{axis.namespace}/plant_simulator"
             problems += [replace(found, name=f"{where}: {found.name}") for found in _unfit_axis(axis, self.stage)]
             control = f"{axis.namespace}/motion_controller"
+            source = f"{axis.namespace}/reference_generator"
+            problems += [replace(one, name=f"{source}: {one.name}") for one in axis.generator.trigger_problems()]
             unfit = _unfit_feedforward(axis, self.stage)
             problems += [replace(found, name=f"{control}: {found.name}") for found in unfit]
             joint = axis.plant_simulator.joint

@@ -40,6 +40,7 @@ def simulate_stage(
     setpoints: Mapping[str, ArrayLike] | None = None,
     changes: Mapping[str, Sequence[Change]] | None = None,
     skipped: np.ndarray | None = None,
+    pulses: Mapping[str, np.ndarray] | None = None,
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
@@ -61,7 +62,7 @@ def simulate_stage(
         name: np.concatenate([values[:samples], np.full(max(samples - len(values), 0), values[-1])])
         for name, values in lists.items()
     }
-    found = stage.run(stage.default_setpoints(samples) | padded, changes, skipped)
+    found = stage.run(stage.default_setpoints(samples) | padded, changes, skipped, pulses)
     axes: dict[str, Recording] = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         signals = found[name]
@@ -89,6 +90,7 @@ def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[
         setpoints={name: one["setpoint"] for name, one in axes.items()},
         changes={name: changes_of(one) for name, one in axes.items()},
         skipped=axes[parameters.names[0]].signals.get("skipped"),
+        pulses={name: one["trigger_in"] for name, one in axes.items() if one.has("trigger_in")},
     )
     return unequal(recorded, twin)
 
@@ -126,7 +128,7 @@ def displacements_between(
         crept = one.creep.simulate(one.hysteresis.simulate(recording[f"{name}/plant_voltage"]))
         drives[i] = one.dynamics.simulate(crept)
     places = np.arange(1, INSTANTS + 1) / INSTANTS
-    found = _continued(parameters.stage.structure.linear, rest, drives, places)
+    found = continued(parameters.stage.structure.linear, rest, drives, places)
     if found is None:
         ends = np.append(sampled[:, 1:], sampled[:, -1:], axis=1)
         between = sampled[:, :, None] + (ends - sampled)[:, :, None] * places
@@ -139,7 +141,7 @@ def displacements_between(
     return np.append(recording.time[0], time), np.hstack([sampled[:, :1], between])
 
 
-def _continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
+def continued(model: StateSpace, rest, inputs, places) -> np.ndarray | None:
     """Return the outputs at fractions of each sample under held inputs, shape (q, N, parts); None if not continuous."""
     import scipy.signal
 

@@ -25,7 +25,13 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.loop.compensator import AdaptiveArrays, CompensationArrays, compensate, note_output
 from hysteresis_ros.loop.controller import ControllerArrays, carried_out, control
 from hysteresis_ros.loop.plant import actuate, sense
-from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
+from hysteresis_ros.loop.source import (
+    GeneratorSourceArrays,
+    SequencerSourceArrays,
+    TriggeredSequencerArrays,
+    TriggeredSourceArrays,
+    refer,
+)
 from hysteresis_ros.models.block import kernels_of, nested
 
 
@@ -46,7 +52,7 @@ class Parts(NamedTuple):
     """The arrays of an axis, part by part."""
 
     plant: Any  #: Its class selects the kernel of :data:`sense`.
-    source: GeneratorSourceArrays | SequencerSourceArrays
+    source: GeneratorSourceArrays | TriggeredSourceArrays | SequencerSourceArrays | TriggeredSequencerArrays
     controller: ControllerArrays
     compensator: CompensationArrays | AdaptiveArrays
 

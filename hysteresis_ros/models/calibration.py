@@ -273,6 +273,25 @@ class SensorCalibration(Block):
         x[HOMING] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0
         return x
 
+    def reading(self, displacement: float) -> float:
+        """Return the reading of an absolute sensor at a displacement [m], also beyond its valid readings.
+
+        Parameters
+        ----------
+        displacement : float
+            [m]
+        """
+        linear = (displacement - self.p[OFFSET]) / self.p[SCALE]
+        if not self.parameters.polynomial:
+            return float(linear)
+        curve: Any = np.polynomial.Polynomial(self.parameters.polynomial) - linear
+        roots = curve.roots()
+        real = roots[np.abs(roots.imag) <= 1e-9 * np.maximum(np.abs(roots), 1e-300)].real
+        low, high = self.p[LOWEST], self.p[HIGHEST]
+        # the polynomial rises between the valid readings, so at most one root lies there
+        beyond = np.maximum(np.maximum(low - real, real - high), 0.0)
+        return float(real[np.argmin(beyond)])
+
     def begin_homing(self) -> None:
         """Home a relative sensor with its next readings; an absolute sensor is not changed."""
         self.x[HOMING], self.x[SUM] = self.p[HOMING_SAMPLES] if self.p[RELATIVE] else 0.0, 0.0

@@ -33,6 +33,8 @@ from hysteresis_ros.signals import (
     MOTOR_SOURCE,
     PLANT,
     REQUESTS,
+    SOURCE,
+    TRIGGER_SIGNALS,
     WRITERS,
     sources,
     state_signals,
@@ -282,6 +284,9 @@ def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) ->
     force = _of_plant(states[PLANT], stamps, "force")
     if np.any(np.isfinite(force)):
         more["force"] = force
+    source = states[MOTOR_SOURCE] if states[SOURCE] is None else states[SOURCE]
+    if np.any(np.nan_to_num(_of_plant(source, stamps, "trigger"))):
+        more |= {name: _of_plant(source, stamps, name) for name in TRIGGER_SIGNALS}
     return more
 
 

@@ -177,6 +177,28 @@ def reference_step(waveform, ps, xs, setpoint):
     return reference
 
 
+@nested
+def begin_waveform(waveform, ps, xs):
+    """Run the waveform from its beginning, without a jump of the reference (:meth:`ReferenceGenerator.start`)."""
+    x, counter = xs.range, xs.waveform
+    for i in range(counter.shape[0]):
+        counter[i] = 0.0
+    first = waveform(ps.waveform, counter, 0.0)
+    for i in range(counter.shape[0]):
+        counter[i] = 0.0
+    rest(ps.steps, xs.steps, first, xs.steps[SETPOINT])
+    position, x[FADE], x[FADE_COUNT] = x[OUTPUT] - first, 0.0, 0.0
+    setpoint = xs.approach[SETPOINT]
+    if ps.trajectory[following.SMOOTH] == 0.0:  # unlimited: the difference to the setpoint fades out
+        x[FADE] = position - setpoint
+        rest(ps.approach, xs.approach, setpoint, setpoint)
+    else:
+        rest(ps.approach, xs.approach, position, setpoint)
+    x[RUNNING] = WHOLE
+    xs.trajectory[following.POSITION] = position - x[FADE]
+    rest_shaper(xs.shaping, xs.trajectory[following.POSITION])
+
+
 @composite("void", "kernel", GeneratorArrays, GeneratorArrays, "array", "array")
 def run_reference(waveform, ps, xs, setpoints, references):
     """Fill ``references[k]`` for all ``setpoints[k]``."""
@@ -396,21 +418,7 @@ class ReferenceGenerator(Chain):
         if self.unasked:
             self.approach.x[SETPOINT] = self.parameters.initial_setpoint
         self._begun = math.nan
-        output = self._range[1][OUTPUT]
-        self.waveform.reset()
-        first = self._first_value()
-        self._steps.rest_at(first)
-        difference = output - first
-        x = self._range[1]
-        if self.parameters.approach.unlimited:
-            self.approach.rest_at(self.setpoint)
-            x[FADE], x[FADE_COUNT] = difference - self.setpoint, 0.0
-        else:
-            self.approach.rest_at(difference)
-            x[FADE], x[FADE_COUNT] = 0.0, 0.0
-        x[RUNNING] = WHOLE
-        self.shaper.rest_at(difference - x[FADE])
-        self.xs.trajectory[following.POSITION] = difference - x[FADE]
+        interpreted(begin_waveform)(self.waveform_kernel, self.ps, self.xs)
 
     def _first_value(self) -> float:
         return self.waveform.kernel(self.waveform.p, np.zeros(1), 0.0)

@@ -164,6 +164,34 @@ class ScanClock:
         found = int(self._marks(number, number + 1).sample[0])
         return math.inf if self._end and found >= self._end else found
 
+    def of_level(self, edge: Edge) -> np.ndarray:
+        """Return the places [samples] of what begins at a level in a period, and the first one of the next period.
+
+        Parameters
+        ----------
+        edge : Edge
+        """
+        places = self._of_level[edge]
+        return np.append(places, places[0] + float(self._period))
+
+    def delays(self, edge: Edge) -> np.ndarray:
+        """Return the time from what begins at each sample to the sample [s], for the loop; shape (N,).
+
+        Parameters
+        ----------
+        edge : Edge
+            Level. N is that of :meth:`edges`; where nothing begins, the time is 0.
+        """
+        samples, periods = self._period.numerator, self._period.denominator
+        starts = [Fraction(number * samples, periods) for number in range(periods)]
+        begun = np.concatenate([float(start) % 1.0 + self._of_level[edge] for start in starts])
+        whole = np.concatenate([np.full(self._of_level[edge].size, math.floor(start)) for start in starts])
+        at = np.ceil(begun - EDGE)
+        found = np.zeros(samples)
+        inside = whole + at < samples
+        found[(whole + at)[inside].astype(np.int64)] = np.maximum(at - begun, 0.0)[inside] * self.sample_time
+        return found
+
     def edges(self) -> np.ndarray:
         """Return the :class:`~hysteresis_ros.signals.Edge` bits of each sample, for the loop; shape (N,).
 

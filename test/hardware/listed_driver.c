@@ -19,8 +19,9 @@
 #define NOTED 100000
 
 static double voltages[NOTED], place;
-static int64_t reads, writes, safes, closes, clocks, edges[NOTED][2];
-static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints, fail_clock;
+static int64_t reads, writes, safes, closes, clocks, edges[NOTED][2], triggers, numbers[NOTED][2], asked;
+static double delays[NOTED];
+static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints, fail_clock, fail_trigger, pulse;
 static _Atomic int64_t block;
 static char unit[8];
 
@@ -32,25 +33,29 @@ double noted_voltage(int64_t index) { return voltages[index]; }
 int64_t noted_clocks(void) { return clocks; }
 /* Which edges were output, and after how many voltages. */
 int64_t noted_edges(int64_t index, int64_t place) { return edges[index][place]; }
+int64_t noted_triggers(void) { return triggers; }
+/* Number of a trigger, after how many voltages it was output, and its delay. */
+int64_t noted_trigger(int64_t index, int64_t place) { return numbers[index][place]; }
+double noted_delay(int64_t index) { return delays[index]; }
 /* Fail, or do not return, at this call and all later ones; 0: never. */
-void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = block = fail_clock = 0; }
+void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = block = fail_clock = fail_trigger = 0; }
 
 int32_t hysteresis_open(const char *const *options, double sample_rate, struct hysteresis_capabilities *can,
                         void **device)
 {
     static const char *const names[] = {"fail_read", "fail_write", "fail_safe", "nonsense", "nothing", "keeps_time",
-                                        "joints", "fail_clock"};
+                                        "joints", "fail_clock", "fail_trigger", "pulse"};
     int64_t *values[] = {&fail_read, &fail_write, &fail_safe, &nonsense, &nothing, &keeps_time, &joints,
-                         &fail_clock};
-    reads = writes = safes = closes = clocks = keeps_time = 0, place = 0.0, joints = 1;
+                         &fail_clock, &fail_trigger, &pulse};
+    reads = writes = safes = closes = clocks = keeps_time = triggers = asked = pulse = 0, place = 0.0, joints = 1;
     mend();
     strcpy(unit, "m");
     for (; *options; options++) {
         const char *value = strchr(*options, '=');
         size_t length = value ? (size_t)(value - *options) : 0, i = 0;
-        while (i < 8 && (strlen(names[i]) != length || strncmp(*options, names[i], length)))
+        while (i < 10 && (strlen(names[i]) != length || strncmp(*options, names[i], length)))
             i++;
-        if (i < 8)
+        if (i < 10)
             *values[i] = atoll(value + 1);
         else if (value && !strncmp(*options, "block", 5))
             block = atoll(value + 1);
@@ -99,6 +104,24 @@ int32_t hysteresis_clock(void *device, int64_t given)
         edges[clocks][0] = given, edges[clocks][1] = writes;
     clocks++;
     return fail_clock && clocks >= fail_clock ? 6 : 0;
+}
+
+int32_t hysteresis_trigger(void *device, int64_t number, double delay)
+{
+    (void)device;
+    if (triggers < NOTED)
+        numbers[triggers][0] = number, numbers[triggers][1] = writes, delays[triggers] = delay;
+    triggers++;
+    return fail_trigger && triggers >= fail_trigger ? 6 : 0;
+}
+
+/* Two pulses at each call whose number is a multiple of `pulse`. */
+int32_t hysteresis_pulses(void *device, int64_t *count)
+{
+    (void)device;
+    asked++;
+    *count = pulse && asked % pulse == 0 ? 2 : 0;
+    return pulse < 0 && asked >= -pulse ? 3 : 0;
 }
 
 int32_t hysteresis_make_safe(void *device)

@@ -71,10 +71,11 @@ def library(tmp_path_factory):
     """The driver without a device, and the functions that return what it received."""
     path = listed_library(tmp_path_factory.mktemp("driver"))
     found = ctypes.CDLL(str(path))
-    for name in ("reads", "writes", "safes", "closes", "clocks", "edges"):
+    for name in ("reads", "writes", "safes", "closes", "clocks", "edges", "triggers", "trigger"):
         getattr(found, f"noted_{name}").restype = ctypes.c_int64
     found.noted_voltage.restype, found.noted_voltage.argtypes = ctypes.c_double, (ctypes.c_int64,)
-    found.noted_edges.argtypes = ctypes.c_int64, ctypes.c_int64
+    found.noted_edges.argtypes = found.noted_trigger.argtypes = ctypes.c_int64, ctypes.c_int64
+    found.noted_delay.restype, found.noted_delay.argtypes = ctypes.c_double, (ctypes.c_int64,)
     found.path = path
     return found
 
@@ -260,6 +261,7 @@ def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarr
     taken = {"measured": at.MEASURED, "tripped": at.TRIPPED, "plant_voltage": at.PLANT_VOLTAGE}
     answers = {name: table[place] for name, place in taken.items()}
     options = {"changes": loop.changes, "skipped": table[at.SKIPPED], "answers": answers}
+    options["pulses"] = table[at.TRIGGER_IN]
     again = twin.run(table[at.SETPOINT], **options)
     for place, signal in enumerate(at.ACTUATOR.row):
         np.testing.assert_array_equal(again[signal.name], table[place], err_msg=signal.name)
@@ -504,3 +506,85 @@ def test_a_clock_without_outputs_for_it_is_refused():
     given = AxisParameters.from_configuration(configuration.override("plant_simulator", **asked)).plant_simulator
     with pytest.raises(DriverError, match="driver simulated: the device has no outputs for the clock of a scan; set"):
         DrivenPlant(given)
+
+
+GRID = {"triggers__start": 2e-6, "triggers__step": 1e-6, "triggers__stop": 6e-6}
+STEPPING = {"triggers__input__action": "step", "triggers__input__distance": 0.25e-6}
+
+
+def triggering_axis(library, *options: str, source=GRID, **plant) -> AxisParameters:
+    configuration = parse_configuration(STAGE.format(driver=library.path, options=", ".join(options)), "test")
+    configuration = configuration.override("reference_generator", **source).override("plant_simulator", **plant)
+    return AxisParameters.from_configuration(configuration)
+
+
+def triggered(library) -> list[tuple[int, int, float]]:
+    """Return number, voltages before it and delay of each trigger that reached the device."""
+    return [
+        (library.noted_trigger(i, 0), library.noted_trigger(i, 1), library.noted_delay(i))
+        for i in range(library.noted_triggers())
+    ]
+
+
+def test_triggers_reach_the_device_in_their_sample_and_its_pulses_step_the_setpoint(library):
+    given = triggering_axis(library, "pulse=120", source=GRID | STEPPING, trigger_output=True, trigger_input=True)
+    loop, table = fused(given, 300)
+    numbers, delays = table[at.TRIGGER], table[at.TRIGGER_DELAY]
+    k = np.flatnonzero(numbers)
+    assert k.size > 10
+    assert triggered(library) == [(int(numbers[i]), i + 1, delays[i]) for i in k]
+    # the device is measured one call late, and reads its pulses with each measurement
+    assert table[at.TRIGGER_IN].nonzero()[0].tolist() == [119, 239] and set(table[at.TRIGGER_IN]) == {0.0, 2.0}
+    assert table[at.SETPOINT, [118, 119, 239]].tolist() == [4e-6, 4.5e-6, 5e-6]
+    assert_equal_to_twin(given, loop, table)
+    loop.axis.plant.close()
+    # the same driver called from Python, and not at all unless it is asked for
+    plant = DrivenPlant(given.plant_simulator)
+    row = run(plant, [20.0] * 120)
+    assert row[:, at.TRIGGER_IN].tolist() == [0.0] * 119 + [2.0]
+    plant.output_trigger(7, 1e-4)
+    assert triggered(library) == [(7, 120, 1e-4)]
+    plant.close()
+    fused(triggering_axis(library, "pulse=9"), 300)[0].axis.plant.close()
+    assert triggered(library) == []
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("fail_trigger=5", "cannot output a trigger: liblisted.so: lost its outputs; plug them in"),
+        ("pulse=-50", "cannot read its trigger input: liblisted.so: lost its sensor; plug it in"),
+    ],
+)
+def test_a_device_without_its_trigger_lines_is_stopped_and_its_run_has_a_twin(library, kind, option, said):
+    given = triggering_axis(library, option, source=GRID | STEPPING, trigger_output=True, trigger_input=True)
+    if kind is CompiledPlant:
+        loop, table = fused(given, 200)
+        assert_equal_to_twin(given, loop, table)
+        plant = loop.axis.plant
+    else:
+        plant = kind(given.plant_simulator)
+        for number in range(60):
+            run(plant, [20.0])
+            plant.output_trigger(number + 1, 0.0)
+    assert plant.tripped and library.noted_safes() == 1 and said in plant.failure
+    plant.close()
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (
+            {"trigger_output": True},
+            "driver simulated: the device has no output for triggers; set trigger_output: false",
+        ),
+        ({"trigger_input": True}, "driver simulated: the device has no trigger input; set trigger_input: false"),
+    ],
+)
+def test_triggers_without_a_line_for_them_are_refused(asked, said):
+    configuration = load_configuration("kim2009").override("", time_mode="realtime")
+    configuration = configuration.override("reference_generator", waveform__type="hold", **GRID | STEPPING)
+    given = AxisParameters.from_configuration(configuration.override("plant_simulator", driver="simulated", **asked))
+    with pytest.raises(DriverError, match=said):
+        DrivenPlant(given.plant_simulator)

@@ -63,6 +63,7 @@ def whole(loop: FusedLoop, *taken) -> dict[str, np.ndarray]:
 def assert_twin(loop: FusedLoop, made: dict[str, np.ndarray], parameters) -> dict[str, np.ndarray]:
     """Refuse a run that differs in any bit from that of its offline twin; return the twin's run."""
     asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.kind.motor else {}
-    twin = Axis(parameters).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
+    asked |= {"skipped": made["skipped"], "pulses": made["trigger_in"]}
+    twin = Axis(parameters).run(made["setpoint"], changes=loop.changes, **asked)
     assert_same_bits(made, twin)
     return twin

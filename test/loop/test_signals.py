@@ -38,8 +38,8 @@ def test_what_only_a_motor_has_stands_behind_what_every_axis_has():
     assert motor == sorted(motor)
     assert signals.ACTUATOR_ROW == motor.index(True) == len(signals.ACTUATOR.row)
     assert signals.MOTOR_ROW == len(signals.SIGNALS) == len(signals.INCHWORM.row)
-    # the row of an actuator's axis contains only the first request
-    assert signals.ASKED[0] < signals.ACTUATOR_ROW <= min(signals.ASKED[1:])
+    # the row of an actuator's axis contains only the first two requests
+    assert max(signals.ASKED[:2]) < signals.ACTUATOR_ROW <= min(signals.ASKED[2:])
     assert {signals.SIGNALS[place].name for place in signals.ASKED} == {
         signal.name for signal in signals.SIGNALS if signal.writer == signals.USER
     }
@@ -137,5 +137,5 @@ def test_a_run_fills_every_place_of_the_row(name):
         rubbish = np.full(size, 17.0)
         other._run(dirty, row=rubbish)
         np.testing.assert_array_equal(columns, dirty)
-        columns[list(signals.ASKED[: 3 if one.kind.motor else 1])] = 0.0
-        dirty[list(signals.ASKED[: 3 if one.kind.motor else 1])] = 0.0
+        columns[list(signals.ASKED[: 4 if one.kind.motor else 2])] = 0.0
+        dirty[list(signals.ASKED[: 4 if one.kind.motor else 2])] = 0.0

@@ -28,7 +28,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +95,12 @@ RANGE_MINIMUM, RANGE_MAXIMUM, AXIS_UNIT = 0x07000000, 0x07000001, 0x07000601
 VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM = 0x0B000007, 0x0B000008
 SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004, 0x16000200, 0x16000300
 TOLERANCE, SETTLING = 0x07000900, 0x07000901
+
+#: Parameters of a trigger output (CTO): distance of the positions, axis, mode, first and last position; and the mode
+#: that triggers at equally spaced positions. With the first position below the last one it triggers in the motion up,
+#: with the first above the last in the motion down.
+TRIGGER_STEP, TRIGGER_AXIS, TRIGGER_MODE, START_THRESHOLD, STOP_THRESHOLD = 1, 2, 3, 8, 9
+POSITION_DISTANCE = 0
 
 #: Contents of a record table.
 TARGET, POSITION, POSITION_ERROR, CONTROL_VOLTAGE, OPEN_LOOP, VOLTAGE = 1, 2, 3, 7, 14, 16
@@ -436,6 +442,8 @@ RECENT = 4
 POINTS, PATIENCE = 40, 0.02
 #: Number of attempts to make a controller safe; all but the first use a new connection.
 ATTEMPTS = 3
+#: Largest relative deviation of positions from a grid.
+UNEVEN = 1.0e-6
 #: Relative difference from a commanded value that the controller's rounding may cause in its report.
 ROUNDING = 1.0e-3
 #: Longest allowed servo cycle, relative to the played period.
@@ -502,6 +510,24 @@ class GcsParameters(Parameters):
         high=60.0,
         read_only=True,
     )
+    trigger_line_up: int = parameter(
+        0,
+        description="digital output that triggers in the motion up, by the controller's own position compare (CTO, "
+        "TRO); 0: none",
+        low=0,
+        high=16,
+        read_only=True,
+    )
+    trigger_line_down: int = parameter(
+        0, description="the same for the motion down; 0: none", low=0, high=16, read_only=True
+    )
+    trigger_input: int = parameter(
+        0,
+        description="digital input whose rising edges are pulses of the trigger input (DIO?); 0: none",
+        low=0,
+        high=16,
+        read_only=True,
+    )
     timeout: float = parameter(
         0.5, description="time within which the controller must answer", unit="s", low=0.001, high=60.0, read_only=True
     )
@@ -510,6 +536,13 @@ class GcsParameters(Parameters):
         """Yield a Problem for each inconsistency."""
         if self.voltage_range and not (len(self.voltage_range) == 2 and self.voltage_range[0] < self.voltage_range[1]):
             yield Problem("voltage_range", self.voltage_range, "give the least and the greatest voltage, or nothing")
+        if self.trigger_line_up and self.trigger_line_up == self.trigger_line_down:
+            yield Problem("trigger_line_down", self.trigger_line_down, "must differ from trigger_line_up")
+
+    @property
+    def trigger_lines(self) -> tuple[int, ...]:
+        """Digital outputs that trigger."""
+        return tuple(line for line in (self.trigger_line_up, self.trigger_line_down) if line)
 
 
 class Played(NamedTuple):
@@ -529,6 +562,12 @@ class GcsDriver(Driver):
     _link: GcsLink | None = None
     _given: GcsParameters
     _failed = False
+    #: Commands that make the controller compare positions; whether they are in effect.
+    _comparing: tuple[str, ...] = ()
+    _compares = False
+    #: Last state of the trigger input, and pulses that were not fetched yet.
+    _high = math.nan
+    _pulses = 0
 
     def __init__(self) -> None:
         self._recent: deque[float] = deque(maxlen=RECENT)
@@ -552,7 +591,22 @@ class GcsDriver(Driver):
         low, high = self._range
         safe = self._command(parameters.safe_voltage)
         rate = highest_rate(lambda: link.send(safe), lambda: link.numbers(("POS?", parameters.axis)))
-        return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
+        found = Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
+        if parameters.trigger_input:
+            self._require_known(link, "DIO?")
+            found = replace(found, trigger_input=True)
+        if not parameters.trigger_lines:
+            return found
+        self._require_known(link, "CTO", "TRO")
+        cycle = link.number("SPA?", f"{parameters.axis} {SERVO_CYCLE:#x}")
+        # one pulse and one pause in two cycles of the servo
+        return replace(found, compares=True, trigger_rate=0.5 / cycle if cycle > 0.0 else 0.0)
+
+    def _require_known(self, link: GcsLink, *commands: str) -> None:
+        missing = set(commands) - self._commands
+        if missing:
+            remedy = "give 0 as gcs.trigger_line_up, trigger_line_down and trigger_input"
+            raise DriverError(link.name, f"does not know {', '.join(sorted(missing))}", remedy)
 
     # -- taking the controller -----------------------------------------------------------------------------------
 
@@ -652,7 +706,12 @@ class GcsDriver(Driver):
         link, given = self._taken(), self._given
         due = time.monotonic() - self._checked >= given.check_period
         try:
-            (position, *others), code = link.numbers(("POS?", given.axis), *(self._looks if due else ()))
+            inputs = (("DIO?", str(given.trigger_input)),) if given.trigger_input else ()
+            (position, *others), code = link.numbers(("POS?", given.axis), *inputs, *(self._looks if due else ()))
+            if inputs:
+                high, *others = others
+                self._pulses += high > self._high
+                self._high = high
             if code != NO_ERROR and not due:  # first report a changed setting, because it explains the refused command
                 (others, _), due = link.numbers(*self._looks), True
             if due:
@@ -700,8 +759,55 @@ class GcsDriver(Driver):
         DriverError
             The connection is lost.
         """
-        self._taken().send(self._command(voltages[0]))
+        link = self._taken()
+        if self._comparing and not self._compares:
+            link.do(*self._comparing)
+            self._compares = True
+        link.send(self._command(voltages[0]))
         self._recent.append(voltages[0])
+
+    def compare(self, up: Sequence[float], down: Sequence[float]) -> None:
+        """Let the controller trigger at equally spaced positions, one line for each direction of motion.
+
+        Parameters
+        ----------
+        up, down : sequence of float
+            [m]
+
+        Raises
+        ------
+        DriverError
+            The positions are not a grid, or a line is missing.
+        """
+        given, name = self._given, self._taken().name
+        commands = []
+        for way, line, positions, sign in (
+            ("up", given.trigger_line_up, up, 1.0),
+            ("down", given.trigger_line_down, down, -1.0),
+        ):
+            if not len(positions):
+                continue
+            if not line:
+                problem = f"has to trigger in the motion {way}, and gcs.trigger_line_{way} is 0"
+                raise DriverError(name, problem, "give its digital output, or another triggers.direction")
+            places = np.array(positions) / self._unit
+            steps = np.diff(places)
+            if not places.size > 1 or np.ptp(steps) > UNEVEN * np.max(np.abs(places)):
+                problem = "compares equally spaced positions, two or more"
+                raise DriverError(name, problem, "give a grid: triggers.start, step and stop")
+            step = float(np.mean(steps))
+            first, last = (places[0], places[-1]) if sign > 0.0 else (places[-1], places[0])
+            numbers = {START_THRESHOLD: first, STOP_THRESHOLD: last + 0.5 * sign * step}
+            commands += [f"CTO {line} {TRIGGER_AXIS} {given.axis}", f"CTO {line} {TRIGGER_MODE} {POSITION_DISTANCE}"]
+            commands.append(f"CTO {line} {TRIGGER_STEP} {step:.9f}")
+            commands += [f"CTO {line} {place} {value:.9f}" for place, value in numbers.items()]
+            commands.append(f"TRO {line} 1")
+        self._comparing = tuple(commands)
+
+    def pulses(self) -> int:
+        """Return the number of rising edges of the trigger input since the last call."""
+        count, self._pulses = self._pulses, 0
+        return count
 
     def _command(self, voltage: float) -> str:
         name = "MOV" if self._given.mode == "servo" else "SVA"
@@ -793,6 +899,9 @@ class GcsDriver(Driver):
         given = self._given
         safe = given.safe_voltage
         link.stop()
+        if self._comparing:
+            self._compares = False
+            link.do(*(f"TRO {line} 0" for line in given.trigger_lines))
         if given.mode == "servo":
             link.do(f"SVO {given.axis} 1", self._command(safe))
             self._require_there(link, "MOV?", safe)

@@ -73,6 +73,63 @@ def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
     return found[0]
 
 
+def trigger_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
+    """Return the file that fires a software trigger.
+
+    Parameters
+    ----------
+    directory : pathlib.Path
+        Folder of the devices.
+    wanted : str
+        Content of the trigger's file ``name``, or the name of its folder.
+
+    Raises
+    ------
+    DriverError
+        The trigger is absent, or it cannot be fired by software.
+    """
+    names = {}
+    for folder in sorted(directory.glob("trigger*")) if directory.is_dir() else ():
+        file = folder / "name"
+        names[folder] = file.read_text(encoding="utf-8").strip() if file.is_file() else ""
+    found = [folder for folder, name in names.items() if wanted in (folder.name, name)]
+    device = f"IIO trigger {wanted!r} in {directory}"
+    if len(found) != 1:
+        there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
+        what = "is absent" if not found else "exists more than once: give its folder"
+        raise DriverError(device, f"{what}; there are {there}", "load iio-trig-sysfs and add the trigger")
+    file = found[0] / "trigger_now"
+    if not file.is_file():
+        raise DriverError(device, "has no file trigger_now", "choose a trigger of iio-trig-sysfs")
+    return file
+
+
+def write_number(path: pathlib.Path, value: int, name: str) -> None:
+    """Write an attribute.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    value : int
+    name : str
+        Name of the device, for messages.
+
+    Raises
+    ------
+    DriverError
+        It cannot be written.
+    """
+    try:
+        file = os.open(path, os.O_WRONLY)
+        try:
+            os.write(file, b"%d\n" % value)
+        finally:
+            os.close(file)
+    except OSError as error:
+        problem = f"does not accept the value {value} at {path.name} ({error})"
+        raise DriverError(name, problem, "check the device and its kernel driver") from error
+
+
 class Channel:
     """A voltage channel of a device.
 
@@ -191,14 +248,7 @@ class Channel:
         DriverError
             It cannot be written.
         """
-        try:
-            file = os.open(path, os.O_WRONLY)
-            try:
-                os.write(file, b"%d\n" % value)
-            finally:
-                os.close(file)
-        except OSError as error:
-            raise self._failed(path, f"does not accept the value {value}", error) from error
+        write_number(path, value, self.name)
 
     def range(self, given: tuple[float, ...]) -> tuple[float, float]:
         """Return the least and greatest voltage [V], from the raw range that the device or parameter file states.
@@ -266,6 +316,13 @@ class IioParameters(Parameters):
         place="files",
     )
     input_channel: str = parameter("voltage0", description="its channel", read_only=True)
+    trigger: str = parameter(
+        "",
+        description="software trigger (iio-trig-sysfs) that each trigger of the axis fires: content of its file "
+        "`name`, or its folder, for instance trigger0; '': none",
+        read_only=True,
+        place="files",
+    )
     safe_voltage: float = parameter(
         0.0, description="voltage of the DAC in the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
     )
@@ -289,6 +346,7 @@ class IioDriver(Driver):
     _given: IioParameters
     _claimed: int | None = None
     _output: Channel | None = None
+    _trigger: pathlib.Path | None = None
 
     def open(self, parameters: IioParameters, sample_rate: float) -> Capabilities:
         """Find both devices, bring the DAC to its safe voltage and measure the highest rate.
@@ -308,7 +366,28 @@ class IioDriver(Driver):
         output = self._taken()
         low, high = output.range(parameters.output_raw_range)
         rate = highest_rate(lambda: output.put_out(parameters.safe_voltage), self._input.read)
-        return Capabilities(1, 1, low, high, rate, position_unit="V")
+        if parameters.trigger:
+            self._trigger = trigger_at(pathlib.Path(parameters.directory), parameters.trigger)
+        return Capabilities(1, 1, low, high, rate, position_unit="V", trigger_rate=rate if self._trigger else 0.0)
+
+    def output_trigger(self, number: int, delay: float) -> None:
+        """Fire the software trigger, which starts the buffers of the devices that are connected to it.
+
+        Parameters
+        ----------
+        number : int
+        delay : float
+            [s]
+
+        Raises
+        ------
+        DriverError
+            It cannot be fired.
+        """
+        if self._trigger is None:
+            super().output_trigger(number, delay)
+        else:
+            write_number(self._trigger, 1, f"IIO trigger {self._trigger.parent.name}")
 
     def _taken(self) -> Channel:
         """Return the channel of the DAC; if it is not locked yet, lock it and bring it to its safe voltage."""

@@ -47,6 +47,7 @@ from hysteresis_ros.hardware.drivers.gcs import (
     SYNTAX,
     TOLERANCE,
     TOO_LONG,
+    TRIGGER_AXIS,
     UNITS,
     UNKNOWN_COMMAND,
     UNKNOWN_PARAMETER,
@@ -69,6 +70,7 @@ from hysteresis_ros.laboratory.emulation.gcs_controller import (
     POINTS,
     Axis,
     Controller,
+    TriggerLine,
 )
 from hysteresis_ros.laboratory.emulation.server import serving
 
@@ -659,6 +661,66 @@ def _recorder_configuration(controller, words):
     """Get data recorder configuration."""
     given = controller.recorder.configuration
     return [f"{number}={given[number - 1][0]} {given[number - 1][1]}" for number in _tables(controller, words)]
+
+
+def _line_of(controller: Controller, name: str) -> TriggerLine:
+    if name not in controller.lines:
+        raise Refusal(OUT_OF_RANGE)
+    return controller.lines[name]
+
+
+@command("CTO")
+def _configure_trigger(controller, words):
+    """Set configuration of trigger output."""
+    if not words or len(words) % 3:
+        raise Refusal(WRONG_COUNT)
+    given = []
+    for first in range(0, len(words), 3):
+        line, place = _line_of(controller, words[first]), int(real(words[first + 1]))
+        if place not in line.values:
+            raise Refusal(OUT_OF_RANGE)
+        text = words[first + 2]
+        given.append((line, place, axis_of(controller, text).name if place == TRIGGER_AXIS else real(text)))
+    for line, place, value in given:
+        line.values[place] = value
+
+
+@command("CTO?")
+def _trigger_configuration(controller, words):
+    """Get configuration of trigger output."""
+    if len(words) != 2:
+        raise Refusal(WRONG_COUNT)
+    line, place = _line_of(controller, words[0]), int(real(words[1]))
+    if place not in line.values:
+        raise Refusal(OUT_OF_RANGE)
+    return [f"{words[0]} {place}={line.values[place]}"]
+
+
+@command("TRO")
+def _enable_trigger(controller, words):
+    """Set trigger output state."""
+    if not words or len(words) % 2:
+        raise Refusal(WRONG_COUNT)
+    pairs = zip(words[::2], words[1::2], strict=True)
+    given = [(_line_of(controller, name), whole(text, 0, 1)) for name, text in pairs]
+    for line, on in given:
+        line.on = bool(on)
+
+
+@command("TRO?")
+def _trigger_enabled(controller, words):
+    """Get trigger output state."""
+    names = words or list(controller.lines)
+    return [f"{name}={int(_line_of(controller, name).on)}" for name in names]
+
+
+@command("DIO?")
+def _digital_inputs(controller, words):
+    """Get digital input lines."""
+    names = words or list(controller.inputs)
+    if not set(names) <= set(controller.inputs):
+        raise Refusal(OUT_OF_RANGE)
+    return [f"{name}={int(controller.inputs[name])}" for name in names]
 
 
 @command("DRT")

@@ -15,6 +15,7 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 from hysteresis_ros.hardware.drivers.gcs import (
     AXIS_UNIT,
@@ -22,13 +23,19 @@ from hysteresis_ros.hardware.drivers.gcs import (
     NO_ERROR,
     OPEN_LOOP,
     POSITION,
+    POSITION_DISTANCE,
     POSITION_ERROR,
     RANGE_MAXIMUM,
     RANGE_MINIMUM,
     SETTLING,
+    START_THRESHOLD,
+    STOP_THRESHOLD,
     STOPPED,
     TARGET,
     TOLERANCE,
+    TRIGGER_AXIS,
+    TRIGGER_MODE,
+    TRIGGER_STEP,
     UNITS,
     VOLTAGE,
     VOLTAGE_MAXIMUM,
@@ -112,6 +119,39 @@ class Recorder:
         return lines + [" ".join(f"{column[row]:.7g}" for column in columns) for row in range(length)]
 
 
+#: Number of digital lines, which are outputs of triggers and inputs.
+LINES = 4
+
+
+class TriggerLine:
+    """A digital output with position compare: a pulse at each position of a grid in one direction of motion.
+
+    Assumed: the first pulse is at the start threshold.
+    """
+
+    def __init__(self, axis: str):
+        self.values: dict[int, float | str] = {TRIGGER_AXIS: axis, TRIGGER_MODE: POSITION_DISTANCE, TRIGGER_STEP: 0.1}
+        self.values |= {START_THRESHOLD: 0.0, STOP_THRESHOLD: 0.0}
+        self.on = False
+        #: Positions at which it has pulsed [unit of the axis].
+        self.pulses: list[float] = []
+        self._before = math.nan
+
+    def look(self, position: float) -> None:
+        """Compare a position with that of the last cycle [unit of the axis]."""
+        before, self._before = self._before, position
+        start, stop, step = (float(self.values[name]) for name in (START_THRESHOLD, STOP_THRESHOLD, TRIGGER_STEP))
+        if not self.on or self.values[TRIGGER_MODE] != POSITION_DISTANCE or not step > 0.0 or start == stop:
+            return
+        sign = 1.0 if stop > start else -1.0
+        passed = [sign * (place - start) / step for place in (before, position)]
+        if not passed[1] > passed[0]:
+            return
+        last = min(math.floor(passed[1]), math.floor(abs(stop - start) / step))
+        for number in range(max(math.ceil(passed[0] + 1e-12), 0), last + 1):
+            self.pulses.append(start + sign * number * step)
+
+
 #: Assumed: largest velocity of the servo [m/s], its on-target window [m], and the time within the window after which it
 #: is on target [s].
 VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
@@ -137,6 +177,8 @@ class Axis:
         self.open_value, self.target = plant.voltage, plant.measured
         self.wave: list[float] = []
         self._played, self._cycles, self._rate, self._inside = 0, 0, 1, 0
+        #: Called with the position of each cycle [unit of the axis].
+        self.looked: Callable[[float], None] = lambda position: None
         plant.control = self._control
 
     @property
@@ -210,6 +252,7 @@ class Axis:
 
     def _control(self, measured: float) -> float:
         """Return the voltage of a sample."""
+        self.looked(measured / self.unit)
         wanted = self._wanted()
         if self.servo:
             voltage = self._servo.follow(wanted, self.velocity)
@@ -276,8 +319,19 @@ class Controller:
         #: For each generator: its wave table and number of cycles; then samples per point.
         self.chosen: dict[str, int] = {}
         self.repeats, self.wave_rate = dict.fromkeys(names, 0), 1
+        self.lines = {str(number + 1): TriggerLine(names[0]) for number in range(LINES)}
+        #: States of the digital inputs.
+        self.inputs = dict.fromkeys(self.lines, False)
+        for axis in self.axes.values():
+            axis.looked = partial(self._compare, axis.name)
         self._error = NO_ERROR
         self.own = {0x02000200: 0.0, 0x02000300: 1.0, 0x07000A00: 0.0, 0x07000A01: 100.0, 0x06000500: 0.0}
+
+    def _compare(self, axis: str, position: float) -> None:
+        """Let the lines of an axis compare its position."""
+        for line in self.lines.values():
+            if line.values[TRIGGER_AXIS] == axis:
+                line.look(position)
 
     def tick(self) -> None:
         """Advance to the present time."""

@@ -29,6 +29,8 @@ from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, Emula
 
 #: Names of the converters.
 DAC, ADC = "emulated-dac", "emulated-adc"
+#: Name of the software trigger; what is written to its file stays there, because no buffer is connected to it.
+TRIGGER = "emulated-trigger"
 #: Bits of both converters. The DAC has 0 … 10 V, the ADC -10 … 10 V; code 0 is the lowest voltage.
 BITS, SPAN = 16, 10.0
 LEVELS = 2**BITS
@@ -65,6 +67,7 @@ class Converters:
             ) from None
         self._make(self.output, DAC, self._output_files())
         self._make(self.input, ADC, self._input_files())
+        self._make(root / "trigger0", TRIGGER, {"trigger_now": ""})
 
     def _output_files(self) -> dict[str, str]:
         return {
