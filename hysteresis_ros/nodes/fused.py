@@ -323,6 +323,11 @@ class FusedAxis:
         if self.loop is not None:
             self.loop.set(setpoint, request, speed, self.place)
 
+    def pulse(self) -> None:
+        """Pulse the trigger input of the axis with the next sample."""
+        if self.loop is not None:
+            self.loop.pulse(self.place)
+
     def halt(self) -> None:
         """Stop all parts of all axes within one sample, until :meth:`go_on`."""
         if self.loop is not None:

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64
 
 from hysteresis_ros import signals
 from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters
-from hysteresis_ros.loop.source import SequencerSource, sequenced
+from hysteresis_ros.loop.source import SequencerSource, refer
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.realtime import WATCHDOG_PERIOD
@@ -45,7 +45,7 @@ ERRORS = {
     "or lower the load, then call ~/start",
 }
 
-_SEQUENCED = interpreted(sequenced)
+_REFER = interpreted(refer)
 
 
 class InchwormSequencerNode(ReferenceSource):
@@ -126,6 +126,8 @@ class InchwormSequencerNode(ReferenceSource):
         x = self.sequencer.x
         front, rear = x[at.FRONT_VOLTAGE], x[at.REAR_VOLTAGE]
         self._clear()
+        if self.trigger_out is not None:
+            self.trigger_out.restart()
         if not self.runner.exact:
             x[at.FRONT_VOLTAGE] = x[at.FRONT_FROM] = front
             x[at.REAR_VOLTAGE] = x[at.REAR_FROM] = rear
@@ -229,6 +231,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     def before_step(self) -> None:
         """Write setpoint and request into the row."""
+        super().before_step()
         while self._schedule and self._schedule[0][0] <= self.sample:
             self.setpoint = self._schedule.popleft()[1]
         self.row[signals.SETPOINT] = self.setpoint
@@ -237,7 +240,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     def step(self) -> None:
         """Run the source of the loop on the row."""
-        _SEQUENCED(None, self.part.arrays, self.row)
+        _REFER(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
         """Answer the sample in the row; in real time only when the other nodes are present."""
@@ -246,6 +249,7 @@ class InchwormSequencerNode(ReferenceSource):
 
     def after_step(self) -> None:
         """Log errors, and publish whether the slider has arrived."""
+        super().after_step()
         if self.runner.by_message:
             self.look_at((self.row,))
         error = self.row[signals.ERROR]
@@ -276,6 +280,7 @@ class InchwormSequencerNode(ReferenceSource):
     def miss(self, samples: int) -> None:
         """Process samples without a measurement: open clamps close. Only the voltages are published."""
         self.row[signals.REQUEST], self.row[signals.SPEED] = 0.0, math.nan
+        self.row[signals.TRIGGER_IN] = 0.0
         for _ in range(samples):
             self.row[signals.MEASURED] = self.row[signals.EXTENDER] = math.nan
             self.step()

@@ -27,7 +27,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, UInt64
+from std_msgs.msg import Bool, Empty, Float64, UInt64
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
@@ -47,6 +47,9 @@ from hysteresis_ros.nodes.scan_clock import KEPT
 from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
+from hysteresis_ros.nodes.triggers import INPUT
+from hysteresis_ros.nodes.triggers import KEPT as KEPT_TRIGGERS
+from hysteresis_ros.nodes.triggers import TOPIC as TRIGGERS
 from hysteresis_ros.recordings.dataset import output_tolerance
 from hysteresis_ros.references.scan_clock import LEVELS
 
@@ -288,6 +291,10 @@ class PlantSimulatorNode(AxisNode):
         if self.parameters.scan_clock and self.runner.by_message:
             qos = loop_qos(self.runner.keeps, KEPT)
             self.subscriber(JointState, SCAN_CLOCK, self._on_scan_clock, qos)
+        if self.parameters.trigger_output and self.runner.by_message and not self.part.capabilities.compares:
+            self.subscriber(JointState, TRIGGERS, self._on_trigger, loop_qos(self.runner.keeps, KEPT_TRIGGERS))
+        takes_pulses = self.parameters.trigger_input and self.runner.by_message
+        self._pulses = self.publisher(Empty, INPUT, setpoint_qos()) if takes_pulses else None
         if self.parameters.wait_for_recorder and self.runner.by_message:
             topic, qos = "recorder/acknowledged", latched_qos()
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
@@ -320,6 +327,7 @@ class PlantSimulatorNode(AxisNode):
 
     def sense(self) -> None:
         """Measure the present sample into the row."""
+        self.row[signals.TRIGGER_IN] = 0.0
         _SENSE(self._laws, self.part.arrays, self.row)
 
     def actuate(self) -> None:
@@ -367,6 +375,14 @@ class PlantSimulatorNode(AxisNode):
         if begun:
             with self.lock:
                 self.part.output_clock(begun[-1])
+
+    def _on_trigger(self, message) -> None:
+        """Let the device output a trigger."""
+        numbers = dict(zip(message.name, message.position, strict=False))
+        number, delay = (numbers.get(name, math.nan) for name in ("number", "delay"))
+        if self.active and math.isfinite(number) and math.isfinite(delay) and number >= 1.0:
+            with self.lock:
+                self.part.output_trigger(int(number), delay)
 
     def lose(self, name: str) -> None:
         """Stop the axis until ~/start because one of its nodes is lost; called with the lock held."""
@@ -475,6 +491,9 @@ class PlantSimulatorNode(AxisNode):
                 self.warn("tripped", f"axis stopped: {self.explain_trip()}", error=True, every=0.0)
             elif not quiet:
                 self.get_logger().info("the axis resumes")
+        if self._pulses is not None:
+            for _ in range(int(row[signals.TRIGGER_IN])):
+                self._pulses.publish(Empty())
         self._output.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))

@@ -30,13 +30,15 @@ from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import chosen_qos, diagnostics_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.reference_source import KEPT
 from hysteresis_ros.nodes.scan_clock import KEPT as KEPT_MARKS
-from hysteresis_ros.nodes.scan_clock import NAMES as OF_A_MARK
 from hysteresis_ros.nodes.scan_clock import TOPIC as SCAN_CLOCK
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
+from hysteresis_ros.nodes.triggers import KEPT as KEPT_TRIGGERS
+from hysteresis_ros.nodes.triggers import TOPIC as TRIGGERS
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
 from hysteresis_ros.recordings.provenance import FILES, RECORD, packed_files, provenance
 from hysteresis_ros.recordings.run_bag import CHUNK_TIME, AxisTopics, SampleWriter
+from hysteresis_ros.references.triggers import makes_triggers
 from hysteresis_ros.signals import ACTUATOR, ENDED, INCHWORM, PLANT, AxisKind
 
 #: Topic of the change log.
@@ -109,6 +111,8 @@ class RecorderNode(AxisNode):
         scans = described is not None and described.node("reference_generator", space).get("waveform.type") == "scan"
         self._scan_clock = SCAN_CLOCK if scans else ""
         self._axis_kind = INCHWORM if motor else ACTUATOR
+        source = self._axis_kind.source
+        self._triggers = described is not None and makes_triggers(described.node(source, space))
         self._topics = sampled_topics(self._axis_kind, parameters.external_plant)
         loggers = {*self._axis_kind.nodes}
         self._loggers = loggers - {PLANT} if parameters.external_plant else loggers
@@ -202,6 +206,8 @@ class RecorderNode(AxisNode):
         self._record(CHANGES, String, self.changes_qos(), "transient_local")
         if self.scan_clock and self.runner.by_message:
             self._record(self.scan_clock, JointState, loop_qos(self.runner.keeps, KEPT_MARKS), durability)
+        if self._triggers and self.runner.by_message:
+            self._record(TRIGGERS, JointState, loop_qos(self.runner.keeps, KEPT_TRIGGERS), durability)
         if self._axis_kind.motor:
             self._record("speed", Float64, setpoint_qos(), "volatile")
         if self.hears_diagnostics:
@@ -331,10 +337,10 @@ class RecorderNode(AxisNode):
         self._counts = [taken.first + count - self._lost] * len(self._topics)
         self._arrived = True
 
-    def write_scan_clock(self, topic: str, stamp: int, values: list[float]) -> None:
-        """Write what begins in a scan that a loop in this process runs."""
+    def write_message(self, topic: str, stamp: int, names: tuple[str, ...], values: list[float]) -> None:
+        """Write what begins in a scan, or a trigger, of a loop in this process."""
         if self.recording is not None and self.active and self.running:
-            self.recording.attempt(lambda bag: bag.write_joint_state(topic, stamp, OF_A_MARK, values))
+            self.recording.attempt(lambda bag: bag.write_joint_state(topic, stamp, names, values))
 
     def _take_changes(self) -> None:
         """Write the change logs of this process; in the bag they precede the samples that need them."""

@@ -27,12 +27,13 @@ from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros import signals
 from hysteresis_ros.loop.parameters import ReferenceNodeParameters
-from hysteresis_ros.loop.source import GeneratorSource, generate
+from hysteresis_ros.loop.source import GeneratorSource, refer
 from hysteresis_ros.loop.tick import Laws
-from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING
+from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STOPPED
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.reference_source import ReferenceSource
+from hysteresis_ros.nodes.reference_source import ReferenceSource, nanoseconds
+from hysteresis_ros.nodes.scan_clock import NAMES as CLOCK_NAMES
 from hysteresis_ros.nodes.scan_clock import TOPIC, ScanClockTopic
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE, WINDOW, Pairing
@@ -205,12 +206,7 @@ class ExternalRun:
             node.warn("waiting", text, every=START_REPORT)
 
 
-_GENERATE = interpreted(generate)
-
-
-def nanoseconds(stamp) -> int:
-    """Return a stamp [ns]."""
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+_REFER = interpreted(refer)
 
 
 class ReferenceGeneratorNode(ReferenceSource):
@@ -240,10 +236,11 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     def step(self) -> None:
         """Run the reference source of the loop on the row."""
-        _GENERATE(self._laws, self._arrays, self.row)
+        _REFER(self._laws, self._arrays, self.row)
 
     def after_step(self) -> None:
         """Update the pending moves, and the setpoint that a trajectory may have set."""
+        super().after_step()
         self.setpoint = self.row[signals.SETPOINT]
         if self.trajectories is not None:
             self.trajectories.look()
@@ -258,8 +255,9 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._connect_part()
 
     def retuned(self, parameters) -> None:
-        """Let the clock follow another waveform."""
+        """Let the clock follow another waveform, and offer triggers."""
         super().retuned(parameters)
+        self.offer_triggers(parameters)
         if parameters.waveform != self.parameters.waveform:
             if self.is_fused:
                 self.fused.show()  # the samples of the previous waveform
@@ -290,8 +288,14 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._laws = Laws(*(self.part.waveform,) * len(Laws._fields))
         self._arrays = self.part.arrays
 
+    def note_pulses(self) -> None:
+        """Follow a trigger input that starts or holds the generator."""
+        if self.parameters.triggers.input.action in ("start", "hold"):
+            self.running = self.row[signals.SOURCE_MODE] != STOPPED
+
     def before_step(self) -> None:
-        """Put the setpoint into the row."""
+        """Put setpoint and pulses of the trigger input into the row."""
+        super().before_step()
         self.row[signals.SETPOINT] = self.setpoint
 
     def connect(self) -> None:
@@ -340,12 +344,10 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     def show_all(self, first: int, table) -> None:
         """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
-        self.look_at(table.T.tolist())
+        super().show_all(first, table)
         clock = self.scan_clock
         if clock is not None:
-            recorder = self.fused.nodes.get("recorder")
-            if recorder is not None:
-                clock.record = lambda stamp, values: recorder.write_scan_clock(clock.name, stamp, values)
+            self.recorded(clock, CLOCK_NAMES)
             clock.take_all(first, table, self.fused.plant.stamps.of_all, self.scan_axis)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
@@ -409,12 +411,18 @@ class ReferenceGeneratorNode(ReferenceSource):
         # in real time a reference generator without measurements has nothing to answer
         stale = not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate)
         values = {"setpoint_m": f"{self.setpoint:.9g}", "setpoints_refused": self.refused, "stale": stale}
+        lost = 0
+        if self.trigger_out is not None:
+            values["triggers_lost"] = self.trigger_out.lost
+            lost = self.since_report("triggers_lost", self.trigger_out.lost)
         refused = self.since_report("refused", self.refused)
         if stale:
             return 2, "joint_states is stale", values
         if self.row[signals.TRIPPED]:
             return 2, "the plant has stopped the axis", values
         begun = "holds the initial position of the axis; send a setpoint, or call ~/start" if self.unasked else ""
+        if lost:
+            return 1, f"{lost} triggers followed others too fast: move slower, or give them a larger distance", values
         return (1, f"{refused} setpoints refused", values) if refused else (0, begun, values)
 
 

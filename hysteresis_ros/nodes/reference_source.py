@@ -13,15 +13,23 @@ from __future__ import annotations
 
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray, String
 
+from hysteresis_ros import signals
 from hysteresis_ros.loop.description import robot_description
 from hysteresis_ros.loop.parameters import SourceParameters
 from hysteresis_ros.nodes.qos import chosen_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
+from hysteresis_ros.nodes.triggers import INPUT, TriggerTopic
+from hysteresis_ros.nodes.triggers import NAMES as TRIGGER_NAMES
 
 #: Interval of the check for missing samples, and the time they may be missing [s].
 LOOK, SILENCE = 0.1, 0.3
+
+
+def nanoseconds(stamp) -> int:
+    """Return a stamp [ns]."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 #: Queue depth of the accepted setpoints for a recorder.
@@ -44,6 +52,10 @@ class ReferenceSource(Responder):
     setpoint = 0.0
     #: Last published value of ``~/settled``; None: a node without topics has nothing to withdraw.
     _told: bool | None = False
+    #: Topic of the triggers; None: the axis makes none.
+    trigger_out: TriggerTopic | None = None
+    #: Pulses of the trigger input for the next sample.
+    pulses = 0
 
     def connect(self) -> None:
         """Create the topics."""
@@ -61,6 +73,10 @@ class ReferenceSource(Responder):
         heard = chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability)
         self.subscriber(Float64, "setpoint", self._on_setpoint, heard)
         self.subscriber(Float64MultiArray, "~/commands", self._on_commands, setpoint_qos())
+        self.trigger_out, self.pulses = None, 0
+        self.offer_triggers(self.parameters)
+        if self.parameters.triggers.input.action != "none":
+            self.subscriber(Empty, INPUT, self._on_pulse, setpoint_qos())
 
     def begin(self) -> None:
         """Start the check for missing samples: an axis that is not measured has not settled."""
@@ -86,6 +102,59 @@ class ReferenceSource(Responder):
     def show_all(self, first: int, table) -> None:
         """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
         self.look_at(table.T.tolist())
+        if self.trigger_out is not None:
+            self.recorded(self.trigger_out, TRIGGER_NAMES)
+            self.trigger_out.take_all(first, table, self.fused.plant.stamps.of_all)
+        if table[signals.TRIGGER_IN].any():
+            self.note_pulses()
+
+    def offer_triggers(self, parameters) -> None:
+        """Create the topic of the triggers, if these parameters make any and there is none yet."""
+        if parameters.triggers.makes_events and self.trigger_out is None:
+            self.trigger_out = TriggerTopic(self)
+
+    def recorded(self, topic, names) -> None:
+        """Let the recorder of a fused axis write what a topic publishes, from the loop itself."""
+        recorder = self.fused.nodes.get("recorder")
+        if recorder is not None:
+            topic.record = lambda stamp, values: recorder.write_message(topic.name, stamp, names, values)
+
+    def note_pulses(self) -> None:
+        """Follow what pulses of the trigger input have done; a row of the last sample is there."""
+
+    def _on_pulse(self, message) -> None:
+        if not self.active:
+            return
+        if self.is_fused:
+            self.fused.pulse()
+        else:
+            self.pulses += 1
+
+    def before_step(self) -> None:
+        """Put the pulses of the trigger input into the row."""
+        self.row[signals.TRIGGER_IN], self.pulses = float(self.pulses), 0
+
+    def after_step(self) -> None:
+        """Follow what pulses of the trigger input have done."""
+        if self.row[signals.TRIGGER_IN] > 0.0:
+            self.note_pulses()
+
+    def miss_sample(self) -> None:
+        """Process a sample without a measurement, and without pulses of the trigger input."""
+        self.row[signals.TRIGGER_IN] = 0.0
+        super().miss_sample()
+
+    def report(self, stamp) -> None:
+        """Publish the trigger of the sample, then ``~/state``."""
+        if self.trigger_out is not None and self.runner.by_message:
+            self.trigger_out.take(nanoseconds(stamp), self.row)
+        super().report(stamp)
+
+    def reset_blocks(self) -> None:
+        """Reset the part, and count triggers from 1 again."""
+        super().reset_blocks()
+        if self.trigger_out is not None:
+            self.trigger_out.restart()
 
     def tell_settled(self, settled: bool) -> None:
         """Publish whether the axis has settled, when this has changed."""
