@@ -1123,7 +1123,7 @@ def scan_run(
     >>> hr.scan_run(hr.simulate("xy_scanner", duration=0.01)) is None
     True
     """
-    from hysteresis_ros.analysis.scan_report import ScanRun, judged_from
+    from hysteresis_ros.analysis.scan_report import ScanRun, judged_from, trigger_times
 
     run = _recording(source, None)
     configuration = configuration_of(run) if run.axes and run.configuration else None
@@ -1147,7 +1147,8 @@ def scan_run(
     ends = parameters.stage.scan.periods * scan.period or np.inf
     begins = judged_from(scan, time) if first is None else first
     there = (time >= begins - 1e-9) & (time <= last + 1e-9) & (time < ends - 1e-9)
-    return ScanRun(scan, time[there], reference[:, there], displacement[:, there])
+    triggers = trigger_times((run.axis(name) for name in names), time[there], run.time[0])
+    return ScanRun(scan, time[there], reference[:, there], displacement[:, there], triggers)
 
 
 def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:

@@ -107,6 +107,7 @@ def _chart(chart: Chart, columns, points: int) -> dict:
     lines = []
     for line in chart.lines:
         described: dict = {"label": line.label, "colour": line.colour, "width": line.width, "dash": list(line.dash)}
+        described["dots"] = line.dots
         if chart.kind == "time":
             described["y"] = packed(next(columns))
         elif chart.kind == "path":

@@ -122,6 +122,7 @@ class Line:
     dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: a solid line.
     #: shape (N,); Time of each point of a path [s], by which the page selects a part of it.
     key: np.ndarray | None = None
+    dots: bool = False  #: Draw single points in place of a line.
 
 
 @dataclass(frozen=True)
@@ -213,6 +214,10 @@ def chart_figure(chart: Chart):
         style = dict(color=COLOURS[line.colour][0], linewidth=line.width, label=line.label)
         if line.dash:
             style["linestyle"] = (0, line.dash)
+        if line.dots:
+            there = np.isfinite(line.y)
+            axis.plot(line.x[there], line.y[there], **style | dict(linestyle="", marker=".", zorder=3))
+            continue
         if chart.kind == "steps":
             axis.step(line.x, line.y, where="post", **style)
             axis.fill_between(line.x, line.y, step="post", color=style["color"], alpha=0.15, linewidth=0)

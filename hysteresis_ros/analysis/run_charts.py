@@ -26,6 +26,7 @@ from hysteresis_ros.models.adaptation import ADAPTING
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import BRANCH_LEVELS, loop_opening, turning_points
 from hysteresis_ros.recordings.provenance import configured
+from hysteresis_ros.recordings.triggers import triggers_of
 
 #: Approximate largest number of spans that are marked in a chart.
 MOST_MARKS = 500
@@ -139,8 +140,15 @@ def traces_chart(run: Judged) -> Chart:
         for name, style in styles.items()
         if name in signals
     ]
-    marks = _marks(run)
-    return Chart("traces", "Displacement over time", "time [s]", "displacement [µm]", lines, height=3.6, **marks)
+    shown = _marks(run)
+    found = triggers_of(recording)
+    if found.sample.size:
+        places = np.full(len(recording), np.nan)
+        places[found.sample] = (found.position - run.settings.offset) * _MICRO
+        lines.append(Line(f"triggers ({found.sample.size})", "late", recording.time, places, dots=True))
+        lost = f", {found.lost} followed others too fast" if found.lost else ""
+        shown["note"] = f"{shown.get('note', '')} {found.sample.size} triggers{lost}.".strip()
+    return Chart("traces", "Displacement over time", "time [s]", "displacement [µm]", lines, height=3.6, **shown)
 
 
 def error_chart(run: Judged) -> Chart | None:

@@ -17,7 +17,7 @@ other direction in the plane.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,7 @@ from hysteresis_ros.analysis.tables import aligned, shown, shown_row
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import replacing
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.triggers import triggers_of
 from hysteresis_ros.references.scan import AXES, Clock, Scan
 from hysteresis_ros.units import readable
 
@@ -70,6 +71,8 @@ class InPlane:
     displacement: np.ndarray
     #: Names of the axes.
     names: tuple[str, ...] = AXES
+    #: Times of the triggers of all axes [s].
+    triggers: np.ndarray
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -105,6 +108,7 @@ class PlaneRun(InPlane):
     reference: np.ndarray  #: shape (2, N) [m]
     displacement: np.ndarray  #: shape (2, N) [m]; NaN: no measurement.
     names: tuple[str, ...] = AXES[:2]  #: Names of the axes.
+    triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
 
 
 def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
@@ -122,8 +126,15 @@ def plane_of(axes: Mapping[str, Recording]) -> PlaneRun | None:
     displacement = np.array([run["displacement"] for run in (one, other)])
     begin = max(map(scan_start, reference, displacement))
     names = (first.rpartition(" ")[2], second.rpartition(" ")[2])
-    found = PlaneRun(one.time[begin:], reference[:, begin:], displacement[:, begin:], names)
+    times = one.time[begin:]
+    found = PlaneRun(times, reference[:, begin:], displacement[:, begin:], names, trigger_times((one, other), times))
     return found if np.any(found.counted) else None
+
+
+def trigger_times(runs: Iterable[Recording], time: np.ndarray, origin: float = 0.0) -> np.ndarray:
+    """Return the times of the triggers of axes within those of a run, both [s], counted from ``origin`` [s]."""
+    found = np.sort(np.concatenate([triggers_of(run).time for run in runs])) - origin
+    return found[(found >= time[0]) & (found <= time[-1])]
 
 
 def plane_figures(run: PlaneRun) -> dict[str, float]:
@@ -140,6 +151,7 @@ class ScanRun(InPlane):
     time: np.ndarray  #: shape (N,); Time since the beginning of the scan, increasing [s].
     reference: np.ndarray  #: shape (axes, N) [m]
     displacement: np.ndarray  #: shape (axes, N) [m]; NaN: no measurement.
+    triggers: np.ndarray = field(default_factory=lambda: np.zeros(0))  #: shape (M,); Times of triggers [s].
 
     def __post_init__(self):
         """Refuse inconsistent shapes, and a run without a sample that counts."""
@@ -328,6 +340,10 @@ def path_figure(run: InPlane):
     wanted = run.reference[:2, there[starts]] * _MICRO
     axis.plot(*wanted, color=COLOURS["setpoint"][0], linewidth=2.6, alpha=0.35, label="reference", zorder=1)
     axis.add_collection(lines)
+    if run.triggers.size:
+        places = [np.interp(run.triggers, run.time, way) * _MICRO for way in run.displacement[:2]]
+        style = dict(color=COLOURS["late"][0], markersize=6.0, zorder=3)
+        axis.plot(*places, ".", label=f"{run.triggers.size} triggers", **style)
     axis.autoscale_view()
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel=f"{run.names[0]} [µm]", ylabel=f"{run.names[1]} [µm]")

@@ -423,3 +423,30 @@ def reference_options(command):
     for option in reversed(options):
         with_reference = option(with_reference)
     return with_reference
+
+
+def trigger_option(command):
+    """Add the option for triggers to a command, which gets a list of texts ``NAME=VALUE`` as ``triggers``."""
+    text = (
+        "Trigger at positions or times: start=2um, step=0.5um, stop=8um, positions=2um,3um, direction=up, times=0.1s, "
+        "each=line …; repeatable, see docs/triggers.md."
+    )
+    return click.option("--trigger", "triggers", multiple=True, metavar="NAME=VALUE", help=text)(command)
+
+
+def triggering(configuration, triggers: tuple[str, ...], namespace: str | None = None):
+    """Return a configuration whose axes trigger as the texts say.
+
+    In a stage, only the axis in ``namespace`` triggers, if a namespace is given.
+    """
+    from hysteresis_ros.references.scans import parsed_values
+    from hysteresis_ros.references.triggers import TriggerParameters
+    from hysteresis_ros.signals import MOTOR_SOURCE, SOURCE
+
+    if not triggers:
+        return configuration
+    rows = {row.name: row for row in TriggerParameters.table()}
+    values = {f"triggers.{name}": value for name, value in parsed_values(triggers, rows).items()}
+    only = f"{namespace.strip('/')}/" if namespace and configuration.stage is not None else ""
+    motor = any(configuration.describes(MOTOR_SOURCE, space) for space in configuration.namespaces())
+    return configuration.override(f"{only}{MOTOR_SOURCE if motor else SOURCE}", **values)

@@ -15,7 +15,15 @@ from typing import Any
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, Quantity, laid_under, params_file_option, reference_options
+from hysteresis_ros.cli.options import (
+    ConfigurationName,
+    Quantity,
+    laid_under,
+    params_file_option,
+    reference_options,
+    trigger_option,
+    triggering,
+)
 from hysteresis_ros.cli.progress import shown
 
 
@@ -48,13 +56,14 @@ from hysteresis_ros.cli.progress import shown
     "--scan", metavar="KIND", help="Scan that a stage follows; NAME=VALUE are its parameters, see `hysteresis scan`."
 )
 @reference_options
+@trigger_option
 @click.option(
     "--namespace",
     help="Axis to use, if the configuration describes several; in a stage, the axis that gets the faults or the "
     "reference.",
 )
 def simulate(
-    config, values, output, laid_over, duration, setpoints, faults, learned, drift, scan, namespace, reference
+    config, values, output, laid_over, duration, setpoints, faults, learned, drift, scan, namespace, reference, triggers
 ):
     """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals.
 
@@ -70,6 +79,7 @@ def simulate(
     from hysteresis_ros.recordings.files import load_run, save_run
 
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
+    configuration = triggering(configuration, triggers, namespace)
     if values and scan is None:
         raise click.UsageError(f"{values[0]} belongs to a scan: give one, for instance --scan raster")
     if scan is not None:
@@ -82,7 +92,8 @@ def simulate(
             if value:
                 raise click.UsageError(f"{option} is for a single axis, and {configuration.source} describes a stage")
         with reference.named():
-            _simulate_stage(configuration, output, duration, setpoints, faults, namespace, bool(reference.kind))
+            asked = bool(reference.kind or triggers)
+            _simulate_stage(configuration, output, duration, setpoints, faults, namespace, asked)
         return
     with reference.named():
         parameters = single_axis(configuration, namespace)
@@ -105,6 +116,7 @@ def simulate(
             click.echo(line)
     rate = parameters.plant_simulator.sample_rate
     click.echo(f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s)")
+    _say_triggers(recording)
     generator = parameters.reference_generator
     if generator is not None and generator.waveform.type == "hold" and setpoints is None:
         click.echo(
@@ -117,6 +129,17 @@ def simulate(
 
         name = ERROR_NAMES[int(recording["error"][-1])]
         click.echo(f"hysteresis: warning: the motor stopped with the error {name}; see hysteresis report", err=True)
+
+
+def _say_triggers(recording, axis: str = "") -> None:
+    """Print the number of triggers of an axis, if it has any."""
+    from hysteresis_ros.recordings.triggers import triggers_of
+
+    found = triggers_of(recording)
+    if found.sample.size:
+        lost = f"; {found.lost} more followed others too fast" if found.lost else ""
+        first, last = found.time[0], found.time[-1]
+        click.echo(f"{axis}{found.sample.size} triggers from {first:.9g} to {last:.9g} s{lost}")
 
 
 def _simulate_stage(configuration, output, duration, setpoints, faults, namespace, scans) -> None:
@@ -151,6 +174,7 @@ def _simulate_stage(configuration, output, duration, setpoints, faults, namespac
     for name, figures in axes_figures(recording).items():
         rms, peak = readable(figures["rms_error_m"], "m"), readable(figures["max_error_m"], "m")
         click.echo(f"{name}: RMS error {rms}, maximum {peak}")
+        _say_triggers(recording.axis(name), f"{name}: ")
         if faults:
             for line in mode_lines(recording.axis(name)):
                 click.echo(f"{name}: {line}")

@@ -26,6 +26,8 @@ from hysteresis_ros.cli.options import (
     reference_options,
     split_options,
     splitting,
+    trigger_option,
+    triggering,
 )
 
 
@@ -74,6 +76,7 @@ from hysteresis_ros.cli.options import (
     help="Inject this fault; repeatable.",
 )
 @reference_options
+@trigger_option
 @click.option(
     "--log-level",
     type=click.Choice(["debug", "info", "warn", "error", "fatal"]),
@@ -100,6 +103,7 @@ def up(
     faults,
     log_level,
     reference,
+    triggers,
 ):
     """Start all nodes of CONFIG and stop them together.
 
@@ -116,12 +120,14 @@ def up(
     configuration = laid_under(config, laid_over)
     coupled = configuration.stage is not None
     configuration = reference.put_into(configuration, namespace if coupled else None)
+    configuration = triggering(configuration, triggers, namespace if coupled else None)
     configuration = _overridden(configuration, rate, factor, force, plant)
     configuration = splitting(configuration, max_bag_size, max_bag_duration)
     stage = None
     with reference.named():
         if coupled:
-            stage = _stage(configuration, faults, namespace if faults or not reference.kind else None, duration)
+            asked = bool(reference.kind or triggers)
+            stage = _stage(configuration, faults, namespace if faults or not asked else None, duration)
             stage = stage.in_time() if rate is None and processes is None else stage
             require_messages(stage)
             found = list(stage.axes)

@@ -92,6 +92,10 @@ function lineSeries(chart, line) {
     points: { show: false },
     value: (u, value) => digits(value, 6),
   };
+  if (line.dots) {
+    series.paths = () => null;
+    series.points = { show: true, size: 5, fill: colour(line.colour) };
+  }
   if (chart.kind === "steps") {
     series.paths = uPlot.paths.stepped({ align: 1 });
     if (!line.dash.length) series.fill = colour(line.colour) + "26";
