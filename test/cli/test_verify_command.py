@@ -19,6 +19,8 @@ from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.recordings.provenance import LARGEST, packed_files
 
@@ -96,3 +98,15 @@ def test_a_file_that_is_too_large_for_the_recording_has_to_be_the_same_on_the_di
     assert code == 2 and f"{scan}: the run used this file" in line
     scan.unlink()
     assert verify(path) == (code, line)
+
+
+def test_files_of_the_axes_of_a_stage_are_those_of_the_recording_too(tmp_path):
+    scan, path = tmp_path / "scan.csv", tmp_path / "run.npz"
+    scan.write_text("reference [um]\n" + "".join(f"{0.01 * k:.2f}\n" for k in range(50)))
+    followed = {"waveform__type": "file", "waveform__file__path": str(scan), "waveform__file__sample_time": 1e-4}
+    configuration = load_configuration("xy_scanner").override("y/reference_generator", **followed)
+    run = simulate_stage(StageParameters.from_configuration(configuration), duration=0.01)
+    run.metadata.update(files=packed_files([scan]))
+    save_run(run, path)
+    scan.unlink()
+    assert verify(path) == (0, f"{path}: 100 samples equal the offline twin bit for bit, none missing\n")

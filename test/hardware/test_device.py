@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 
 import pytest
@@ -19,7 +20,15 @@ import pytest
 from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, HardwareDriver, Reading
+from hysteresis_ros.hardware.driver import (
+    Capabilities,
+    Driver,
+    DriverError,
+    HardwareDriver,
+    Reading,
+    highest_rate,
+    ramp,
+)
 
 
 class Stage(Driver):
@@ -147,3 +156,40 @@ def test_attempts_in_the_background_end_with_the_device(declared):
     Stage.raised.clear()
     device._insist(over, 0.0, lambda: pytest.fail("after the end"), lambda: pytest.fail("after the end"))
     assert Stage.calls.count("make_safe") == attempts
+
+
+def test_one_infinite_position_of_several_is_no_reading(monkeypatch):
+    class Two(Stage):
+        def open(self, parameters, sample_rate):
+            return Capabilities(2, 1, -10.0, 100.0, 1000.0)
+
+    device = Device(HardwareDriver("two", "of a test", Parameters, Two, contextlib.nullcontext), Parameters(), 100.0)
+    monkeypatch.setattr(Stage, "positions", (0.0, math.inf))
+    with pytest.raises(DriverError, match="an infinite position"):
+        device.read()
+    monkeypatch.setattr(Stage, "positions", (0.0, math.nan))
+    assert device.read()[0] == 0.0
+
+
+@pytest.mark.parametrize(("slow", "rate"), [(0, 500.0), (4, 500.0), (6, 5.0)])
+def test_the_highest_rate_leaves_half_of_a_period_in_nine_of_ten_samples(monkeypatch, slow, rate):
+    """Fifty samples of 1 ms, of which some take 100 ms: up to five of them may be missed."""
+    now, number = [0.0], [0]
+    monkeypatch.setattr("hysteresis_ros.hardware.driver.time.perf_counter", lambda: now[0])
+
+    def read() -> None:
+        now[0] += 0.1 if number[0] % 8 == 0 and number[0] < 8 * slow else 1e-3
+        number[0] += 1
+
+    assert highest_rate(lambda: None, read) == pytest.approx(rate)
+
+
+def test_a_ramp_has_equal_steps_and_ends_where_it_should(monkeypatch):
+    waited, way = [], []
+    monkeypatch.setattr("hysteresis_ros.hardware.driver.time.sleep", waited.append)
+    ramp(way.append, 80.0, 20.0, 0.4)
+    assert way == pytest.approx([80.0 - 3.0 * step for step in range(1, 21)])
+    assert sum(waited) == pytest.approx(0.4, rel=0.06)
+    way.clear()
+    ramp(way.append, 20.0, 20.0, 0.4)
+    assert way == [20.0]

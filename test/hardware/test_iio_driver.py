@@ -125,6 +125,7 @@ def test_a_range_that_the_device_says_is_taken(tree):
         ({"input_channel": "voltage9"}, None, "has no channel in_voltage9, it has temp, voltage0, voltage1"),
         ({"output_raw_range": ()}, None, "has no range for out_voltage3_raw; give iio.output_raw_range"),
         ({"safe_voltage": 9.0}, None, "range of -5.12 … 5.1175 V, which does not contain iio.safe_voltage = 9 V"),
+        ({"safe_voltage": -9.0}, None, "range of -5.12 … 5.1175 V, which does not contain iio.safe_voltage = -9 V"),
         ({}, (1, "out_voltage3_scale", None), "has no scale for out_voltage3_raw"),
         ({}, (1, "out_voltage3_scale", "big"), "has 'big' in out_voltage3_scale, which is not a number"),
         ({}, (0, "in_voltage1_raw", "?"), r"has '\?' in in_voltage1_raw, which is not a number"),

@@ -308,3 +308,9 @@ def test_the_page_about_many_axes_runs():
     for snippet in snippets:
         exec(compile(snippet, "docs/scale.md", "exec"), names)
     assert len(snippets) == 2 and names["voltages"].shape == (1024,) and names["run"].voltage.shape == (64, 300)
+
+
+def test_every_axis_has_its_own_range_of_setpoints():
+    one, most = parameters(**HOLD), [5e-6, 7e-6, 6e-6]
+    array = AxisArray(parameters_of_each(one, 3, {"reference_generator.maximum": most}))
+    np.testing.assert_array_equal(array.setpoint_range, [[one.generator.minimum, end] for end in most])

@@ -509,3 +509,10 @@ def test_rows_are_those_of_a_single_axis():
     found = stage().run({name: np.zeros(2) for name in "xy"})
     assert list(found["x"]) == ["time", *(signal.name for signal in at.ACTUATOR.row)]
     assert as_values(internal_structure())["structure__inputs"] == 2
+
+
+def test_a_run_of_a_stage_is_as_long_as_that_of_its_longest_axis():
+    scans = {"waveform__type": "triangle", "waveform__frequency": 50.0, "waveform__cycles": 2}
+    holds = {"waveform__type": "hold"}
+    for x, y in ((scans, holds), (holds, scans), (scans, scans | {"waveform__cycles": 1})):
+        assert stage(x__reference_generator=x, y__reference_generator=y).default_samples() == 400

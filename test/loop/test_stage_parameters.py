@@ -139,7 +139,11 @@ def _full(blocks) -> np.ndarray:
 @pytest.mark.parametrize(
     ("node", "values", "words"),
     [
-        ("x__plant_simulator", {"driver": "loopback"}, ""),
+        (
+            "x__plant_simulator",
+            {"driver": "simulated"},
+            "/x/plant_simulator: driver = 'simulated': a stage can only be simulated: remove driver",
+        ),
         (
             "y__*",
             {"sample_rate": 5000.0},

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from hysteresis_ros.loop.pacing import Samples  # noqa: E402
-from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
+from hysteresis_ros.nodes.recorder import STRIDE, RecorderNode  # noqa: E402
 
 
 class Written:
@@ -119,3 +119,101 @@ def test_a_log_that_has_not_ended_is_waited_for_while_there_is_hope():
     assert RecorderNode._lacking_changes(SimpleNamespace(**gone)) == set()
     late = values | {"_last_arrival": now - 2e6}
     assert RecorderNode._lacking_changes(SimpleNamespace(**late)) == set()
+
+
+def tending(**values):
+    """Let a recorder that has heard nothing for a while look whether it may exit; return whether it did."""
+    left = []
+    given = {
+        "take_samples": lambda: None,
+        "_arrived": False,
+        "_last_arrival": time.monotonic() - 1e6,
+        "_opened": SimpleNamespace(tend=lambda least: None, stopped=""),
+        "parameters": SimpleNamespace(min_space=1),
+        "_began": True,
+        "end_of_run": 20,
+        "runner": SimpleNamespace(exact=False),
+        "_lacking_changes": lambda: set(),
+        "leave_when_done": lambda: left.append(True),
+    }
+    RecorderNode._tend(SimpleNamespace(**(given | values)))
+    return bool(left)
+
+
+def test_a_recorder_exits_after_the_end_of_the_run_and_a_silence_only():
+    assert tending()
+    assert not tending(end_of_run=-1), "the axis is only silent"
+    assert not tending(_arrived=True)
+    assert not tending(_lacking_changes=lambda: {"plant_simulator"})
+    assert not tending(runner=SimpleNamespace(exact=True)), "in lockstep is_done decides"
+
+
+def test_every_stride_of_samples_is_acknowledged_once():
+    sent = []
+    recorder = recorder_of(
+        [0, 0],
+        _arrived=False,
+        _began=True,
+        _acknowledged=0,
+        runner=SimpleNamespace(exact=True, heard=lambda: None),
+        pace=SimpleNamespace(tick=lambda: None),
+    )
+    recorder._send_acknowledgement = lambda: (RecorderNode._send_acknowledgement(recorder), sent.append(recorder))
+    for _ in range(4 * STRIDE):
+        for index in (0, 1):
+            RecorderNode._note(recorder, index)
+    assert recorder.sent == [STRIDE, 2 * STRIDE, 3 * STRIDE, 4 * STRIDE]
+
+
+def test_messages_that_the_recording_lacks_are_said_with_their_topic_and_number():
+    said = []
+    recorder = SimpleNamespace(
+        recording=SimpleNamespace(stopped=""),
+        bag=None,
+        end_of_run=20,
+        _topics=(("joint_states",), ("command",), ("voltage",)),
+        _counts=[20, 17, 25],
+        get_logger=lambda: SimpleNamespace(warning=said.append),
+    )
+    RecorderNode.release(recorder)
+    assert said == ["messages missing from the recording: command 3"]
+    recorder._counts = [20, 20, 20]
+    RecorderNode.release(recorder)
+    assert len(said) == 1
+
+
+def health(age=0.0, free=1e9, end=-1, stopped=""):
+    """Return level and text of the health of a recorder at 100 Hz whose last sample is so old [s]."""
+    opened = SimpleNamespace(message_count=7, stopped=stopped, free=free, path="bag")
+    recorder = SimpleNamespace(
+        pace=SimpleNamespace(age=age),
+        parameters=SimpleNamespace(sample_rate=100.0, min_space=1e6, warn_space=2e6),
+        end_of_run=end,
+        _opened=opened,
+        _acknowledged=3,
+        bag=opened,
+    )
+    return RecorderNode.health(recorder)[:2]
+
+
+def test_the_health_of_a_recorder_tells_what_is_lost_before_what_may_be():
+    assert health() == (0, "")
+    assert health(age=1e3) == (2, "joint_states is stale") and health(age=1e3, end=20) == (0, "")
+    assert health(free=1.5e6) == (1, "only 1.5 MB are free on the disk of bag")
+    assert health(age=1e3, free=0.0, stopped="the disk is full") == (2, "recording ended: the disk is full")
+
+
+def test_a_chunk_is_open_no_longer_than_its_time(tmp_path):
+    """The bag is looked at once in a period, so a chunk may be older by one period than the flush time."""
+    for chunk_time, period in ((1.0, 0.1), (0.1, 0.05)):
+        parameters = SimpleNamespace(
+            path=str(tmp_path / f"bag{chunk_time}"),
+            min_space=0,
+            max_bag_size=0,
+            max_bag_duration=0.0,
+            chunk_time=chunk_time,
+        )
+        recorder = SimpleNamespace(parameters=parameters, described=(), _configuration="", _period=period)
+        bag = RecorderNode.open_bag(recorder, parameters)
+        assert 0.0 < bag._flush_time + period <= chunk_time + 1e-12
+        bag.finish()

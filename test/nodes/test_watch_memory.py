@@ -54,6 +54,8 @@ def test_samples_that_never_came_are_counted_as_lost_and_are_no_error():
     assert memory.lost == 3 and memory.skipped == 2
     error = memory.last("error", 1.0)
     assert error.size == 18 and np.isnan(error[10:13]).all() and np.isfinite(error[13:]).all()
+    # a signal that only motors have
+    assert memory.value(signals.SKIPPED) == 0.0 and np.isnan(memory.value(signals.MOTOR_ROW - 1))
     # numbers that restart belong to another run
     assert not memory.add(block(2, measured=[0.0]))
     assert memory.lost == 3

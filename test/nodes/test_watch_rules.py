@@ -132,6 +132,26 @@ def test_one_page_writes_at_a_time():
     assert control.ask(1, "10.0.0.1") and control.told(1)["mine"] and not control.told(2)["mine"]
 
 
+def test_the_page_that_has_the_control_has_it_since_it_took_it(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("hysteresis_ros.laboratory.watch.access.time.time", lambda: now[0])
+    control = Control()
+    control.ask(1, "10.0.0.1")
+    now[0] = 200.0
+    assert control.ask(1, "10.0.0.9", by_force=True) and not control.ask(2, "10.0.0.2")
+    assert control.told(2) == {"mine": False, "holder": "10.0.0.1", "since": 100.0}
+
+
+def test_a_page_without_new_samples_gets_nothing_and_goes_on_where_it_was():
+    history, view = History(len(SHOWN), 10_000), View(1.0, 100, 1000.0, 0)
+    history.append(np.ones((len(SHOWN), 500)))
+    assert parts_of(view.frame(history))[0]["fresh"]
+    assert view.frame(history) is None
+    history.append(np.ones((len(SHOWN), 100)))
+    header, bins = parts_of(view.frame(history))
+    assert not header["fresh"] and header["first"] * header["length"] == 500 and bins.shape[1] == 10
+
+
 def parts_of(frame: bytes) -> tuple[dict, np.ndarray]:
     """Return the header of a frame and its signals, shape (signals, bins, 2)."""
     (length,) = struct.unpack("<I", frame[:4])

@@ -144,6 +144,38 @@ def test_a_setpoint_is_answered_and_a_refusal_is_the_nodes_own():
     served(check)
 
 
+def test_the_tables_of_an_axis_are_sent_once_and_again_after_a_change():
+    async def check(bench):
+        page = await bench.page()
+
+        def heard(what: str) -> int:
+            return sum(what in said for said in page.said)
+
+        await page.until(lambda said: heard("status") >= 3)
+        assert heard("axis") == 1
+        bench.link.version += 1
+        before = heard("status")
+        await page.until(lambda said: heard("status") >= before + 3)
+        assert heard("axis") == 2
+
+    served(check)
+
+
+def test_a_stop_that_nothing_confirms_says_whether_the_axis_is_silent(monkeypatch):
+    monkeypatch.setattr(server, "STOP", 0.2)
+
+    async def check(bench):
+        bench.link.stop = lambda: None
+        page = await bench.page()
+        said = await page.ask(do="stop")
+        assert not said["ok"] and "the plant does not confirm it: switch the amplifier off" in said["text"]
+        monkeypatch.setattr("hysteresis_ros.laboratory.watch.memory.SILENT", -1.0)
+        said = await page.ask(do="stop")
+        assert not said["ok"] and "the axis is silent: it is unknown whether it has stopped" in said["text"]
+
+    served(check)
+
+
 def test_a_page_that_leaves_before_its_answer_ends_nothing():
     left: Future = Future()
     assert left.cancel()

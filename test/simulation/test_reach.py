@@ -85,6 +85,11 @@ def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are
         axis(reference_generator=sine(1e-7, 1600.0, 1e-6))
     with pytest.raises(ParameterError, match=r"waveform\.frequency = 600.0: must be ≤ 500 Hz.*responds a sample late"):
         axis(reference_generator=sine(1e-7, 600.0, 1e-6))
+    late = {"motion_controller": {"type": "pid", "pid__Ki": 1.0, "model__dynamics__delay": 2.0 / 3000.0}}
+    with pytest.raises(
+        ParameterError, match=r"waveform\.frequency = 200.0: must be ≤ 166.667 Hz.*responds 3 samples late"
+    ):
+        axis(reference_generator=sine(1e-7, 200.0, 1e-6), **late)
     axis(reference_generator=sine(1e-7, 600.0, 1e-6), motion_controller={"type": "open_loop"})
     axis(
         reference_generator=sine(1e-7, 600.0, 1e-6),

@@ -11,11 +11,24 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sweep_support import asked
 
-from hysteresis_ros.laboratory.sweeps.summary import Summary, met, parse_bound, sensitivity, yield_of
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.laboratory.sweeps.plan import Levels
+from hysteresis_ros.laboratory.sweeps.summary import (
+    Summary,
+    _metric_line,
+    met,
+    parse_bound,
+    sensitivity,
+    to_json,
+    yield_of,
+)
 from hysteresis_ros.laboratory.sweeps.sweep import Results
 
 
@@ -69,3 +82,28 @@ def test_a_sensitivity_of_which_runs_are_missing_is_none_and_says_how_many():
     found = sensitivity(plan, "rms_error_m", values)
     assert not found.columns and found.why.startswith(f"2 of {count} runs have no value")
     assert "the same in all runs" in sensitivity(plan, "rms_error_m", np.ones(count)).why
+
+
+def test_a_fraction_in_percent_and_a_number_are_the_same_bound():
+    both = parse_bound("overshoot_percent=5%"), parse_bound("overshoot_percent=5")
+    assert [bound.high for bound in both] == [pytest.approx(5.0)] * 2
+    assert parse_bound("rms_error_percent_of_stroke=0.1%:0.2%").low == pytest.approx(0.1)
+    with pytest.raises(ConfigurationError, match="is in V, but overshoot_percent is in %"):
+        parse_bound("overshoot_percent=5V")
+
+
+def test_a_single_level_is_the_low_end():
+    for made in (Levels.linear, Levels.logarithmic):
+        assert made(1.0, 4.0, 1).values == (1.0,) and made(1.0, 4.0, 2).values == (1.0, 4.0)
+
+
+def test_quantiles_are_those_of_the_runs_that_have_a_value():
+    """Errors of 0 … 100 nm: half of them are below 50 nm and 95 % below 95 nm; a run without a value has none."""
+    plan = asked(runs=4)[1]
+    summary = Summary(results([*np.linspace(0.0, 1e-7, 101), np.nan]), plan)
+    found = to_json(summary)["metrics"]["rms_error_m"]
+    assert (found["runs"], found["worst_run"]) == (101, 100)
+    assert (found["median"], found["quantile"]) == (pytest.approx(50e-9), pytest.approx(95e-9))
+    text = _metric_line(Summary(replace(summary.results, parameters={"gain": np.zeros(102)}), plan), "rms_error_m")
+    assert re.search(r"median 50\S* nm, 95 % below 95\S* nm, worst 100\S* nm in run 100", text), text
+    assert text.endswith("; 1 runs have no value")
