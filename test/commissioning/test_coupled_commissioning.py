@@ -14,17 +14,28 @@ from __future__ import annotations
 import pathlib
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from commissioning_support import Willing
 
+from hysteresis_ros.cli.commissioning import coupled_fitting as fitting
 from hysteresis_ros.cli.commissioning.bench import Bench, OfflineBench, require_sound
+from hysteresis_ros.cli.commissioning.closed_loop import SCANNED
 from hysteresis_ros.cli.commissioning.coupled import DESIGNED, StageSituation, plans_of
-from hysteresis_ros.cli.commissioning.coupled_loops import repeated, steps
+from hysteresis_ros.cli.commissioning.coupled_loops import Range, repeated, scan_size, steps
+from hysteresis_ros.cli.commissioning.coupled_measuring import identification_excitation, predicted_swings
 from hysteresis_ros.cli.commissioning.coupled_stages import COUPLED_STAGES
-from hysteresis_ros.cli.commissioning.situation import COMMISSIONED, IDENTIFIED, SECTION, CommissioningError, Folder
+from hysteresis_ros.cli.commissioning.situation import (
+    COMMISSIONED,
+    IDENTIFIED,
+    SECTION,
+    CommissioningError,
+    Folder,
+    Outcome,
+)
 from hysteresis_ros.cli.commissioning.stages import commission
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
@@ -233,6 +244,12 @@ def alike(signals):
     signals["x/measured"], signals["y/measured"] = both, both.copy()
 
 
+def crossed(signals):
+    """Each sensor shows more of the other axis than of its own."""
+    x, y = signals["x/measured"], signals["y/measured"]
+    signals["x/measured"], signals["y/measured"] = x + 1.5 * y, 1.5 * x + y
+
+
 def far(signals):
     """The sensor of y reads millimetres."""
     signals["y/measured"] += 5e-3
@@ -266,6 +283,7 @@ WRONG = [
     ("gain", reversed_sign, "gain: axis y: the sign is reversed"),
     ("gain", blind, "gain: axis y: the sensor does not move with the actuator"),
     ("gain", alike, "gain: the gains are singular: the direction"),
+    ("gain", crossed, "gain: the relative gain of x is -0.8"),
     ("multisine", deaf, "multisine: axis y: the response to the multisine is below its noise"),
     ("hysteresis", short, "hysteresis: axis y: the sensor stays at its highest reading"),
 ]
@@ -297,6 +315,21 @@ def test_an_error_beyond_its_prediction_ends_with_exit_code_4(done, tmp_path):
     words = ("--offline", "--resume", "--directory", tmp_path / "kept")
     answer = CliRunner().invoke(main, ["commission", *map(str, (tmp_path / "scanner.yaml", *words))])
     assert answer.exit_code == 4 and "judge: already done" in answer.output, answer.output
+
+
+def test_the_error_of_each_scan_is_its_own_and_is_compared_with_its_prediction(done, tmp_path):
+    def buzzing(signals):
+        signals["x/measured"] += 2e-6 * np.sin(0.05 * np.arange(signals["x/measured"].size))
+
+    found, before = repeated_stage(done, tmp_path, "scan", buzzing).figures, done[0].found["scan"].figures
+    error = np.hypot(before["x"]["rms_error_m"], 2e-6 / np.sqrt(2.0))
+    assert found["x"]["rms_error_m"] == pytest.approx(error, rel=0.05)
+    assert found["x"]["predicted_rms_m"] == before["x"]["predicted_rms_m"]
+    assert (
+        found["x"]["ratio"] == pytest.approx(error / before["x"]["predicted_rms_m"], rel=0.05)
+        and not found["as_predicted"]
+    )
+    assert found["y"]["ratio"] == before["y"]["ratio"] < 1.5
 
 
 def test_a_loop_that_disturbs_another_is_named(done, tmp_path):
@@ -337,6 +370,86 @@ def test_a_safe_voltage_within_the_range_is_where_everything_begins_and_ends(tmp
     found = OfflineBench().run(run.with_duration(0.75))
     assert np.allclose(found["x/voltage"], 30.0, atol=0.01) and np.allclose(found["y/voltage"], 30.0, atol=0.01)
     assert run.axes[0].plant_simulator.limits.minimum == pytest.approx(30.0, abs=0.02)
+
+
+def test_each_axis_is_limited_by_its_own_plan(tmp_path):
+    further = "\n/y/commissioning:\n  ros__parameters: {maximum: 60.0, slew_rate: 4000.0}\n"
+    found = StageParameters.from_configuration(sitting(tmp_path, further=further).within())
+    for axis, most, slew in zip(found.axes, (100.0, 60.0), (70000.0, 4000.0), strict=True):
+        for node in (axis.plant_simulator, axis.hysteresis_compensator):
+            assert (node.limits.maximum, node.limits.slew_rate) == (most, slew)
+    x, y = (axis.plant_simulator.overtravel for axis in found.axes)
+    assert x == pytest.approx(0.5 * 56.94e-6, rel=1e-3) and y == pytest.approx(0.6 * x, rel=1e-9)
+
+
+@pytest.mark.parametrize(("swings", "least"), [((1e-7, 1e-7), None), ((9e-6, 1e-6), "x"), ((1e-6, 9e-6), "y")])
+def test_the_multisine_moves_no_axis_by_more_than_a_quarter_of_its_stroke(tmp_path, swings, least):
+    situation = sitting(tmp_path)
+    figures = {name: {"swing_m": swing} for name, swing in zip("xy", swings, strict=True)}
+    situation.found["resonance"] = Outcome([], figures)
+    found = identification_excitation(situation)
+    moved = predicted_swings(situation, found.amplitude)
+    quarter = {name: 0.25 * plan.stroke for name, plan in situation.plans.items()}
+    if least is None:
+        assert found.amplitude == 1.0 and all(moved[name] < quarter[name] for name in "xy")
+    else:
+        assert moved[least] == pytest.approx(quarter[least], rel=5e-3)
+        assert all(moved[name] <= 1.005 * quarter[name] for name in "xy")
+
+
+def test_a_scan_beyond_the_range_of_an_axis_is_refused():
+    def size(stroke):
+        plans = {"x": SimpleNamespace(scan_stroke=stroke)}
+        return scan_size(SimpleNamespace(plans=plans), "x", Range(-10e-6, 30e-6, 0.0))
+
+    assert size(0.0) == pytest.approx(SCANNED * 40e-6) and size(39e-6) == 39e-6
+    with pytest.raises(CommissioningError, match="axis x: a scan of 41 µm was requested, but it reaches 40 µm"):
+        size(41e-6)
+
+
+@pytest.mark.parametrize(
+    ("error", "loops", "said"),
+    [(0.19, 4.9, ""), (0.21, 1.0, "21 % of the motion"), (0.01, 5.1, "5.1 % of the stroke: more than 20 %")],
+)
+def test_a_model_that_fits_one_of_both_recordings_only_is_refused(tmp_path, monkeypatch, error, loops, said):
+    figures = {f"loops_{name}_rmse_percent_of_stroke": loops if name == "y" else 1.0 for name in "xy"}
+    figures |= {"type": "hammerstein", "order": 4, "lines": 9}
+    held = SimpleNamespace(errors=np.array([1e-8, error * 1e-6]), motion=np.array([1e-6, 1e-6]))
+    found = SimpleNamespace(text="", figures=figures, held_out=held, warnings=())
+    monkeypatch.setattr(fitting, "identification_data", lambda *given: (None, None))
+    monkeypatch.setattr(fitting, "reading_of", lambda *given: None)
+    monkeypatch.setattr(fitting, "identify_stage", lambda *given: found)
+    monkeypatch.setattr(fitting, "write_file", lambda *given: None)
+    monkeypatch.setattr(fitting, "_pictures", lambda *given: [])
+    monkeypatch.setattr(Folder, "recording", lambda *given: None)
+    situation = sitting(tmp_path)
+    if not said:
+        assert (
+            "y: held out 0.19 µm RMS, 19 % of the motion; loops 4.9 %" in fitting.identify_coupled(situation).lines[2]
+        )
+        return
+    with pytest.raises(CommissioningError, match=f"y: held out .*{said}.*the model is not fit for feedback"):
+        fitting.identify_coupled(situation)
+
+
+def test_loops_are_designed_for_the_noisiest_sensor_and_must_be_stable_together(done, monkeypatch):
+    situation, heard = done[0], []
+    text = (situation.folder.path / DESIGNED).read_text(encoding="utf-8")
+    noise = {name: {"noise_rms_m": level} for name, level in (("x", 7e-9), ("y", 3e-9))}
+    situation = replace(situation, found={**situation.found, "noise": Outcome([], noise)})
+
+    def designed(given, parameters, request, level, *more):
+        heard.append(level)
+        return text, {"x": None}, []
+
+    monkeypatch.setattr(fitting, "design_identified", designed)
+    margins = SimpleNamespace(together=SimpleNamespace(alpha=-0.1, gain_margin=0.0))
+    monkeypatch.setattr(fitting, "disk_margins", lambda *given: margins)
+    kept = (situation.folder.path / COMMISSIONED).read_bytes()
+    with pytest.raises(CommissioningError, match="each loop is stable alone, but all together are not"):
+        fitting.design_coupled(situation)
+    assert heard == [7e-9]
+    (situation.folder.path / COMMISSIONED).write_bytes(kept)
 
 
 def test_a_plan_beyond_the_plants_is_refused(tmp_path):

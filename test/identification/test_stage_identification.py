@@ -28,7 +28,7 @@ from hysteresis_ros.analysis.stage_identification_report import write_stage_iden
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
-from hysteresis_ros.designs.stage_identification import StageRequest, identify_stage  # noqa: E402
+from hysteresis_ros.designs.stage_identification import StageRequest, _responses, identify_stage  # noqa: E402
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError  # noqa: E402
 from hysteresis_ros.identification.data import DataError  # noqa: E402
 from hysteresis_ros.identification.excitations import orthogonal_multisines  # noqa: E402
@@ -201,6 +201,20 @@ def test_a_linear_stage_is_found_again(linear, which):
     # the decoupled commands are displacements
     gain = stage.structure.linear.dc_gain @ stage.matrix("decoupling")
     np.testing.assert_allclose(gain, np.eye(2), atol=1e-9)
+
+
+def test_what_is_held_out_does_not_change_the_response():
+    data = realisations(recorded(excitation()))
+    disturbed = data.y.copy()
+    disturbed[-1] += 1e-6 * np.random.default_rng(9).standard_normal(disturbed[-1].shape)
+    (plain,), kept = _responses(data, 1)
+    (other,), judged = _responses(replace(data, y=disturbed), 1)
+    np.testing.assert_array_equal(other.response.response, plain.response.response)
+    np.testing.assert_array_equal(judged[0].y, disturbed[-1:])
+    np.testing.assert_array_equal(kept[0].y, data.y[-1:])
+    # without a realisation that is held out, all of them count
+    assert _responses(data, 0)[1] is None
+    assert not np.array_equal(_responses(data, 0)[0][0].response.response, plain.response.response)
 
 
 def test_noise_is_told_from_the_response(linear):

@@ -236,6 +236,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     assert counted[0] >= 10 and not journal.exists()
     assert same_bits(load(path), whole)
     assert same_bits(sweep(*asked(runs=40), path), whole)  # nothing remains to do
+    assert same_bits(sweep(*asked(runs=25), path), whole)  # a shorter sweep is part of it
     longer = sweep(*asked(runs=55), path, workers=1)
     assert same_bits(longer, sweep(*asked(runs=55), workers=1))
 
