@@ -263,7 +263,10 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     axis = motor(time_mode="realtime")
     slow = replace(axis.plant_simulator, real_time_factor=0.03, voltage_timeout=0.01, safe_slew_rate=1.0e5)
     slow = replace(slow, late_limit=-1)
-    nodes = compose(inside, replace(axis, plant_simulator=slow))
+    # late voltages of a busy machine let the slider slip, which is not the subject
+    guard = replace(axis.inchworm_sequencer.guard, runaway=1.0, still_steps=1000)
+    unguarded = replace(axis.inchworm_sequencer, guard=guard)
+    nodes = compose(inside, replace(axis, plant_simulator=slow, inchworm_sequencer=unguarded))
     plant, sequencer = nodes["plant_simulator"], nodes["inchworm_sequencer"]
     voltages = {
         name: observer.listen(Float64, f"/{name}/voltage", QoSProfile(depth=1000))
@@ -271,8 +274,8 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     }
     until(lambda: plant.count_subscribers("/front_clamp/voltage") == 2)
     inside.spin()
-    until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0, what="two steps")
-    assert plant.part.motor.displacement > 8.0e-6  # two steps; late voltages shorten them
+    # two steps, and more on a busy machine: late voltages shorten them
+    until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0 and plant.part.motor.displacement > 8.0e-6, what="two steps")
     # the sequencer freezes during a step: the plant closes open clamps, the controller holds
     until(lambda: sequencer.sequencer.phase == "carrying")
     sequencer.active = False
