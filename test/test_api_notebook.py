@@ -75,7 +75,7 @@ def test_what_a_notebook_shows_fits_a_cell(found, data):
     pytest.importorskip("matplotlib", reason="cells have plots")
     objects = {**shown(), "found": found, "checked": hr.validate(found, data), "data": data}
     for name, item in objects.items():
-        assert len(repr(item)) < 500 and "\n" not in repr(item), name
+        assert len(repr(item)) < 600 and "\n" not in repr(item), name
         text = item._repr_html_()
         assert text.startswith("<div>") and text.endswith("</div>") and len(text) < 300_000, name
         assert ("data:image/png;base64," in text) == (name != "design"), name

@@ -43,6 +43,7 @@ SNIPPETS = {
     "scale": "test/loop/test_axis_arrays.py",
     "scans": "test/references/test_scans.py",
     "benchmark": "test/benchmark/test_benchmark_command.py",
+    "triggers": "test/loop/test_triggers_in_the_loop.py",
     "coupled_identification": "recordings of one's own; test/identification/test_coupled_identification.py",
     "epics": "ophyd and bluesky are not installed",
 }

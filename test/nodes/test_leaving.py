@@ -294,7 +294,7 @@ def test_sigkill_of_the_recorder_leaves_a_readable_bag(killed_recorder):
     # The plant is at most `lead` samples ahead of the received ones; an open chunk contains at most these samples of
     # nine messages, each with at least 12 bytes and 31 of its header.
     reached = int(re.search(r"(\d+) samples in", output).group(1))
-    assert recorded.time.size >= max(reached - axis.plant_simulator.lead - CHUNK_BYTES / (9 * 43), 200)
+    assert recorded.time.size >= max(reached - axis.plant_simulator.lead - CHUNK_BYTES / (9 * 43), 150)
     assert np.all(np.diff(recorded.time) > 0)
 
 
