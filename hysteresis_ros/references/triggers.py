@@ -134,7 +134,7 @@ class TriggerParameters(Parameters):
 
     @property
     def gap(self) -> float:
-        """Least distance of two positions of one direction [m]; infinite: there is none."""
+        """Least distance of two positions of one direction [m]; infinite with fewer than two positions."""
         return min(float(np.min(np.diff(some), initial=math.inf)) for some in (self.up, self.down))
 
     def rearmed(self, low: float, high: float) -> float:
