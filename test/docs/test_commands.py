@@ -32,6 +32,7 @@ TRIED_ELSEWHERE = {
     **{name: "test/nodes/test_remote.py" for name in ("setpoint", "status", "set", "get", "call", "echo")},
     "up": "test/nodes/test_lockstep.py",
     "doctor": "test/cli/test_doctor_command.py",
+    "commission": "test/commissioning/test_coupled_commissioning.py",
 }
 #: Pages whose Python code is run by other tests, or needs something that is not available here, with the reason.
 SNIPPETS = {
