@@ -15,12 +15,12 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import Quantity
+from hysteresis_ros.cli.options import Quantity, RunFile
 
 
 @click.command(short_help="Measure displacements in a video or a folder of pictures.")
 @click.argument("frames", type=click.Path(path_type=pathlib.Path))
-@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="File to write: .npz, .csv or .mcap.")
+@click.option("-o", "--output", type=RunFile(), help="File to write: .npz, .csv or .mcap.")
 @click.option("--config", help="Take tracking and calibration from displacement_camera in this parameter file.")
 @click.option("--namespace", default="", help="Namespace of the axis in that file.")
 @click.option("--rate", type=Quantity("Hz"), help="Frame rate, such as 30Hz; by default that of the video.")

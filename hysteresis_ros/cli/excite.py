@@ -16,7 +16,14 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, Quantity, reference_options, split_options, splitting
+from hysteresis_ros.cli.options import (
+    ConfigurationName,
+    Quantity,
+    RunFile,
+    reference_options,
+    split_options,
+    splitting,
+)
 from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.references.recipes import RECIPES
 
@@ -185,6 +192,8 @@ def _excite_stage(configuration, asked, record, offline: bool, processes) -> Non
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.recordings.files import load_run, save_run
 
+    if offline:
+        record = RunFile().convert(record, None, click.get_current_context())
     found = excited_stage(configuration, asked, record.with_suffix("") if offline else record)
     stage = found.stage
     axis = stage.axes[0]

@@ -22,6 +22,9 @@ from click.shell_completion import CompletionItem
 
 from hysteresis_ros.cli.progress import Progress
 
+#: Suffixes that ``recordings.files.save_run`` writes.
+RUN_FORMATS = (".npz", ".csv", ".mcap")
+
 
 class ConfigurationName(click.ParamType):
     """A parameter file: a path, or the name of one that comes with the package."""
@@ -61,6 +64,19 @@ class Quantity(click.ParamType):
             return quantity_in(value, self.unit) if isinstance(value, str) else float(value)
         except ValueError as error:
             self.fail(f"{value!r}: {error}", param, ctx)
+
+
+class RunFile(click.ParamType):
+    """A file for a run; a suffix that no format has is refused before the run is made."""
+
+    name = "file"
+
+    def convert(self, value, param, ctx) -> pathlib.Path:
+        """Return the path; click reports a refused suffix, with exit code 2."""
+        path = pathlib.Path(value)
+        if path.suffix.lower() not in RUN_FORMATS:
+            self.fail(f"{path}: unknown kind of file '{path.suffix}'; write {', '.join(RUN_FORMATS)}", param, ctx)
+        return path
 
 
 class WaveformName(click.ParamType):

@@ -18,6 +18,7 @@ import click
 from hysteresis_ros.cli.options import (
     ConfigurationName,
     Quantity,
+    RunFile,
     laid_under,
     params_file_option,
     reference_options,
@@ -30,7 +31,7 @@ from hysteresis_ros.cli.progress import shown
 @click.command(short_help="Simulate a configuration without ROS.")
 @click.argument("config", type=ConfigurationName())
 @click.argument("values", nargs=-1, metavar="[NAME=VALUE]...")
-@click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
+@click.option("-o", "--output", required=True, type=RunFile(), help="File to write: .npz, .csv or .mcap.")
 @params_file_option
 @click.option("--duration", type=Quantity("s"), help="Length of the run [s]; by default that of the configuration.")
 @click.option(

@@ -219,3 +219,18 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
     assert "'/**' is already in line" in refusal("simulate", path, "-o", tmp_path / "a.npz")
     path.write_text(f"{text}\n/**/recorder:\n  ros__parameters:\n    a.b: 1\n    a: {{b: 2}}\n")
     assert "'a.b' occurs twice" in refusal("simulate", path, "-o", tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "kim2009", "-o", "run.txt"),
+        ("excite", "xy_scanner", "--recipe", "multisine", "--offline", "--record", "run.txt"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_kind_of_file_that_no_run_has_is_refused_before_the_run(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = refusal(*words)
+    assert "run.txt: unknown kind of file '.txt'; write .npz, .csv, .mcap" in line and "samples" not in line
+    assert not list(tmp_path.iterdir())
