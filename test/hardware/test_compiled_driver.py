@@ -28,7 +28,8 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import LoopError, ParameterError
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.library import FUNCTIONS
+from hysteresis_ros.hardware.library import FUNCTIONS, LibraryParameters
+from hysteresis_ros.hardware.registry import driver_of
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.device import CompiledPlant, DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
@@ -198,6 +199,13 @@ def test_a_sample_without_a_measurement_is_no_failure(library, kind):
     assert not plant.tripped and np.isfinite(rows[:10, at.MEASURED]).all() and np.isnan(rows[10:, at.MEASURED]).all()
     assert library.noted_writes() == 20
     plant.close()
+
+
+def test_several_joints_without_a_measurement_have_none_each(library):
+    driver = driver_of(str(library.path)).driver()
+    driver.open(LibraryParameters(options=("joints=3", "nothing=1")), 1000.0)
+    np.testing.assert_array_equal(driver.read().positions, [math.nan] * 3)
+    driver.close()
 
 
 def test_the_fused_loop_reads_and_writes_once_a_sample_and_its_twin_is_the_same_bit_for_bit(library):

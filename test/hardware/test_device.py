@@ -158,6 +158,31 @@ def test_attempts_in_the_background_end_with_the_device(declared):
     assert Stage.calls.count("make_safe") == attempts
 
 
+def test_an_attempt_that_waits_for_the_device_while_attempts_end_does_not_begin(declared):
+    """It has waited its time, and then for a call that is still running; meanwhile the attempts were ended."""
+
+    class EndedMeanwhile(threading.Event):
+        def wait(self, timeout=None):
+            self.set()
+            return False
+
+    device = Device(declared, Parameters(), 100.0)
+    device.write([5.0])
+    device._insist(EndedMeanwhile(), 0.0, lambda: True, lambda: pytest.fail("after the end"))
+    assert "make_safe" not in Stage.calls and device.left_at == 5.0
+
+
+def test_a_driver_that_knows_its_output_says_what_is_left(declared, monkeypatch):
+    """It stops halfway on the way from 80 V to its safe voltage."""
+    device = Device(declared, Parameters(), 100.0)
+    monkeypatch.setattr(Stage, "last_output", 40.0)
+    assert device.left_at is None, "no voltage was sent"
+    device.write([80.0])
+    Stage.raised["make_safe"] = OSError("no answer")
+    assert device.left_at == 40.0
+    assert "the output is still at 40 V" in device.close()
+
+
 def test_one_infinite_position_of_several_is_no_reading(monkeypatch):
     class Two(Stage):
         def open(self, parameters, sample_rate):

@@ -109,16 +109,20 @@ def driver(stand):
 
 
 def test_the_controller_plays_and_records_by_itself(stand, driver):
-    k = np.arange(300)
+    k = np.arange(351)  # it ends at 50 V, far from where it begins
     wanted = 30.0 - 20.0 * np.cos(2.0 * np.pi * k / 100.0)
     played = driver.play(wanted, 2.2 * CYCLE)
     assert played.time == pytest.approx(2.0 * CYCLE * k) and played.voltage == pytest.approx(wanted, abs=1e-3)
     # µm and a lag of the stage; the rest is the width of its hysteresis loop
     assert np.ptp(played.position) > 20.0e-6
     assert np.corrcoef(played.voltage[10:], played.position[10:])[0, 1] > 0.9
-    # the change before and after is not a jump
-    driver.read()
+    # the voltage at which it ends is the commanded one, and the change before and after is not a jump
+    assert driver.last_output == pytest.approx(50.0)
+    until(lambda: driver.read().positions[0] > 30.0e-6)
+    stand.heard.clear()
     driver.make_safe()
+    way = [float(line.split()[2]) for line in stand.heard if line.startswith("SVA 1")]
+    assert np.all(np.abs(np.diff(way, prepend=50.0)) <= 40.0 / 20 + 1e-6)
     assert stand.controller.axes["1"].open_value == 10.0
     with_servo = stand.given(mode="servo", servo_scale=1.0e-6)
     driver.close()
@@ -389,6 +393,18 @@ def test_an_axis_that_a_wrong_line_has_stopped_is_safe_and_names_the_line(stand,
     step(plant, row, 24.0, 60)
     assert plant.failure == "" and axis.open_value == pytest.approx(24.0)
     assert plant.close() == "" and axis.open_value == 0.0
+
+
+def test_after_an_error_the_next_reading_takes_the_controller_anew_and_begins_in_the_safe_state(stand, device):
+    device.write([24.0])
+    until(lambda: device.read()[0] > 5.0e-6)
+    stand.say("SVO 1 1")
+    with pytest.raises(DriverError, match="has its servo switched on by another program"):
+        until(lambda: device.read() and False)
+    axis = stand.controller.axes["1"]
+    assert axis.servo
+    device.read()
+    assert not axis.servo and axis.open_value == 0.0
 
 
 def test_a_device_that_is_left_with_a_voltage_says_so_at_the_end(stand):

@@ -137,12 +137,16 @@ def test_links_are_followed_and_their_folders_looked_at(place, tmp_path):
     link = aside / "link.py"
     link.symlink_to("../lab/mine.py")
     assert require_trusted(link) == place
+    absolute = aside / "absolute.py"
+    absolute.symlink_to(place)
+    assert require_trusted(absolute) == place
     aside.chmod(0o777)  # a user who may write here could redirect the link
     assert f"chmod o-w {aside}" in refusal(link)
     assert require_trusted(place) == place
     aside.chmod(0o755)
     place.parent.chmod(0o777)
-    assert f"chmod o-w {place.parent}" in refusal(link)
+    for path in (link, absolute):
+        assert f"chmod o-w {place.parent}" in refusal(path)
     assert f"chmod o-w {place.parent}" in refusal(aside / ".." / "lab" / "mine.py")
 
 
