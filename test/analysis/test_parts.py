@@ -16,7 +16,7 @@ import pytest
 
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import chart_payload
-from hysteresis_ros.analysis.parts import Kind, disturbed, find_parts, period_ends, scan_start, stopped
+from hysteresis_ros.analysis.parts import Kind, disturbed, find_parts, period_ends, scan_start, stopped, within
 from hysteresis_ros.analysis.report import columns_of
 from hysteresis_ros.analysis.run_charts import error_chart, judged, traces_chart
 from hysteresis_ros.analysis.side_by_side import format_runs
@@ -162,6 +162,9 @@ def test_what_stopped_the_nodes_counts_where_no_signal_says_it():
     known = Recording(recording.time, recording.signals, recording.units, {"changes": again})
     assert np.count_nonzero(stopped(known)) == 200 and not stopped(known)[1200:].any()
     assert [part.kind for part in find_parts(STEPS, off=stopped(known))].count(Kind.SHUTDOWN) == 1
+    # a change keeps its sample in an excerpt, also in one of an excerpt
+    excerpt = within(within(known, 0.3, 1.35), 0.2, 1.0)
+    assert np.flatnonzero(stopped(excerpt)).tolist() == list(range(500, 700))
 
 
 def a_table(**other):

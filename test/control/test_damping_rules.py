@@ -29,7 +29,7 @@ from hysteresis_ros.designs.damping import (
     mode_to_damp,
 )
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
+from hysteresis_ros.models.linear import LinearParameters, StateSpace, zero_order_hold
 
 IRC = KINDS["irc"]
 
@@ -149,6 +149,29 @@ def test_a_filter_whose_gain_at_rest_outweighs_the_plant_is_refused(k):
     still = LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,), sample_time=T)
     with pytest.raises(ParameterError, match=r"damping\.irc"):
         damped(still, chosen, T)
+
+
+@pytest.mark.parametrize("gain", [-0.5, 0.0])
+def test_a_filter_of_the_command_that_reverses_or_withholds_it_is_refused(monkeypatch, gain):
+    """It is stable, as the plant is; an achieved command divided by this gain would be the output of the law."""
+    none = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
+    monkeypatch.setitem(
+        KINDS, "notch", replace(KINDS["notch"], filter=lambda given, T: StateSpace(*none, np.array([[gain]])))
+    )
+    with pytest.raises(ParameterError, match=rf"damping\.notch = .*reverses the sign of the plant \(γ = {gain:g}\)"):
+        damped(stage(), replace(DampingParameters(), type="notch"), T)
+
+
+@pytest.mark.parametrize(("states", "fits"), [(8, True), (9, False)])
+def test_a_filter_of_more_states_than_the_loop_has_room_for_is_refused(monkeypatch, states, fits):
+    lags = StateSpace(0.5 * np.eye(states), np.ones((states, 1)), np.full((1, states), 0.1), np.eye(1))
+    monkeypatch.setitem(KINDS, "notch", replace(KINDS["notch"], filter=lambda given, T: lags))
+    chosen = replace(DampingParameters(), type="notch")
+    if fits:
+        assert chosen.filter(T).order == states
+    else:
+        with pytest.raises(ParameterError, match=r"damping\.type = 'notch': has 9 states, at most 8 are allowed"):
+            chosen.filter(T)
 
 
 def margins(bandwidth, peak, late, said=()):

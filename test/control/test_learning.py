@@ -107,6 +107,17 @@ def test_where_commands_were_not_carried_out_it_gives_way():
     assert np.any(m[-1])
 
 
+def test_a_limited_command_of_little_weight_beside_missing_samples_leaves_the_correction_as_it_is():
+    """It gives way only where the limit alone withholds too much of the filter to learn."""
+    block = learning(error_filter=(0.9, 0.005), lead=1)
+    followed(block, (0.0, 0.8), 4)
+    errors = np.where(np.arange(N) % 2, np.nan, LIMITED)
+    held = np.array([learned_correction(block.p, block.x, *both) for both in zip(REFERENCE, errors, strict=True)])
+    given = np.array([learned_correction(block.p, block.x, r, LIMITED) for r in REFERENCE])
+    np.testing.assert_array_equal(given[:-2:2], held[:-2:2])  # 0.9 of it is missing, 0.005 is limited
+    np.testing.assert_allclose(given[1:-2:2], 0.75 * held[1:-2:2], rtol=1e-12)  # the other way round
+
+
 def test_frozen_it_repeats_itself_bit_for_bit_and_forgotten_it_fades_to_nothing():
     block = learning(fade=10 / RATE, error_filter=(0.5,), lead=1)
     followed(block, (0.0, 0.8), 4)
@@ -215,6 +226,15 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
     ):
         with pytest.raises(ParameterError, match=words):
             learning(**{"file": str(path)} | values)
+    # as many samples, but of half the period each
+    write_learned(path, Learned(0.5 * N / RATE, 0.5 / RATE, np.zeros(N), np.zeros(N)))
+    with pytest.raises(ParameterError, match="40 samples of 0.0005 s, but the axis needs 40 samples of 0.001 s"):
+        learning(file=str(path))
+    for wrong in (np.inf, np.nan):
+        for correction, reference in ((wrong, 0.0), (0.0, wrong)):
+            write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, correction), np.full(N, reference)))
+            with pytest.raises(ParameterError, match="must have the same length and contain finite numbers"):
+                learning(file=str(path))
     with pytest.raises(ParameterError, match="no whole period"):
         learning().learned()
 

@@ -243,6 +243,8 @@ def test_wrong_values_of_the_axes_are_refused_by_their_names(each, message):
             {"reference_generator.waveform.type": ["steps", "hold"]},
             "reference_generator: the structure differs",
         ),
+        # of the same parameters and states, so that only the law differs
+        ({"reference_generator.waveform.type": ["sine", "hold"]}, "axis 1: reference_generator: the structure differs"),
         (
             {"hysteresis_compensator.inverse.type": ["exact", "none"]},
             "axis 1: hysteresis_compensator: the structure differs",

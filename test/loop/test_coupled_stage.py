@@ -41,7 +41,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import BEYOND_TRAVEL, PARTNER_LOST
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_simulation import coupling_errors
+from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage
 from hysteresis_ros.models.linear import LinearParameters
 
 
@@ -503,6 +503,27 @@ def test_a_stage_whose_range_is_not_around_zero_begins_at_rest(build):
     assert found[0, 0] > 5e-6
     assert np.ptp(found[:100], axis=0) == pytest.approx(0.0, abs=1e-12)
     assert np.ptp(found[100:, 0]) > 1e-7
+
+
+def test_before_the_first_sample_a_preloaded_stage_is_where_the_first_sample_finds_it():
+    volts = {"limits__minimum": 20.0, "safe_voltage": 20.0}
+    one = linear_stage(nodes=volts, decoupling=[]).parameters
+    plants = [axis.plant_simulator for axis in one.axes]
+    plants = [replace(plant, preload=replace(plant.preload, A1=3e-6)) for plant in plants]
+    axes = tuple(replace(axis, plant_simulator=plant) for axis, plant in zip(one.axes, plants, strict=True))
+    one = Stage(replace(one, axes=axes))
+    before = [plant.actuator.displacement for plant in one.plants]
+    found = one.run({name: np.full(3, 20e-6) for name in "xy"})
+    assert before == [found[name]["displacement"][0] for name in "xy"] == pytest.approx([11.3e-6] * 2, rel=0.03)
+
+
+def test_the_last_setpoint_of_a_run_is_held():
+    parameters = linear_stage().parameters
+    given = {"x": [1e-6, 2e-6, 3e-6], "y": [5e-6]}
+    for duration, count in ((None, 3), (6 * SAMPLE_TIME, 6), (2 * SAMPLE_TIME, 2)):
+        run = simulate_stage(parameters, setpoints=given, duration=duration)
+        np.testing.assert_array_equal(run["x/setpoint"], [1e-6, 2e-6, *[3e-6] * 4][:count])
+        np.testing.assert_array_equal(run["y/setpoint"], [5e-6] * count)
 
 
 def test_rows_are_those_of_a_single_axis():

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import replace
 
@@ -27,7 +28,13 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_response import check_scan, loop_bandwidths, path_bandwidths, scan_warnings
+from hysteresis_ros.loop.stage_response import (
+    check_scan,
+    loop_bandwidths,
+    path_bandwidths,
+    scan_warnings,
+    scanned_paths,
+)
 from hysteresis_ros.loop.stage_simulation import displacements_between, simulate_stage, with_scan
 from hysteresis_ros.models.linear import zero_order_hold
 from hysteresis_ros.references.scan import ScanLimits, frame_marks, largest_frame_rate, line_marks, pixel_marks
@@ -157,6 +164,27 @@ def test_a_scan_beyond_what_actuators_and_samples_can_do_is_refused():
     rate = int(float(words[2]))
     assert 400 < rate < 800
     check_scan(following("lissajous", (*values[:3], values[3].format(rate)), reference_generator=limits))
+
+
+@pytest.mark.parametrize(("middle", "centre"), [(14.0, 6.0), (20.0, 0.0), (26.0, -6.0)])
+def test_a_slow_scan_is_refused_exactly_when_its_commands_leave_the_range(middle, centre):
+    """Setpoint and path are ±8 µm about 20 µm; what 4 % of cross-talk takes from it is more where the other is far."""
+    values = ("width=16um", "depth=16um", "lines=5", "frame_rate=1Hz", f"centre_x={centre}um", f"centre_y={centre}um")
+    place = {"reference_generator": {"initial_setpoint": middle * 1e-6}}
+    free = following("lissajous", values, **place)
+    gain = free.stage.structure.linear.dc_gain
+    least = np.min(np.linalg.solve(gain, middle * 1e-6 + scanned_paths(free)))
+    assert least < 11.5e-6
+    nodes = ("plant_simulator", "hysteresis_compensator")
+    for part, fits in ((0.999, True), (1.001, False)):
+        volts = {"limits__minimum": part * least / 0.4e-6, "safe_voltage": part * least / 0.4e-6}
+        parameters = following("lissajous", values, **{name: LINEAR[name] | volts for name in nodes}, **place)
+        with (
+            contextlib.nullcontext()
+            if fits
+            else pytest.raises(ParameterError, match=r"commands that are 1\.00\d+ times")
+        ):
+            check_scan(parameters)
 
 
 def test_a_kind_that_does_not_exist_and_a_file_without_stage_are_refused():

@@ -15,6 +15,7 @@ import pytest
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import axes, reach_warnings, reachable_displacements
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
@@ -44,6 +45,15 @@ def test_reach_of_the_stack_is_its_major_loop():
     assert high == pytest.approx(0.1025e-6 * 120.0, rel=1e-9)
     falling = 9.0e-8 * -30.0 - 2.5625e-10 * 900.0
     assert low == pytest.approx(falling, rel=1e-9)
+
+
+def test_a_model_of_negative_gain_reaches_the_other_side_of_zero():
+    configuration = load_configuration("picma_stage")
+    turned = configuration.override("motion_controller", model__dynamics__C=[-1.0], model__dynamics__input_scale=1e-6)
+    (low, high), (least, most) = (
+        reachable_displacements(AxisParameters.from_configuration(one)) for one in (configuration, turned)
+    )
+    assert (least, most) == pytest.approx((-high, -low), rel=1e-9, abs=1e-12) and least < -40e-6
 
 
 def test_what_is_within_reach_is_reached_at_rest_and_what_is_refused_is_not():

@@ -316,7 +316,7 @@ def damped(
         values = tuple(getattr(damping, damping.type).to_mapping().items())
         given = ", ".join(f"{name} {value}" for name, value in values)
         if radius < 1.0:
-            remedy = f"reverses the sign of the plant (γ = {loop.forward:.4g}); lower the gain of the damping"
+            remedy = f"reverses the sign of the plant (γ = {loop.direct:.4g}); lower the gain of the damping"
         else:
             remedy = (
                 f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
