@@ -19,6 +19,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
+from std_msgs.msg import Float64  # noqa: E402
+
 from hysteresis_ros.loop.pacing import Samples  # noqa: E402
 from hysteresis_ros.nodes.recorder import STRIDE, RecorderNode  # noqa: E402
 
@@ -69,6 +71,31 @@ def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_cou
         taken = Samples(20, np.zeros((3, 5)), np.arange(5), None, 3)
         RecorderNode.take_samples(recorder)
         assert recorder._lost == 10 and recorder._counts == [15, 15] and said[1][0].startswith("3 samples")
+
+
+@pytest.mark.parametrize(("publishers", "recorded"), [(0, [b"given"]), (1, [])])
+def test_setpoints_are_recorded_as_sent_where_no_node_reports_those_that_it_has_taken(publishers, recorded):
+    written, received = [], []
+    bag = SimpleNamespace(add_topic=lambda *given: None, write=lambda topic, kind, data, stamp: written.append(data))
+    recorder = SimpleNamespace(
+        resolve_topic_name=lambda topic: f"/{topic}",
+        subscriber=lambda kind, topic, write, *given, **more: (
+            received.append(write) or SimpleNamespace(topic_name=topic)
+        ),
+        count_publishers=lambda topic: publishers,
+        recording=SimpleNamespace(attempt=lambda what: what(bag)),
+        active=True,
+        running=True,
+        _unfinished=bag,
+        _taken="/setpoint_taken",
+    )
+    RecorderNode._record(recorder, "setpoint", Float64, None, "volatile")
+    received[0](b"given")
+    assert written == recorded
+    # what is reported as taken is always written, under the name of the setpoint
+    RecorderNode._record(recorder, "setpoint", Float64, None, "volatile", heard="/setpoint_taken")
+    received[1](b"taken")
+    assert written == [*recorded, b"taken"]
 
 
 def recorder_of(counts, **values):
