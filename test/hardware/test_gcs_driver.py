@@ -111,7 +111,7 @@ def driver(stand):
 def test_the_controller_plays_and_records_by_itself(stand, driver):
     k = np.arange(351)  # it ends at 50 V, far from where it begins
     wanted = 30.0 - 20.0 * np.cos(2.0 * np.pi * k / 100.0)
-    played = driver.play(wanted, 2.2 * CYCLE)
+    played = driver.play(wanted, 1.7 * CYCLE)
     assert played.time == pytest.approx(2.0 * CYCLE * k) and played.voltage == pytest.approx(wanted, abs=1e-3)
     # µm and a lag of the stage; the rest is the width of its hysteresis loop
     assert np.ptp(played.position) > 20.0e-6
