@@ -35,6 +35,7 @@ References
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -181,40 +182,51 @@ class ModalTrial:
     values: np.ndarray  #: Parameters of the search.
 
 
-def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray:
-    """Return the response of 1/(s - p), delayed, to a held input, shape (n,), sampled just before the input changes.
+@functools.lru_cache(maxsize=8)
+def _backward(frequencies: bytes, sample_time: float) -> np.ndarray:
+    """Return 1/z at frequencies [Hz], given as the bytes of their array; cached, because a search needs it often."""
+    return np.exp(-2j * np.pi * sample_time * np.frombuffer(frequencies))
 
-    Units: ``pole`` [rad/s], ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
-    """
+
+def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return 1/z, 1/z of the next sample after the whole samples of a delay, and the remaining part of a sample."""
+    back = _backward(np.asarray(frequencies, dtype=float).tobytes(), sample_time)
     whole = int(np.floor(delay / sample_time + 1e-9))
-    part = max(delay / sample_time - whole, 0.0)
-    late = np.expm1(pole * (1.0 - part) * sample_time) / pole
-    early = np.expm1(pole * sample_time) / pole - late
-    z = np.exp(2j * np.pi * frequencies * sample_time)
-    return z**-whole * (late + early / z) / (z - np.exp(pole * sample_time))
+    return back, back ** (whole + 1) if whole else back, max(delay / sample_time - whole, 0.0)
 
 
 def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
     """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) to a held input, shape (n, 2).
 
-    Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
+    They are sampled just before the input changes. Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
+    back, shift, part = _shifted(frequencies, sample_time, delay)
     omega = 2.0 * np.pi * frequency
     pole = omega * complex(-damping, np.sqrt(1.0 - damping**2))
-    one, other = (held_pole(p, frequencies, sample_time, delay) for p in (pole, pole.conjugate()))
-    spread = pole - pole.conjugate()
-    return np.column_stack(
-        [omega**2 / spread * (one - other), omega / spread * (pole * one - pole.conjugate() * other)]
-    )
+    late = np.expm1(pole * (1.0 - part) * sample_time) / pole
+    early = np.expm1(pole * sample_time) / pole - late
+    decay = np.exp(pole * sample_time)
+    # 1/(s - p) becomes (late + early/z)/(z - decay); the difference to its conjugate has real coefficients
+    numerator = np.array([late, early - late * decay.conjugate(), -early * decay.conjugate()])
+    denominator = 1.0 + back * (-2.0 * decay.real + abs(decay) ** 2 * back)
+    shift = shift / (denominator * pole.imag)
+    found = np.empty((len(back), 2), dtype=complex)
+    for column, factor, (n0, n1, n2) in (
+        (0, omega**2, numerator.imag),
+        (1, omega, (pole * numerator).imag),
+    ):
+        found[:, column] = factor * shift * (n0 + back * (n1 + n2 * back))
+    return found
 
 
 def _lag_column(lag, frequencies, sample_time, delay):
-    if lag > 0.0:
-        return held_pole(-1.0 / lag, frequencies, sample_time, delay) / lag
-    whole = int(np.floor(delay / sample_time + 1e-9))
-    part = max(delay / sample_time - whole, 0.0)
-    z = np.exp(2j * np.pi * frequencies * sample_time)
-    return z ** -(whole + 1) * ((1.0 - part) + part / z)
+    """Return the response of a lag to a held input, shape (n,), sampled just before the input changes."""
+    back, shift, part = _shifted(frequencies, sample_time, delay)
+    if not lag > 0.0:
+        return shift * ((1.0 - part) + part * back)
+    late = -np.expm1(-(1.0 - part) * sample_time / lag)
+    early = -np.expm1(-sample_time / lag) - late
+    return shift * (late + early * back) / (1.0 - np.exp(-sample_time / lag) * back)
 
 
 class ModalSearch:
@@ -236,8 +248,12 @@ class ModalSearch:
         """Weight the frequencies of all further fits by the residual noise of a response."""
         noise = self.spectra.noise(response)
         around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
-        self.variance = np.maximum(noise, SMALLEST_ERROR**2 * around)
-        self.weight = np.sqrt(self.power / self.variance)
+        self._set(np.maximum(noise, SMALLEST_ERROR**2 * around))
+
+    def _set(self, variance) -> None:
+        """Weight the frequencies of all further fits by a variance."""
+        self.variance, self.weight = variance, np.sqrt(self.power / variance)
+        self.target = self.weight * self.estimate
 
     def cost(self, response) -> float:
         """Return twice the negative log-likelihood, up to a constant."""
@@ -254,7 +270,7 @@ class ModalSearch:
         kept = np.arange(len(spectra.input)) != fold
         sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
         other = ModalSearch(replace(spectra, **sums))
-        other.variance, other.weight = self.variance, np.sqrt(other.power / self.variance)
+        other._set(self.variance)
         return other
 
     def unpack(self, structure: ModalStructure, values):
@@ -297,15 +313,13 @@ class ModalSearch:
     def solve(self, columns):
         """Return the coefficients of the columns and the weighted residual, real and imaginary parts."""
         table = self.weight[:, None] * columns
-        table = np.concatenate([table.real, table.imag])
-        target = self.weight * self.estimate
-        target = np.concatenate([target.real, target.imag])
-        size = np.linalg.norm(table, axis=0)
+        turned = table.conj().T
+        gram = (turned @ table).real
+        size = np.sqrt(gram.diagonal())
         size[size == 0.0] = 1.0
-        table = table / size
-        gram = table.T @ table + 1e-12 * np.eye(len(size))
-        coefficients = np.linalg.solve(gram, table.T @ target)
-        return coefficients / size, table @ coefficients - target
+        gram = gram / (size[:, None] * size) + 1e-12 * np.eye(len(size))
+        coefficients = np.linalg.solve(gram, (turned @ self.target).real / size) / size
+        return coefficients, (table @ coefficients - self.target).view(float)
 
     def fit(self, structure: ModalStructure, starts, evaluations: int = MOST_EVALUATIONS) -> ModalTrial:
         """Return the best trial of a structure from several starts."""
@@ -373,6 +387,8 @@ def in_series(lag: float, pairs) -> tuple[Mode, ...]:
 TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 #: Largest number of structures with an equal number of modes that are compared on held-out segments.
 JUDGED = 3
+#: Number of evaluations after which the structures are compared for the first time, and number of those continued.
+SCREENED, CONTINUED = 10, 4
 #: A larger structure must predict better in at least this number of folds. Each added mode must also improve the
 #: prediction at frequencies within this factor of its own.
 MAJORITY, NEARBY_FREQUENCY = 3, 1.4
@@ -395,8 +411,7 @@ def choose_dynamics(
     search.weigh(largest[-1].response)
     judged = [_left_out(search, search.fit(trial.structure, [trial.values])) for trial in plain]
     for trial in largest[1:]:
-        variants = [search.fit(structure, [start]) for structure, start in _variants(search, trial, parts, zeros)]
-        variants.sort(key=lambda found: search.cost(found.response) + _price(spectra) * found.structure.numbers)
+        variants = _best_variants(search, trial, parts, zeros)
         judged += [_left_out(search, found) for found in variants[:JUDGED]]
     return _chosen(judged, spectra)
 
@@ -485,6 +500,17 @@ def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):
     for has_lag, has_delay, series in itertools.product(*(_choices(part, parts) for part in PAIR), places):
         head = [np.log(lag or 2.0 * search.T)] * has_lag + [delay / search.T or 0.3] * has_delay
         yield ModalStructure(has_lag, has_delay, trial.structure.modes, series), np.append(head, tail)
+
+
+def _best_variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool) -> list[ModalTrial]:
+    """Return the structures with the same modes that fit best; the others are stopped after a few evaluations."""
+
+    def worth(found: ModalTrial) -> float:
+        return search.cost(found.response) + _price(search.spectra) * found.structure.numbers
+
+    variants = [search.fit(*one, SCREENED) for one in ((a, [b]) for a, b in _variants(search, trial, parts, zeros))]
+    ahead = sorted(variants, key=worth)[:CONTINUED]
+    return sorted((search.fit(found.structure, [found.values]) for found in ahead), key=worth)
 
 
 def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:

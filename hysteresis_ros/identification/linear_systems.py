@@ -14,8 +14,8 @@ signal) or band-limited between its samples (a multisine below the Nyquist frequ
 
 *Linear part* of a Hammerstein model (:class:`LinearPart`): creep, a first-order lag, modes, and a delay. The
 displacement is assumed linear between samples, which distinguishes lags shorter than a sample; dynamics identified for
-the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors at once (convolution
-by FFT), which makes joint fits of hysteresis and dynamics fast. :func:`undo` is their inverse.
+the held voltage itself (``hold``) are exact for it. The filters act on all columns of regressors at once
+(:mod:`.parallel_sections`), which makes joint fits of hysteresis and dynamics fast. :func:`undo` is their inverse.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ import numpy as np
 import scipy
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.parallel_sections import Section, filtered
 from hysteresis_ros.models.creep import Creep, CreepParameters, LogarithmicCreepParameters, creep, creep_inverse
-from hysteresis_ros.models.linear import BOUNDARY, LinearDynamics, LinearParameters, StateSpace, zero_order_hold
+from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace, zero_order_hold
 
 
 class FitError(IdentificationError):
@@ -371,18 +372,6 @@ SMALLEST_RATE = 1e-5
 RESPONSES = 16
 
 
-def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
-    """Return the response of a lag 1/(τ s + 1), initially zero, to ``x``, shape (N, ...), linear between the samples.
-
-    Units: ``time_constant`` [s], ``sample_time`` [s].
-    """
-    if time_constant <= SHORTEST_LAG * sample_time:
-        return np.array(x, dtype=float)
-    decay = np.exp(-sample_time / time_constant)
-    part = -np.expm1(-sample_time / time_constant) * time_constant / sample_time
-    return scipy.signal.lfilter([1.0 - part, part - decay], [1.0, -decay], x, axis=0)
-
-
 @dataclass(frozen=True)
 class LinearPart:
     """Creep, then a lag in parallel with modes, then a delay."""
@@ -413,21 +402,7 @@ class LinearPart:
         """
         unit = np.zeros(samples)
         unit[0] = 1.0
-        feedthrough, weights, time_constants = self.creep.resolved()
-        response = feedthrough * unit
-        for weight, time_constant in zip(weights, time_constants, strict=True):
-            response += weight * first_order_hold(unit, time_constant, sample_time)
-        if self.hold and abs(self.hold - sample_time) < 1e-6 * sample_time:
-            block = LinearDynamics(self.dynamics(sample_time), sample_time)
-            return np.append(block.output(), block.simulate(response)[:-1])
-        behind = (1.0 - sum(mode.position for mode in self.modes)) * first_order_hold(response, self.lag, sample_time)
-        for mode in self.modes:
-            behind += _mode_filter(mode, response, sample_time)
-        delay = self.delay + 0.5 * self.hold
-        if delay > 0.0:
-            place = np.arange(samples) - delay / sample_time
-            behind = np.interp(place, np.arange(-1, samples), np.append(0.0, behind))
-        return behind
+        return replace(self, settled=False).apply(unit, sample_time)
 
     def apply(self, columns, sample_time: float) -> np.ndarray:
         """Return the columns, shape (N,) or (N, m), filtered by the linear part.
@@ -435,12 +410,19 @@ class LinearPart:
         Units: ``sample_time`` [s].
         """
         columns = np.asarray(columns, dtype=float)
-        first = columns[:1] if self.settled else np.zeros_like(columns[:1])
-        length, response = _spectrum(self, len(columns), sample_time)
-        shaped = response if columns.ndim == 1 else response[:, None]
-        spectra = scipy.fft.rfft(columns - first, length, axis=0)
-        moved = scipy.fft.irfft(spectra * shaped, length, axis=0)[: len(columns)]
-        return moved + first * self.settled_gain
+        table = columns[:, None] if columns.ndim == 1 else columns
+        first = table[:1] if self.settled else np.zeros((1, table.shape[1]))
+        moved = table - first if self.settled else table
+        if self.creep_rate >= SMALLEST_RATE:
+            feedthrough, weights, time_constants = self.creep.resolved()
+            crept = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
+            moved = filtered(moved, [Section(feedthrough), *crept])
+        held = bool(self.hold) and abs(self.hold - sample_time) < 1e-6 * sample_time
+        sections, late = _held_stage(self, sample_time) if held else _linear_stage(self, sample_time)
+        moved = _delayed(filtered(moved, sections), late)
+        if self.settled:
+            moved += first * self.settled_gain
+        return moved.reshape(columns.shape)
 
     @property
     def group_delay(self) -> float:
@@ -534,11 +516,82 @@ class LinearPart:
         return A, B[:, None], C, direct
 
 
+def _delayed(columns, samples: float) -> np.ndarray:
+    """Return the columns, shape (N, m), later by a number of samples, interpolated linearly and zero before."""
+    whole = int(samples + 1e-9)
+    part = max(samples - whole, 0.0)
+    if not whole and part < 1e-9:
+        return columns
+    found = np.empty_like(columns)
+    kept = max(len(columns) - whole, 0)
+    found[:whole] = 0.0
+    if part < 1e-9:
+        found[whole:] = columns[:kept]
+    else:
+        np.multiply(columns[:kept], 1.0 - part, out=found[whole:])
+        found[whole + 1 :] += part * columns[: max(kept - 1, 0)]
+    return found
+
+
+def _linear_stage(part: LinearPart, sample_time: float) -> tuple[list[Section], float]:
+    """Return lag and modes for an input that is linear between the samples, and the delay [samples]."""
+    direct = 1.0 - sum(mode.position for mode in part.modes)
+    sections = [_lag_section(part.lag, direct, sample_time), *(_mode_section(mode, sample_time) for mode in part.modes)]
+    return sections, (part.delay + 0.5 * part.hold) / sample_time
+
+
+def _held_stage(part: LinearPart, sample_time: float) -> tuple[list[Section], float]:
+    """Return lag and modes for an input that is held over a sample, and the delay [samples] of what is measured."""
+    samples = part.delay / sample_time
+    if not part.modes:
+        return [_held_section(part.lag, sample_time)], 1.0 + samples
+    whole = int(samples + 1e-9)
+    early = max(samples - whole, 0.0)
+    early = early if early >= 1e-9 else 0.0
+    direct = 1.0 - sum(mode.position for mode in part.modes)
+    sections = [_held_mode(mode, sample_time, early) for mode in part.modes]
+    if abs(direct) >= 1e-9:
+        sections.append(_held_section(part.lag, sample_time, early, direct))
+    return sections, 1.0 + whole
+
+
+def _lag_section(time_constant: float, weight: float, sample_time: float) -> Section:
+    """Return a lag for an input that is linear between the samples, times ``weight``."""
+    if time_constant <= SHORTEST_LAG * sample_time:
+        return Section(weight)
+    decay = np.exp(-sample_time / time_constant)
+    part = -np.expm1(-sample_time / time_constant) * time_constant / sample_time
+    return Section(weight * (1.0 - part), weight * (part - decay), a1=-decay)
+
+
+def _held_section(lag: float, sample_time: float, early: float = 0.0, weight: float = 1.0) -> Section:
+    """Return a lag for a held input that changes after the fraction ``early`` of a sample, times ``weight``."""
+    if lag <= SHORTEST_LAG * sample_time:
+        return Section(weight * (1.0 - early), weight * early)
+    decay = np.exp(-sample_time / lag)
+    late = -np.expm1(-(1.0 - early) * sample_time / lag)
+    return Section(weight * late, weight * (1.0 - decay - late), a1=-decay)
+
+
 @lru_cache(maxsize=RESPONSES)
-def _spectrum(part: LinearPart, samples: int, sample_time: float) -> tuple[int, np.ndarray]:
-    """Return the length of the Fourier transforms and the transform of the impulse response; cached for searches."""
-    length = scipy.fft.next_fast_len(2 * samples - 1, real=True)
-    return length, scipy.fft.rfft(part.impulse(samples, sample_time), length)
+def _mode_section(mode: Mode, sample_time: float) -> Section:
+    """Return a mode for an input that is linear between the samples."""
+    A, B, C = mode.state_space()
+    system = scipy.signal.cont2discrete((A, B[:, None], C[None], np.zeros((1, 1))), sample_time, method="foh")
+    numerator, denominator = scipy.signal.ss2tf(*system[:4])
+    return Section(*np.ravel(numerator).tolist(), *denominator[1:].tolist())
+
+
+@lru_cache(maxsize=RESPONSES)
+def _held_mode(mode: Mode, sample_time: float, early: float) -> Section:
+    """Return a mode for a held input that changes after the fraction ``early`` of a sample."""
+    A, B, C = mode.state_space()
+    step, both = zero_order_hold(A, B, sample_time)
+    late = zero_order_hold(A, B, (1.0 - early) * sample_time)[1][:, 0]
+    trace, determinant = float(np.trace(step)), float(np.linalg.det(step))
+    # C (z - A)^-1 b = (C b/z + (C A b - tr(A) C b)/z^2)/(1 - tr(A)/z + det(A)/z^2)
+    first, other = ((C @ b, C @ step @ b - trace * (C @ b)) for b in (late, both[:, 0] - late))
+    return Section(float(first[0]), float(first[1] + other[0]), float(other[1]), -trace, determinant)
 
 
 class Known(NamedTuple):
@@ -546,14 +599,6 @@ class Known(NamedTuple):
 
     part: LinearPart
     parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched nevertheless.
-
-
-def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:
-    """Return the response of a mode to ``x``, which is linear between the samples."""
-    A, B, C = mode.state_space()
-    system = scipy.signal.cont2discrete((A, B[:, None], C[None], np.zeros((1, 1))), sample_time, method="foh")
-    numerator, denominator = scipy.signal.ss2tf(*system[:4])
-    return scipy.signal.lfilter(np.ravel(numerator), denominator, x)
 
 
 def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParameters:

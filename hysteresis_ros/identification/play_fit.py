@@ -143,13 +143,13 @@ class WeightSolver:
 
     def __init__(self, regressors, free, target, roughness, ridge=None):
         self.count = regressors.shape[1]
-        self.table = np.column_stack([regressors, free])
-        self.target = target
+        both = np.column_stack([regressors, free, target])
+        self.table, self.target = both[:, :-1], target
         self.roughness = roughness
-        both = np.column_stack([self.table, target])
-        sizes = np.linalg.norm(both, axis=0)
+        gram = both.T @ both
+        sizes = np.sqrt(np.diag(gram))
         sizes[sizes == 0.0] = 1.0
-        gram = (both.T @ both) / np.outer(sizes, sizes)
+        gram /= np.outer(sizes, sizes)
         # the small diagonal separates equal columns; it is far below any noise
         compressed = np.linalg.cholesky(gram + GRAM_FLOOR * np.eye(len(gram))).T * sizes
         self.r, self.t = compressed[:, :-1], compressed[:, -1]

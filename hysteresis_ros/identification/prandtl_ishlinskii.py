@@ -255,8 +255,9 @@ class SmoothDensity:
     def _map(self, sums, shape):
         u = (sums - self.centre) / self.span
         inside = np.clip(u, -1.0, 1.0)  # linear beyond the recording
-        bent = 0.5 * shape["map_slope"] * (inside**2 - 1.0) + 0.5 * shape["map_curvature"] * (inside**3 - inside)
-        end = shape["map_slope"] * inside + shape["map_curvature"] * (1.5 * inside**2 - 0.5)
+        square = inside * inside
+        bent = (0.5 * shape["map_slope"] + 0.5 * shape["map_curvature"] * inside) * (square - 1.0)
+        end = shape["map_slope"] * inside + shape["map_curvature"] * (1.5 * square - 0.5)
         return u + bent + end * (u - inside)
 
     def like(self, data: Condensed):

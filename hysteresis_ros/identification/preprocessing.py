@@ -24,6 +24,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -42,6 +43,7 @@ from hysteresis_ros.identification.data import (
     checked_signals,
 )
 from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
+from hysteresis_ros.models.block import COMPILED, specialised
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
 
@@ -505,9 +507,14 @@ class Condensed:
 
     def counted(self, values) -> np.ndarray:
         """Return those of ``values``, shape (N, ...), whose residual counts."""
-        return values[self.first :][self.kept]
+        counted = values[self.first :]
+        return counted if self._all_kept else counted[self.kept]
 
-    @property
+    @functools.cached_property
+    def _all_kept(self) -> bool:
+        return bool(self.kept.all())
+
+    @functools.cached_property
     def constants(self) -> np.ndarray:
         """Columns independent of the voltage, shape (N, 1 or 2): a constant, and a drift that is 1 at the end."""
         places = np.arange(len(self.voltage)) / len(self.voltage)
@@ -529,12 +536,12 @@ class Condensed:
         before = plays(np.array([0.0, *self.history]), play_radii)[-1]
         return plays(self.voltage, play_radii, before)
 
-    @property
+    @functools.cached_property
     def voltage_range(self) -> float:
         """Peak-to-peak voltage [V]."""
         return float(np.ptp(self.voltage))
 
-    @property
+    @functools.cached_property
     def stroke(self) -> float:
         """Peak-to-peak displacement [m] of the samples that count."""
         return float(np.ptp(self.counted(self.displacement)))
@@ -543,14 +550,18 @@ class Condensed:
 def plays(voltage, play_radii, start=None) -> np.ndarray:
     """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
 
-    Between reversals the play is a running maximum (minimum) of V - r (V + r), so NumPy can process all samples between
-    two reversals at once.
+    Without Numba, all samples between two reversals are processed at once: there a play is a running maximum (minimum)
+    of V - r (V + r).
 
     Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
     """
-    voltage = np.asarray(voltage, dtype=float)
+    voltage = np.ascontiguousarray(voltage, dtype=float)
     z = np.zeros(len(play_radii)) if start is None else np.array(start, dtype=float)
     result = np.empty((voltage.size, len(play_radii)))
+    if COMPILED:
+        sizes = np.ascontiguousarray(play_radii, dtype=float)
+        specialised(run_plays, sizes, z, voltage, result)(sizes, z, voltage, result)
+        return result
     direction = np.sign(np.diff(voltage, prepend=voltage[0] - 1.0))
     moving = np.flatnonzero(direction)
     turns = moving[1:][np.diff(direction[moving]) != 0.0]
@@ -563,6 +574,14 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
         result[first:last] = block
         z = block[-1]
     return result
+
+
+def run_plays(play_radii, z, voltage, result):
+    """Fill ``result`` with the outputs of plays, whose outputs before were ``z``."""
+    for k in range(voltage.shape[0]):
+        for p in range(play_radii.shape[0]):
+            z[p] = max(voltage[k] - play_radii[p], min(voltage[k] + play_radii[p], z[p]))
+            result[k, p] = z[p]
 
 
 def condense(

@@ -18,7 +18,7 @@ import pytest
 import scipy.signal
 
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.linear_systems import first_order_hold
+from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.preprocessing import FEWEST_REDUCED, MOST_SAMPLES, reduced
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.workflow import identify, validate
@@ -83,7 +83,7 @@ def test_a_sweep_is_taken_whole_and_so_is_what_is_judged():
 def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
     lag = 0.01
     voltage = sine()[: SIZE // 2]
-    output = first_order_hold(voltage, lag, 1 / RATE)
+    output = LinearPart(lag=lag).apply(voltage, 1 / RATE)
     output = output + 1e-3 * np.random.default_rng(1).standard_normal(voltage.size)
     data = recording(voltage, output)
     found = identify(read_data(data), "proportional", linear="lag")
