@@ -16,6 +16,7 @@ import pathlib
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,9 +27,17 @@ from coupled_stages import as_values, configured, internal_structure  # noqa: E4
 import hysteresis_ros as hr  # noqa: E402
 from hysteresis_ros.analysis.stage_identification_report import write_stage_identification_report  # noqa: E402
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.designs import stage_identification  # noqa: E402
 from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
-from hysteresis_ros.designs.stage_identification import StageRequest, _responses, identify_stage  # noqa: E402
+from hysteresis_ros.designs.stage_identification import (  # noqa: E402
+    USED,
+    StageRequest,
+    _ranges,
+    _responses,
+    identify_stage,
+    put_into,
+)
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError  # noqa: E402
 from hysteresis_ros.identification.data import DataError  # noqa: E402
 from hysteresis_ros.identification.excitations import orthogonal_multisines  # noqa: E402
@@ -410,6 +419,84 @@ def test_a_stage_with_decoupling_and_feedforward_is_excited_without_them(tmp_pat
     plain, found = (excited_stage(one, StageExcitation(realisations=2), tmp_path / "m") for one in (configuration, fed))
     assert found.stage.stage.feedforward.weights == () == found.stage.stage.decoupling
     np.testing.assert_array_equal(found.voltages, plain.voltages)
+
+
+@pytest.mark.parametrize(("plant_slew", "own_slew"), [(4000.0, 70000.0), (70000.0, 4000.0), (0.0, 4000.0)])
+def test_a_multisine_is_as_slow_as_the_slower_of_amplifier_and_compensator(tmp_path, plant_slew, own_slew):
+    configuration = load_configuration("xy_scanner").override("plant_simulator", limits__slew_rate=plant_slew)
+    configuration = configuration.override("hysteresis_compensator", limits__slew_rate=own_slew)
+    found = excited_stage(configuration, StageExcitation(realisations=2), tmp_path / "slow")
+    steps = np.max(np.abs(np.diff(found.voltages, axis=0)), axis=0)
+    np.testing.assert_allclose(steps / STEP, 4000.0, rtol=1e-3)
+    assert "the slew rate reduces the amplitude to: x " in found.words
+
+
+def test_each_axis_begins_and_ends_where_it_rests(tmp_path):
+    asked = StageExcitation(realisations=2, rests=(10.0, 30.0))
+    for one in (asked, replace(asked, name="decaying", realisations=None, duration=0.2)):
+        volts = excited_stage(load_configuration("xy_scanner"), one, tmp_path / "rests").voltages
+        np.testing.assert_allclose(volts[[0, -1]], [[10.0, 30.0]] * 2, atol=0.1)
+
+
+@pytest.mark.parametrize("shares", [(0.1, 0.6), (0.6, 0.1)])
+def test_every_corner_of_the_ranges_of_the_axes_is_within_those_of_the_actuators(shares):
+    """The actuators reach 0 … 40 µm each; the one with most cross-talk needs the share of them that may be used."""
+    decoupling = np.array([[1.0, -shares[0]], [-shares[1], 1.0]])
+    one = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 0.4e-6}
+    one |= {"limits.minimum": 0.0, "limits.maximum": 100.0}
+    ranges = _ranges(None, [one, one], decoupling, STEP)
+    corners = decoupling @ np.array([(x, y) for x in ranges[0] for y in ranges[1]]).T
+    used = np.max(np.abs(corners - 20e-6), axis=1) / 20e-6
+    assert np.max(used) == pytest.approx(USED, rel=1e-3)
+
+
+def test_a_stage_of_other_axes_or_of_another_rate_does_not_take_what_was_identified():
+    into = load_configuration("xy_scanner")
+    for names, rate, words in (
+        (("a", "y"), 10000.0, "has the axes x, y, but the recording has a, y; give the same names with --axes"),
+        (("x", "y"), 5000.0, "runs at 10000 Hz, but the recording has 5000 Hz"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            put_into(into, into, SimpleNamespace(names=names, sample_rate=rate))
+
+
+def test_loops_are_designed_for_the_noisiest_sensor_unless_the_noise_is_given(monkeypatch):
+    class Designing(Exception):
+        """The design begins."""
+
+    def designing(text, parameters, request, level, *more):
+        raise Designing(level)
+
+    def once(make):
+        made = []
+        return lambda *given: made[0] if made else made.append(make(*given)) or made[0]
+
+    for name in ("_hammerstein", "_file"):  # the same for all of them
+        monkeypatch.setattr(stage_identification, name, once(getattr(stage_identification, name)))
+    monkeypatch.setattr(stage_identification, "design_identified", designing)
+    u = excitation()
+    for louder in (0, 1):
+        noise = np.where(np.arange(2) == louder, 8e-9, 2e-9)
+        data = recorded(u, noise=noise)
+        for given, level in ((None, pytest.approx(8e-9, rel=0.2)), (1e-9, 1e-9)):
+            with pytest.raises(Designing) as caught:
+                identify_stage(data, realisations(data), StageRequest(order=4, noise=given))
+            assert caught.value.args == (level,)
+
+
+@pytest.mark.parametrize(("peak", "warned"), [(1.9, False), (2.1, True)])
+def test_a_loop_that_is_too_sensitive_on_the_measured_response_is_warned_of(monkeypatch, peak, warned):
+    """The limit of a design is 2."""
+    monkeypatch.setattr(stage_identification, "whole_loop", lambda *given: (None, None))
+    found = SimpleNamespace(sensitivity_peak=SimpleNamespace(low=peak))
+    monkeypatch.setattr(stage_identification, "loop_of", lambda *given: found)
+    response = SimpleNamespace(
+        degrees=4, sample_time=STEP, frequency=None, single=None, radius=lambda: np.zeros((1, 1, 1))
+    )
+    unknown = SimpleNamespace(response=SimpleNamespace(degrees=None))
+    designs = dict.fromkeys("xy", SimpleNamespace(parameters=None))
+    said = stage_identification._measured(designs, [unknown, SimpleNamespace(response=response)])
+    assert len(said) == warned and all(text.startswith("axis y: on the measured response") for text in said)
 
 
 def test_excitations_that_a_stage_cannot_play_are_refused(truth):
