@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.loop.stage_parameters import StageParameters  # noqa: E402
 from hysteresis_ros.models.block import COMPILED  # noqa: E402
+from hysteresis_ros.nodes.motion_controller import MotionControllerNode  # noqa: E402
+from hysteresis_ros.nodes.stage import StageControllerNode, StagePlantNode, StagePlants, StageSources  # noqa: E402
 
 SAMPLES = 300
 #: Both axes move within some hundred samples, and every matrix changes if its axes are exchanged.
@@ -55,6 +58,61 @@ def stage(overrides: dict, samples: int = SAMPLES, **common) -> StageParameters:
 def write(path, parameters: StageParameters) -> str:
     path.write_text(parameters.configuration_text(), encoding="utf-8")
     return str(path)
+
+
+def part_of(tripped=False, with_stage=False) -> SimpleNamespace:
+    """Return the plant of an axis, and count how often it is stopped with its stage."""
+    found = SimpleNamespace(tripped=tripped, stopped_with_stage=with_stage, count=0)
+    found.stop_with_stage = lambda: setattr(found, "count", found.count + 1)
+    return found
+
+
+def test_one_axis_that_is_stopped_stops_all_and_none_stops_none():
+    for tripped in ((False, False, False), (False, True, False)):
+        nodes = [SimpleNamespace(part=part_of(one)) for one in tripped]
+        StagePlants.stop_together(SimpleNamespace(nodes=nodes))
+        assert [node.part.count for node in nodes] == [int(any(tripped))] * 3
+
+
+def test_the_axis_that_has_stopped_the_stage_is_named_and_not_one_that_it_has_stopped():
+    def node(name, *part):
+        explained = SimpleNamespace(part=part_of(*part))
+        explained.get_namespace, explained.explain_trip = lambda: name, lambda: f"why {name}"
+        return explained
+
+    asked = node("/z", True, True)
+    asked.others = [node("/w"), node("/x", True, True), node("/y", True)]
+    assert StagePlantNode.explain_trip(asked) == "/y has stopped the stage: why /y"
+    asked.others.pop()
+    assert StagePlantNode.explain_trip(asked) == "another axis of the stage was stopped: call ~/start to resume"
+
+
+def test_setpoints_of_several_axes_are_taken_all_or_none():
+    taken, noted = [], []
+    fused = SimpleNamespace(loop=SimpleNamespace(set_together=taken.append))
+
+    def node(place):
+        generator = SimpleNamespace(refuse=lambda value: "above 40 µm" if value > 40e-6 else "")
+        one = SimpleNamespace(is_fused=True, part=SimpleNamespace(generator=generator), note_setpoint=noted.append)
+        one.fused = SimpleNamespace(place=place, loop=fused.loop)
+        return one
+
+    sources = SimpleNamespace(parameters=SimpleNamespace(names=("x", "y")), nodes=[node(0), node(1)])
+    assert StageSources.take(sources, {"x": 1e-6, "y": 50e-6}) == "y: above 40 µm"
+    assert "no axis 'z' in the stage: it has x, y" in StageSources.take(sources, {"x": 1e-6, "z": 0.0})
+    assert not taken and not noted
+    assert StageSources.take(sources, {"x": 1e-6, "y": 2e-6}) == ""
+    assert taken == [{0: 1e-6, 1: 2e-6}] and noted == [1e-6, 2e-6]
+
+
+def test_a_controller_that_is_reset_forgets_its_references_and_those_of_no_other_axis(monkeypatch):
+    monkeypatch.setattr(MotionControllerNode, "reset_blocks", lambda node: None)
+    known = np.ones(3)
+    nodes = [object.__new__(StageControllerNode) for _ in range(3)]
+    group = SimpleNamespace(nodes=nodes, coupling=SimpleNamespace(arrays=SimpleNamespace(known=known)))
+    nodes[1].group = group
+    nodes[1].reset_blocks()
+    np.testing.assert_array_equal(known, [1.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize("how", ["--composed", "--processes"])
