@@ -46,7 +46,7 @@ from hysteresis_ros.models.compensator import CompensatorParameters, commandable
 from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
 from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
-from hysteresis_ros.references.moves import SettlingParameters
+from hysteresis_ros.references.moves import ReadyParameters, SettlingParameters
 from hysteresis_ros.references.triggers import TriggerParameters, longest_path, trigger_problems
 from hysteresis_ros.signals import ACTUATOR, INCHWORM, MOTOR_SOURCE, SOURCE, AxisKind, kind_of
 
@@ -448,6 +448,7 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
     """Parameters of ``reference_generator``."""
 
     settled: SettlingParameters = group(SettlingParameters)
+    ready: ReadyParameters = group(ReadyParameters)
     triggers: TriggerParameters = group(TriggerParameters)
     publish_description: bool = parameter(
         True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"

@@ -7,13 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Ends of motions: arrival of a move, settling of an axis, outcome of a trajectory."""
+"""Ends of motions: arrival of a move, settling of an axis, readiness within a tolerance, outcome of a trajectory."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from statistics import NormalDist
+
+import numpy as np
 
 from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.references.trajectory import HELD, OPEN, REPLACED, STOPPED
@@ -128,6 +132,216 @@ class Settling:
         self._count = self._count + 1 if rests and within and not stopped else 0
         self.settled = self._count >= self._samples
         return self.settled
+
+
+@dataclass(frozen=True)
+class ReadyParameters(Parameters):
+    """Criterion of a move that is ready: its displacement stays within a tolerance of the setpoint."""
+
+    tolerance: float = parameter(
+        0.0,
+        description="largest distance of the displacement from the setpoint; 0: nothing is predicted until a move "
+        "states a tolerance",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    dwell: float = parameter(
+        0.005,
+        description="time for which the displacement must stay within the tolerance without interruption",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    deadband: float = parameter(
+        0.0,
+        description="a move to a setpoint within this distance of the present one does not move the axis (SPDB of "
+        "EPICS); 0: every move does",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+
+
+#: 99 % of normally distributed values are within this many standard deviations of their mean, on both sides of it, and
+#: below this many standard deviations above it.
+BOTH_SIDES, ONE_SIDE = 2.576, 2.326
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of an axis at rest in closed loop.
+
+    Parameters
+    ----------
+    sensor : float
+        Standard deviation of the noise of a measurement [m].
+    displacement : float
+        Standard deviation of the displacement, which the loop moves by the noise that it feeds back [m].
+    """
+
+    sensor: float
+    displacement: float
+
+    @property
+    def least_tolerance(self) -> float:
+        """Smallest distance from the setpoint that the displacement exceeds during at most 1 % of the time [m]."""
+        return BOTH_SIDES * self.displacement
+
+
+class NoiseMeter:
+    """Measures the noise of an axis from the samples at which its reference has been constant for a time.
+
+    The second difference of white noise has six times its variance, and that of a slow motion is small. The variance of
+    the error is that of the sensor's noise plus that of the displacement, since noise does not move the axis at once.
+
+    Parameters
+    ----------
+    rest : float
+        Time for which the reference must be constant [s].
+    sample_time : float
+        Sample time [s].
+    """
+
+    #: Least number of samples of an estimate, and the number over which it averages.
+    FEWEST, AVERAGED = 200, 10_000
+
+    def __init__(self, rest: float, sample_time: float):
+        self._rest = max(round(rest / sample_time), 3)
+        self._last = np.full((2, 2), math.nan)
+        self._still = self.count = 0
+        self._differences = self._variance = 0.0
+
+    def take(self, reference, measured) -> None:
+        """Take samples in succession: references and measurements [m], shape (N,); NaN: no measurement."""
+        given = np.concatenate([self._last, np.array([reference, measured], dtype=float)], axis=1)
+        self._last = given[:, -2:]
+        places = np.arange(given.shape[1] - 2)
+        moved = np.where(np.diff(given[0])[1:] != 0.0, places, -1 - self._still)
+        still = places - np.maximum.accumulate(moved)
+        self._still = int(still[-1])
+        differences, errors = np.diff(given[1], 2), (given[1] - given[0])[2:]
+        used = (still >= self._rest) & np.isfinite(differences)
+        count = int(np.sum(used))
+        if count < 3:
+            return
+        self.count = min(self.count + count, self.AVERAGED)
+        part = min(count / self.count, 1.0)
+        self._differences += part * (float(np.mean(differences[used] ** 2)) - self._differences)
+        # around a line, so that a slow drift does not count as noise
+        line = places[used] - np.mean(places[used])
+        around = errors[used] - np.mean(errors[used])
+        around -= line * (line @ around / (line @ line))
+        self._variance += part * (float(around @ around) / (count - 2) - self._variance)
+
+    @property
+    def sensor(self) -> float:
+        """Standard deviation of the noise of a measurement [m]; NaN: not measured yet."""
+        return math.sqrt(self._differences / 6.0) if self.count >= self.FEWEST else math.nan
+
+    def noise(self, displacement: float = 0.0, error: float = 1.0) -> Noise:
+        """Return the noise of the axis; what a model of its loop does not explain is a motion (vibration, hum).
+
+        Parameters
+        ----------
+        displacement, error : float, optional
+            Standard deviations of the displacement and of the measured error that the model of the loop has at sensor
+            noise of one metre [m]; by default a loop at rest.
+        """
+        sensor = self.sensor
+        unexplained = max(self._variance - (sensor * error) ** 2, 0.0)
+        return Noise(sensor, math.sqrt((sensor * displacement) ** 2 + unexplained))
+
+
+class Readiness:
+    """Determines from noisy measurements since when the displacement has stayed within a tolerance of a setpoint.
+
+    It averages the error over as many samples as the noise requires. The margin of the tolerance is that of the
+    displacement's noise: the displacement then is outside the tolerance during less than 1 % of the time. Missing
+    measurements are left out of the mean; when they last longer than the dwell time, the displacement is unknown.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest distance of the displacement from the setpoint [m].
+    dwell : float
+        Time for which the displacement must stay within the tolerance [s].
+    noise : Noise
+        Noise of the axis at rest.
+    sample_time : float
+        Sample time [s].
+
+    Attributes
+    ----------
+    ready : bool
+        Whether the axis is ready.
+    since : float
+        Time from the first sample of the move until the displacement stayed within the tolerance [s]; NaN: not yet.
+    """
+
+    #: Smallest margin, as a fraction of the tolerance; probability that noise alone interrupts the dwell time.
+    MARGIN, INTERRUPTED = 0.25, 0.01
+    #: Largest number of averaged samples.
+    LONGEST = 10_000
+
+    def __init__(self, tolerance: float, dwell: float, noise: Noise, sample_time: float):
+        self.tolerance, self._sample_time = tolerance, sample_time
+        self._inner = max(tolerance - ONE_SIDE * noise.displacement, self.MARGIN * tolerance)
+        self._dwell = math.ceil(dwell / sample_time - 1e-9)
+        # standard errors of a mean that fit into the margin
+        certainty = NormalDist().inv_cdf(1.0 - 0.5 * self.INTERRUPTED / max(self._dwell, 1))
+        averaged = math.ceil((certainty * noise.sensor / self._inner) ** 2) if noise.sensor > 0.0 else 1
+        self.averaged = min(max(averaged, 1), self.LONGEST)
+        self._gap = max(self._dwell, self.averaged)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a move."""
+        self._window: deque[float] = deque()
+        self._sum = 0.0
+        self._sample = -1
+        self._missing = 0
+        # numbers of the samples since which the mean has been within the tolerance, and within the inner limit
+        self._entered = self._inside = math.nan
+        self.ready, self.since = False, math.nan
+
+    def look(self, setpoint: float, measured: float) -> bool:
+        """Take a sample, and return whether the axis is ready.
+
+        Parameters
+        ----------
+        setpoint : float
+            Setpoint of the move [m].
+        measured : float
+            Measurement [m]; NaN: none.
+        """
+        self._sample += 1
+        error, window = measured - setpoint, self._window
+        if math.isfinite(error):
+            self._missing = 0
+            window.append(error)
+            self._sum += error
+            if len(window) > self.averaged:
+                self._sum -= window.popleft()
+        else:
+            self._missing += 1
+            if self._missing <= self._gap:
+                self._inside += 1  # the dwell time consists of measurements
+                return self.ready
+            window.clear()
+            self._sum = 0.0
+        mean = abs(self._sum) / self.averaged if len(window) == self.averaged else math.inf
+        if not mean <= self.tolerance:
+            self._entered, self.ready = math.nan, False
+        elif self._entered != self._entered:
+            self._entered = self._sample - 0.5 * (self.averaged - 1)
+        if not mean <= self._inner:
+            self._inside = math.nan
+        elif self._inside != self._inside:
+            self._inside = self._sample
+        if not self.ready and self._sample - self._inside >= self._dwell:
+            self.ready, self.since = True, self._entered * self._sample_time
+        return self.ready
 
 
 class Ending(Enum):

@@ -1,0 +1,93 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Noise at rest and readiness from measurements: known noise, closed forms of steps, and disturbances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.references.moves import Noise, NoiseMeter, Readiness
+
+STEP, SENSOR, MOVED = 1e-3, 3e-9, 1e-9
+
+
+def meter(displacement, seed: int = 1, block: int = 97) -> NoiseMeter:
+    """Return a meter that has taken a displacement [m] around a reference of 1 µm, with the sensor's noise."""
+    measured = 1e-6 + displacement + SENSOR * np.random.default_rng(seed).standard_normal(len(displacement))
+    made = NoiseMeter(10.0 * STEP, STEP)
+    for first in range(0, len(measured), block):
+        part = measured[first : first + block]
+        made.take(np.full(len(part), 1e-6), part)
+    return made
+
+
+def test_the_noise_of_the_sensor_and_that_of_the_displacement_are_told_apart():
+    angle = 2.0 * math.pi * 0.01 * np.arange(20_000)
+    still, shaken = meter(np.zeros(20_000)).noise(), meter(math.sqrt(2.0) * MOVED * np.sin(angle)).noise()
+    assert still.sensor == pytest.approx(SENSOR, rel=0.03) and still.displacement < 0.3 * MOVED
+    assert shaken.sensor == pytest.approx(SENSOR, rel=0.03)
+    assert shaken.displacement == pytest.approx(MOVED, rel=0.3)
+    assert Noise(SENSOR, MOVED).least_tolerance == pytest.approx(2.576 * MOVED)
+
+
+def test_a_slow_drift_and_a_motion_of_the_reference_are_no_noise():
+    assert meter(2e-6 * np.arange(20_000) * STEP / 20.0).noise().displacement < 0.4 * MOVED
+    moving = NoiseMeter(10.0 * STEP, STEP)
+    moving.take(1e-9 * np.arange(1000.0), np.sin(np.arange(1000.0)))
+    assert moving.count == 0 and math.isnan(moving.sensor)
+
+
+def answers(error, tolerance=5e-9, dwell=0.01, noise=Noise(0.0, 0.0)):  # noqa: B008
+    """Return the readiness after errors [m], and whether it was ready at each of them."""
+    readiness = Readiness(tolerance, dwell, noise, STEP)
+    return readiness, [readiness.look(0.0, one) for one in error]
+
+
+def test_without_noise_it_is_the_time_since_which_the_error_has_been_within_the_tolerance():
+    error = 1e-6 * np.exp(-np.arange(300) / 20.0)
+    entered = math.ceil(20.0 * math.log(1e-6 / 5e-9))
+    readiness, ready = answers(error)
+    assert readiness.since == pytest.approx(entered * STEP)
+    assert ready.index(True) == entered + 10
+
+
+def test_with_noise_it_averages_and_is_never_ready_outside():
+    noise = Noise(SENSOR, MOVED)
+    error = 1e-6 * np.exp(-np.arange(600) / 20.0)
+    random = np.random.default_rng(3)
+    times = []
+    for _ in range(50):
+        readiness, ready = answers(error + SENSOR * random.standard_normal(600), noise=noise)
+        assert not np.any(np.array(ready) & (error > 5e-9))
+        times.append(readiness.since)
+    # the margin of the displacement's noise decides when it is ready, the tolerance since when
+    assert np.median(times) == pytest.approx(20.0 * math.log(1e-6 / 5e-9) * STEP, rel=0.05)
+
+
+def test_a_disturbance_ends_it_until_the_dwell_time_has_passed_again():
+    _, ready = answers([0.0] * 20 + [6e-9] + [0.0] * 20)
+    assert ready[19] and not any(ready[20:31]) and ready[31]
+
+
+def test_missing_measurements_end_it_when_they_last_longer_than_the_dwell_time():
+    readiness, ready = answers([1e-6] * 5 + [0.0] * 3 + [math.nan] * 10 + [0.0] * 20)
+    assert readiness.since == pytest.approx(5.0 * STEP), "what is missing is not outside"
+    assert ready.index(True) == 5 + 10 + 10, "the dwell time consists of measurements"
+    _, ready = answers([0.0] * 20 + [math.nan] * 10 + [math.inf] + [0.0] * 20)
+    assert all(ready[11:30]) and not any(ready[30:41]) and ready[41]
+
+
+def test_a_long_dwell_time_is_not_interrupted_by_noise_alone():
+    error = SENSOR * np.random.default_rng(4).standard_normal(40_000)
+    readiness, ready = answers(error, dwell=10.0, noise=Noise(SENSOR, 0.2e-9))
+    assert ready.index(True) < 10_100 and all(ready[10_100:]) and readiness.since < 20 * STEP
