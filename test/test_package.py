@@ -376,6 +376,7 @@ FULL_MODULES = {
     "laboratory/bluesky.py",
     "laboratory/studies.py",
     "laboratory/swept.py",
+    "loop/ready.py",
     "recordings/triggers.py",
 }
 SECTIONS = ("Parameters", "Other Parameters", "Returns", "Yields", "Attributes")

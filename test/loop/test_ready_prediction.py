@@ -1,0 +1,113 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Predicted times until moves are ready, against the simulated truth; the whole judgement is bench_ready.py."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.ready import SIZE, Predictor, deviated, entry, model_of
+from hysteresis_ros.references.moves import Noise
+from hysteresis_ros.signals import SOURCE
+
+QUIET, TOLERANCE, DWELL = Noise(0.0, 0.0), 5e-9, 2e-3
+MOVES, LENGTH = (12e-6, 4e-6, 9e-6, 17e-6, 6e-6, 14e-6), 1000
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The axis stage700, whose plant is its model."""
+    axis = single_axis(load_configuration("stage700"))
+    return model_of(axis.generator, axis.motion_controller, axis.hysteresis_compensator)
+
+
+def run(axis, setpoints, noise: float = 0.0):
+    """Return the true and the measured displacement [m] in moves to setpoints [m] of equal length."""
+    plant = axis.plant_simulator
+    noisy = replace(axis, plant_simulator=replace(plant, sensor=replace(plant.sensor, noise=noise)))
+    rest = axis.reference_generator.initial_setpoint
+    signals = Axis(noisy).run(np.repeat((rest, *setpoints), LENGTH))
+    return signals["displacement"].reshape(-1, LENGTH)[1:], signals["measured"].reshape(-1, LENGTH)[1:]
+
+
+def truth(displacement, setpoint: float) -> float:
+    return entry(displacement - setpoint, TOLERANCE, round(DWELL * 20e3)) / 20e3
+
+
+def test_the_first_sample_of_a_stay_that_is_long_enough():
+    error = np.array([9.0, 1.0, 1.0, 9.0, 1.0, 1.0, 1.0])
+    assert [entry(error, 2.0, dwell) for dwell in (0, 2, 3)] == [1, 1, 4]
+    assert math.isinf(entry(error, 2.0, 4)) and entry(error, 9.0, 7) == 0
+
+
+def test_a_plant_that_is_the_model_is_predicted_to_the_sample(model):
+    true, _ = run(model, MOVES[:3])
+    predictor = Predictor(model)
+    for displacement, setpoint in zip(true, MOVES, strict=False):
+        predictor.follow(LENGTH)
+        predicted = predictor.predict(setpoint, LENGTH, TOLERANCE, DWELL, QUIET)
+        assert predicted == pytest.approx(truth(displacement, setpoint), rel=1e-9)
+
+
+def test_deviations_are_learned_from_noisy_measurements(model):
+    factors = (1.0 + SIZE, 1.0, 1.0 - SIZE, 1.0)
+    true, measured = run(deviated(model, *factors), MOVES, noise=3e-9)
+    predictor, noise, errors = Predictor(model), Noise(3e-9, 0.7e-9), []
+    for displacement, seen, setpoint in zip(true, measured, MOVES, strict=True):
+        predictor.follow(LENGTH)
+        predicted = predictor.predict(setpoint, LENGTH, TOLERANCE, DWELL, noise)
+        errors.append(abs(predicted / truth(displacement, setpoint) - 1.0))
+        predictor.learn(seen, noise)
+    assert max(errors[2:]) < 0.1
+    assert predictor.deviations[[0, 2]] == pytest.approx([1.0, -1.0], abs=0.4)
+
+
+def test_a_trajectory_is_followed_before_the_move_after_it(model):
+    target = 8e-6
+    path = {"times": (0.01, 0.02), "positions": (3e-6, target), "velocities": (2e-4, 0.0), "accelerations": ()}
+    axis = Axis(model)
+    rest = model.reference_generator.initial_setpoint
+    signals = axis.run(np.full(2 * LENGTH, rest), changes=[Change(LENGTH, SOURCE, "follow", path)])
+    predictor = Predictor(model)
+    predictor.follow(LENGTH)
+    found = predictor.predict(target, LENGTH, TOLERANCE, DWELL, QUIET, path)
+    assert found == pytest.approx(truth(signals["displacement"][LENGTH:], target), rel=1e-9) and found > 0.02
+    assert math.isfinite(predictor.predict(12e-6, LENGTH, TOLERANCE, DWELL, QUIET))
+
+
+def test_noise_delays_the_prediction_and_a_tolerance_below_it_is_never_kept(model):
+    predictor = Predictor(model)
+    times = []
+    for size in (0.0, 1e-9, 1e-7):
+        predictor.rest_at(2e-6)
+        times.append(predictor.predict(12e-6, 2000, TOLERANCE, DWELL, Noise(3e-9, size)))
+    assert times[0] < times[1] < times[2] and math.isinf(times[2])
+
+
+def test_the_noise_of_the_displacement_is_that_of_the_loop(model):
+    resting = Predictor(model).resting
+    true, measured = run(model, (12e-6, 12e-6, 12e-6, 12e-6), noise=3e-9)
+    assert 3e-9 * resting.displacement == pytest.approx(np.std(true[1:]), rel=0.15)
+    assert 3e-9 * resting.error == pytest.approx(np.std(measured[1:]), rel=0.1)
+
+
+def test_a_dwell_time_longer_than_the_simulated_time_does_not_prevent_a_prediction(model):
+    found = []
+    for dwell in (DWELL, 60.0):
+        predictor = Predictor(model)
+        found.append(predictor.predict(12e-6, 0, TOLERANCE, dwell, QUIET))
+    assert found[0] == found[1] < 0.05
