@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis status|get|set|call|echo|setpoint``: operate a running axis, without the command ``ros2``."""
+"""``hysteresis status|get|set|call|echo|setpoint|move``: operate a running axis, without the command ``ros2``."""
 
 from __future__ import annotations
 
@@ -139,11 +139,39 @@ def setpoint(value, namespace, timeout):
     Exit code 2: the setpoint is refused (it is out of range, or the axis is inactive or stopped). Exit code 1: the axis
     is not found or does not answer, so it is unknown whether the setpoint was accepted.
     """
+    in_graph("setpoint", namespace, timeout, value=_quantity("setpoint", value, "m"))
+
+
+def _quantity(name: str, text: str, unit: str) -> float:
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.units import quantity_in
 
     try:
-        metres = quantity_in(value, "m")
+        return quantity_in(text, unit)
     except ValueError as error:
-        raise HysteresisError(f"setpoint {value}: {error}") from None
-    in_graph("setpoint", namespace, timeout, value=metres)
+        raise HysteresisError(f"{name} {text}: {error}") from None
+
+
+@click.command(
+    short_help="Move a running axis; print when it is ready.",
+    # a negative setpoint is not an option
+    context_settings={"ignore_unknown_options": True},
+)
+@click.argument("value")
+@click.option("--tolerance", help="Largest distance from VALUE, e.g. 5nm; by default ready.tolerance of the axis.")
+@click.option("--dwell", help="Time within the tolerance, e.g. 5ms; by default ready.dwell of the axis.")
+@steered(timeout=60.0)  # the first prediction may have to be compiled
+def move(value, tolerance, dwell, namespace, timeout):
+    """Move an axis to VALUE, e.g. 5um; print the predicted and then the measured time until it is ready.
+
+    An axis is ready when its displacement stays within the tolerance of VALUE. Nothing moves when a tolerance is
+    smaller than the noise of the axis allows, or VALUE is out of range.
+
+    Exit code 0: ready. 1: the axis is not found, or the move was replaced, stopped or not ready within the time-out. 2:
+    the move is refused.
+    """
+    given = {
+        "tolerance": None if tolerance is None else _quantity("--tolerance", tolerance, "m"),
+        "dwell": None if dwell is None else _quantity("--dwell", dwell, "s"),
+    }
+    in_graph("move", namespace, timeout, value=_quantity("setpoint", value, "m"), **given)

@@ -32,6 +32,7 @@ from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STOPPED
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import latched_qos
+from hysteresis_ros.nodes.ready import ReadyTopics
 from hysteresis_ros.nodes.reference_source import ReferenceSource, nanoseconds
 from hysteresis_ros.nodes.scan_clock import NAMES as CLOCK_NAMES
 from hysteresis_ros.nodes.scan_clock import TOPIC, ScanClockTopic
@@ -222,6 +223,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         super().__init__("reference_generator", **options)
         self.trajectories: Trajectories | None = None
         self.action: TrajectoryAction | None = None
+        self.ready: ReadyTopics | None = None
         #: Clock of the scan that the axis follows; None: it has never followed one.
         self.scan_clock: ScanClockTopic | None = None
 
@@ -246,6 +248,8 @@ class ReferenceGeneratorNode(ReferenceSource):
             self.trajectories.look()
         if self.runner.by_message:
             self.look_at((self.row,))
+            if self.ready is not None:
+                self.ready.look(self.row, self.sample - 1)
         if self.action is not None:
             self.action.tell()
 
@@ -303,6 +307,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._run = ExternalRun(self) if self.parameters.external_plant else None
         self._beginning = Beginning(self) if self.runner.by_message and not self.runner.exact else None
         super().connect()
+        self.ready = ReadyTopics(self)
         self.trajectories = Trajectories(self)
         kind = action_type()
         self.action = TrajectoryAction(self, self.trajectories, kind) if kind else None
@@ -322,16 +327,22 @@ class ReferenceGeneratorNode(ReferenceSource):
         super().release()
         if self.trajectories is not None:
             self.trajectories.give_up("the node has stopped working")
+        if self.ready is not None:
+            self.ready.stop("the node has stopped working")
 
     def unbuild(self) -> None:
         """Remove the action."""
         if self.action is not None:
             self.action.server.destroy()
-        self.trajectories = self.action = self.scan_clock = None
+        if self.ready is not None:
+            self.ready.end()
+        self.trajectories = self.action = self.scan_clock = self.ready = None
 
     def forget_settled(self) -> None:
-        """Restart the settling detection."""
+        """Restart the settling detection; an axis that is not measured is not ready."""
         self.settling.restart()
+        if self.ready is not None:
+            self.ready.fall_silent()
 
     def look_at(self, rows) -> None:
         """Update the settling detection with samples."""
@@ -345,6 +356,8 @@ class ReferenceGeneratorNode(ReferenceSource):
     def show_all(self, first: int, table) -> None:
         """Take all samples of a fused loop since the last call, from number ``first`` on, shape (row length, N)."""
         super().show_all(first, table)
+        if self.ready is not None:
+            self.ready.look_at_all(first, table)
         clock = self.scan_clock
         if clock is not None:
             self.recorded(clock, CLOCK_NAMES)
@@ -395,13 +408,17 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Reset: waveform at its start, setpoint as configured."""
         super().reset_blocks()
         self.setpoint = self.parameters.initial_setpoint
+        if self.ready is not None:
+            self.ready.stop("the axis was reset")
 
     def take_setpoint(self, value: float) -> str:
         """Take a setpoint [m]; return why it is refused, empty when it is taken."""
         reason = self.part.generator.refuse(value)
         if reason:
             return reason
-        self.setpoint = value
+        before, self.setpoint = self.setpoint, value
+        if self.ready is not None and (value != before or self.ready.asked):
+            self.ready.begin(before, value)
         if self.is_fused:
             self.fused.set(setpoint=self.setpoint)
         return ""

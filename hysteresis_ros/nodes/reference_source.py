@@ -171,7 +171,7 @@ class ReferenceSource(Responder):
         """Take a setpoint [m]; return why it is refused, empty when it is taken."""
         raise TypeError(f"{type(self).__name__} must implement how it takes setpoints")
 
-    def _take(self, value: float) -> str:
+    def take_and_tell(self, value: float) -> str:
         """Take a setpoint [m] and publish it, or refuse it; publish and return the reason."""
         reason = self.take_setpoint(value)
         if reason:
@@ -182,7 +182,7 @@ class ReferenceSource(Responder):
         return reason
 
     def _on_setpoint(self, message) -> None:
-        self._take(message.data)
+        self.take_and_tell(message.data)
 
     def _on_set_setpoint(self, request, response):
         """Take a setpoint and reply; the setpoint comes as a parameter, because ROS has no service with one number."""
@@ -190,14 +190,14 @@ class ReferenceSource(Responder):
         if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
             reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"
         else:
-            reason = self._take(given[0][1].double_value)
+            reason = self.take_and_tell(given[0][1].double_value)
         response.result.successful, response.result.reason = not reason, reason
         return response
 
     def _on_commands(self, message) -> None:
         """Take a setpoint in the form of ros2_control position controllers: an array with one number per joint."""
         if len(message.data) == 1:
-            self._take(message.data[0])
+            self.take_and_tell(message.data[0])
         else:
             allowed = f"allowed: one, the position of '{self.parameters.joint}' in m"
             self.refuse(

@@ -630,7 +630,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def take_now(self, value: float) -> None:
         """Take a setpoint [m] for the present sample."""
-        self._take(value)
+        self.take_and_tell(value)
 
     def follow_now(self, points: Points, tolerances: Tolerances, told: Told | None) -> None:
         """Follow a trajectory from the present sample on; without points bring the present one to rest."""

@@ -23,6 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+from builtin_interfaces.msg import Duration
 from rclpy.action import ActionServer, CancelResponse
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -49,6 +50,11 @@ Told = Callable[[Ending, str], None]
 def seconds(duration) -> float:
     """Return a ``Duration`` or ``Time`` message in seconds."""
     return duration.sec + 1e-9 * duration.nanosec
+
+
+def duration_of(seconds: float) -> Duration:
+    """Return a time [s] as a ``Duration`` message."""
+    return Duration(sec=int(seconds), nanosec=int(1e9 * (seconds - int(seconds))))
 
 
 #: Points of one joint in the form of the generator: ``times``, ``positions``, ``velocities``, ``accelerations``.
@@ -165,7 +171,11 @@ class Trajectories:
         """Follow a trajectory from the next sample on."""
         if not self._node.active:
             raise _refused("trajectory", len(points["times"]), "refused: the node is not active")
+        ready = getattr(self._node, "ready", None)
+        first = ready.present if ready is not None else 0
         self._node.steer("follow", points)
+        if ready is not None:
+            ready.begin(self._node.setpoint, points["positions"][-1], points, first)
         return self.attend(points, tolerances, told)
 
     def attend(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
@@ -297,7 +307,7 @@ class TrajectoryAction:
 
     def _end(self, handle, ending: Ending, text: str) -> None:
         self._goals.remove(handle)
-        self._finish(handle, _CODES.get(ending, "INVALID_GOAL"), f"{ending.value}: {text}")
+        self._finish(handle, _CODES.get(ending, "INVALID_GOAL"), f"{ending.value}: {text}{self._ready_words(handle)}")
 
     def _finish(self, handle, code: str, text: str) -> None:
         result = self._kind.Result()
@@ -332,11 +342,32 @@ class TrajectoryAction:
             feedback.actual = JointTrajectoryPoint(positions=measured)
             errors = [wanted - found for wanted, found in zip(references, measured, strict=True)]
             feedback.error = JointTrajectoryPoint(positions=errors)
+            if len(nodes) == 1:
+                self._tell_ready(feedback, nodes[0])
             handle.publish_feedback(feedback)
 
     def _nodes_of(self, handle) -> list:
         """Return the reference generators of the joints of a goal."""
         return [self._node]
+
+    def _ready_words(self, handle) -> str:
+        """Return when the axis of a goal was predicted to be ready, and was; empty without a prediction."""
+        nodes = self._nodes_of(handle)
+        move = nodes[0].ready.move if len(nodes) == 1 else None
+        if move is None or not math.isfinite(move.predicted):
+            return ""
+        since = move.readiness.since
+        measured = "not yet measured" if math.isnan(since) else f"measured {since:.4g} s"
+        return f"; ready: predicted {move.predicted:.4g} s after the start, {measured}"
+
+    @staticmethod
+    def _tell_ready(feedback, node) -> None:
+        """Write times since the start into the feedback: predicted until ready (desired), until now (actual)."""
+        move = node.ready.move
+        if move is not None and math.isfinite(move.predicted):
+            elapsed = len(move.measured) / node.parameters.sample_rate
+            for point, time in ((feedback.desired, move.predicted), (feedback.actual, elapsed)):
+                point.time_from_start = duration_of(time)
 
 
 #: Points of a trajectory that brings a joint to rest.

@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 from concurrent.futures import Future
 from types import SimpleNamespace
 
@@ -41,6 +42,7 @@ class Pretended:
         self.memory, self.values, self.health, self.refusals = Memory(), {}, {}, []
         self.memory.restart(1000.0, motor=about is not None)
         self.version, self.recording, self.source, self.namespace = 1, None, "/reference_generator", ""
+        self.ready, self.ready_in = False, math.nan
         self.asked: list = []
         self.elsewhere: list[str] = []
         self.sample = 0

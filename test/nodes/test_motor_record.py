@@ -301,3 +301,31 @@ def test_it_listens_on_this_machine_only_unless_told_otherwise(monkeypatch):
     assert serving.interfaces(None) == ["10.0.0.3"]
     with pytest.raises(ConfigurationError):
         RecordOptions("x:", "um", 99, 1.0)
+
+
+def test_a_position_within_the_deadband_ends_at_once_without_motion():
+    bench = Bench(deadband=0.05e-6)
+    bench.put("VAL", 4.0)
+    bench.done()
+    asked = list(bench.axis.asked)
+    bench.put("VAL", 4.04)
+    assert bench["DMOV"] == 0 and bench.record.alarm == Alarm()
+    bench.wait(0.02)
+    assert bench["DMOV"] == 1 and bench["VAL"] == pytest.approx(4.0) and bench.axis.asked == asked
+    bench.put("VAL", 4.06)
+    assert bench.axis.asked[-1] == pytest.approx(4.06e-6)
+    bench.done()
+    bench.put("SPDB", 0.0)
+    bench.put("VAL", 4.061)
+    assert bench.axis.asked[-1] == pytest.approx(4.061e-6)
+
+
+def test_the_record_shows_whether_and_when_the_axis_is_ready():
+    bench = Bench()
+    bench.wait(0.02)
+    assert (bench["READY"], bench["READYIN"]) == (0, -1.0)
+    seen = bench.axis.look(bench.now)
+    for ready, ready_in in ((False, 0.0063), (True, 0.0)):
+        bench.axis.look = lambda now, told=(ready, ready_in): seen._replace(ready=told[0], ready_in=told[1])
+        bench.wait(0.02)
+        assert (bench["READY"], bench["READYIN"]) == (int(ready), ready_in)

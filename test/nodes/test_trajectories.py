@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -183,6 +185,24 @@ def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):
     arrived = ask(trajectory((0.2, 5e-6), velocities=(0.0,)))
     assert end(arrived) == (GoalStatus.STATUS_SUCCEEDED, 0) and "from the last point" in arrived.result.error_string
     assert arrived.feedback and arrived.feedback[-1].joint_names == ["extender"]
+    assert "ready" not in arrived.result.error_string
+    ready = replace(source.parameters.ready, tolerance=1e-7)
+    inbox.append(lambda: setattr(source, "parameters", replace(source.parameters, ready=ready)))
+    inbox.append(lambda: source.ready._thread.run(source.ready._prepare))
+    until(lambda: source.ready._predictor is not None, 180.0, "a predictor, which may have to be compiled")
+    for target in (4e-6, 5e-6) * 10:  # a prediction may come after the end of its move
+        foreseen = ask(trajectory((0.2, target), velocities=(0.0,)))
+        assert end(foreseen) == (GoalStatus.STATUS_SUCCEEDED, 0)
+        told = foreseen.feedback[-1]
+        found = re.search(
+            r"; ready: predicted (0\.[12]\d*) s after the start, (not yet )?measured", foreseen.result.error_string
+        )
+        if found and told.desired.time_from_start.nanosec:
+            break
+    else:
+        raise AssertionError(foreseen.result.error_string)
+    assert 1e-9 * told.desired.time_from_start.nanosec == pytest.approx(float(found[1]), rel=1e-3)
+    assert told.actual.time_from_start.nanosec > 0
     assert end(ask(trajectory((0.1, 5e-6), joint="elbow"))) == (GoalStatus.STATUS_ABORTED, -2)
     assert end(ask(trajectory((0.1, 5e-5)))) == (GoalStatus.STATUS_ABORTED, -1)
     elbow = SimpleNamespace(name="elbow", position=1e-6)

@@ -153,10 +153,13 @@ def test_the_tables_of_an_axis_are_sent_once_and_again_after_a_change():
 
         await page.until(lambda said: heard("status") >= 3)
         assert heard("axis") == 1
+        assert page.said[-1]["status"]["ready"] == {"now": False, "in": None}
         bench.link.version += 1
+        bench.link.ready, bench.link.ready_in = True, 0.004
         before = heard("status")
         await page.until(lambda said: heard("status") >= before + 3)
         assert heard("axis") == 2
+        assert page.said[-1]["status"]["ready"] == {"now": True, "in": 0.004}
 
     served(check)
 

@@ -21,7 +21,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -37,7 +37,7 @@ from hysteresis_ros.laboratory.epics.record import (
     motor_settings,
 )
 from hysteresis_ros.loop.parameters import AxisParameters
-from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import latched_qos, sensor_qos, setpoint_qos
 from hysteresis_ros.nodes.security.policy import RECORDS, Profile
 
 #: Time without a measurement, or without a message of the reference generator, after which an axis counts as lost [s].
@@ -53,13 +53,17 @@ class AxisLink:
         self._lock = threading.Lock()
         self._measured = self._setpoint = math.nan
         self._heard = self._told = -math.inf
-        self._tripped = self._stopped = False
+        self._tripped = self._stopped = self._ready = False
+        self._ready_in = math.nan
         self._setpoints = node.create_publisher(Float64, f"{space}/setpoint", setpoint_qos())
         self._holds = node.create_publisher(JointTrajectory, f"{space}/joint_trajectory", setpoint_qos())
         source = f"{space}/{settings.source}"
         self._motor = {name: node.create_client(Trigger, f"{source}/{name}") for name in ("stop", "start")}
         node.create_subscription(JointState, f"{space}/joint_states", self._on_measurement, sensor_qos())
         node.create_subscription(JointState, f"{source}/state", self._on_state, 10)
+        if settings.source == signals.SOURCE:
+            node.create_subscription(Bool, f"{space}/ready", self._on_ready, latched_qos())
+            node.create_subscription(Float64, f"{space}/ready_in", self._on_ready_in, latched_qos())
 
     def _on_measurement(self, message) -> None:
         joint = self._settings.joint
@@ -76,6 +80,14 @@ class AxisLink:
         with self._lock:
             self._setpoint, self._told = values.get("setpoint", math.nan), time.monotonic()
 
+    def _on_ready(self, message) -> None:
+        with self._lock:
+            self._ready = message.data
+
+    def _on_ready_in(self, message) -> None:
+        with self._lock:
+            self._ready_in = message.data
+
     def look(self, now: float) -> Seen:
         """Return the state of the axis at a time [s] of the monotonic clock."""
         with self._lock:
@@ -88,7 +100,8 @@ class AxisLink:
                 alarm = UNMEASURED
             # a stopped motor keeps its setpoint, but does not move to it
             setpoint = self._measured if self._stopped else self._setpoint
-            return Seen(self._measured, setpoint, alarm)
+            ready = self._ready and alarm == Alarm()
+            return Seen(self._measured, setpoint, alarm, ready, self._ready_in)
 
     def move(self, setpoint: float) -> None:
         """Publish a setpoint [m]."""

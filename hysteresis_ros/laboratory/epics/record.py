@@ -47,6 +47,7 @@ class MotorSettings:
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
     unit: str  #: Engineering unit, a unit of length.
     precision: int  #: Decimal places.
+    deadband: float = 0.0  #: A setpoint within this distance of the position does not move the axis [m]; 0: all do.
 
     @property
     def metres(self) -> float:
@@ -124,6 +125,7 @@ def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSetting
         acceleration=acceleration if math.isfinite(acceleration) else 0.0,
         tolerance=given or own.trajectory.goal_tolerance or NEAR * stroke,
         dwell=own.trajectory.dwell,
+        deadband=own.ready.deadband,
         **common,
     )
 
@@ -133,6 +135,9 @@ TAKEN = 2.0
 
 #: Bits of MSTA.
 PLUS, DONE, PROBLEM, MOVING, COMMUNICATION = 1 << 0, 1 << 1, 1 << 9, 1 << 10, 1 << 12
+
+#: Value of READYIN while nothing is predicted [s].
+UNPREDICTED = -1.0
 
 #: Fields that may be written but keep the values of the axis.
 FIXED = ("VELO", "ACCL", "VMAX", "VBAS", "EGU", "HOMF", "HOMR", "JOGF", "JOGR", "MRES", "ERES", "RVAL", "RDBD")
@@ -156,6 +161,8 @@ class Seen(NamedTuple):
     position: float
     setpoint: float
     alarm: Alarm
+    ready: bool = False  #: Whether the displacement stays within the tolerance of the last move.
+    ready_in: float = math.nan  #: Predicted time from the setpoint until then [s]; 0: ready; NaN: not predicted.
 
 
 class Axis(Protocol):
@@ -192,7 +199,8 @@ class MotorRecord:
             **dict.fromkeys(("STOP", "TWF", "TWR", "SSET", "SUSE", "SYNC", "LVIO", "HLS", "LLS", "MOVN", "MISS"), 0),
             **{"DHLM": high, "DLLM": low, "HLM": high, "LLM": low, "TWV": tweak, "RDBD": settings.tolerance / unit},
             **{"DIR": "Pos", "SET": "Use", "FOFF": "Variable", "SPMG": "Go", "DMOV": 1, "TDIR": 0, "MSTA": DONE},
-            **{"VELO": speed / unit, "VMAX": speed / unit},
+            **{"VELO": speed / unit, "VMAX": speed / unit, "SPDB": settings.deadband / unit},
+            **{"READY": 0, "READYIN": UNPREDICTED},
             "ACCL": speed / settings.acceleration if settings.acceleration else 0.0,
         }
 
@@ -323,7 +331,8 @@ class MotorRecord:
         self._violated, self._missed = violated, Alarm()
         fields["LVIO"], fields["MISS"] = int(violated != Alarm()), 0
         self._seen = self._axis.look(now)
-        self._refused = violated != Alarm() or self._seen.alarm != Alarm()
+        near = fields["DMOV"] and fields["SPDB"] > 0.0 and abs(user - fields["RBV"]) <= fields["SPDB"]
+        self._refused = bool(violated != Alarm() or self._seen.alarm != Alarm() or near)
         if not self._refused:
             dial = self._dial(user)
             fields["DVAL"], fields["VAL"] = dial, user
@@ -332,7 +341,7 @@ class MotorRecord:
             distance = abs(self._target - self._seen.position)
             self._begin(now, distance / own.velocity if own.velocity else 0.0)
             self._axis.move(self._target)
-        fields["DMOV"] = 0  # a refused move ends at once, with the alarm
+        fields["DMOV"] = 0  # a refused move ends at once, with the alarm, and one within the deadband without
         self._sum_up()
 
     def _begin(self, now: float, takes: float) -> None:
@@ -353,6 +362,8 @@ class MotorRecord:
         self._seen = seen
         if math.isfinite(seen.position):
             fields["DRBV"] = seen.position / self.settings.metres
+        fields["READY"] = int(seen.ready)
+        fields["READYIN"] = seen.ready_in if math.isfinite(seen.ready_in) else UNPREDICTED
         if self._refused:
             self._refused = False
             self._end(Alarm())

@@ -52,6 +52,7 @@ WRITTEN = {
     "seconds_to_velocity": "ACCL",
     "max_velocity": "VMAX",
     "retry_deadband": "RDBD",
+    "setpoint_deadband": "SPDB",
     "home_forward": "HOMF",
     "home_reverse": "HOMR",
     "jog_motor_forward": "JOGF",
@@ -87,6 +88,8 @@ class Motor(PVGroup):
     """A motor record on Channel Access."""
 
     motor = pvproperty(value=0.0, name="", dtype=Position, record="motor", put=_write_value)
+    ready = pvproperty(value=0, name=":Ready", read_only=True, doc="1: within the tolerance")
+    ready_in = pvproperty(value=0.0, name=":ReadyIn", read_only=True, doc="Time from the setpoint until ready [s]")
 
     def __init__(self, settings: MotorSettings, axis: Axis):
         super().__init__(prefix=settings.name)
@@ -94,7 +97,7 @@ class Motor(PVGroup):
         self.record = MotorRecord(settings, axis)
         found = self.motor.field_inst
         self._places = {prop.pvspec.name: getattr(found, name) for name, prop in type(found)._pvs_.items()}
-        self._places["VAL"] = self.motor
+        self._places |= {"VAL": self.motor, "READY": self.ready, "READYIN": self.ready_in}
         self._shown: dict[str, object] = {}
         self._alarm: Alarm | None = None
         self._telling = asyncio.Lock()
@@ -118,6 +121,7 @@ class Motor(PVGroup):
         for place in (self.motor, *self._places.values()):
             if isinstance(place, caproto.ChannelDouble):
                 await place.write_metadata(units=unit, precision=digits)
+        await self.ready_in.write_metadata(units="s", precision=6)
         await self._places["EGU"].write(unit, verify_value=False)
         await self._places["DESC"].write(f"hysteresis {self.settings.namespace or 'axis'}"[:40], verify_value=False)
         await self._places["UDF"].write(b"\0", verify_value=False)

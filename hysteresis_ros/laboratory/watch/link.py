@@ -39,7 +39,7 @@ from hysteresis_ros.laboratory.watch.memory import Collector, Memory, motor_fact
 from hysteresis_ros.laboratory.watch.plane import Plane
 from hysteresis_ros.laboratory.watch.views import axis_of, limits_of, table_of
 from hysteresis_ros.loop.parameters import AxisParameters
-from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos, sensor_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos, sensor_qos, setpoint_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.commands import change, plain_value, values_of
 from hysteresis_ros.nodes.samples import TOPIC, Block, block_of, samples_qos
@@ -143,6 +143,8 @@ class AxisLink:
         self.health: dict[str, dict] = {}
         self.refusals: list[str] = []
         self.recording: PageRecording | None = None
+        #: Whether the last move is ready, and its predicted time [s]; NaN: not predicted.
+        self.ready, self.ready_in = False, math.nan
         #: Namespaces of other axes.
         self.elsewhere: list[str] = []
         #: Increases whenever the parameters or the set of nodes change.
@@ -205,8 +207,16 @@ class AxisLink:
         hear(DiagnosticArray, "/diagnostics", self._on_health, diagnostics_qos())
         hear(ParameterEvent, "/parameter_events", self._on_parameters, qos_profile_parameter_events)
         hear(String, name("changes"), self._on_change, loop_qos(True, DEPTH))
+        hear(Bool, name("ready"), self._on_ready, latched_qos())
+        hear(Float64, name("ready_in"), self._on_ready_in, latched_qos())
         for source in (signals.SOURCE, signals.MOTOR_SOURCE):
             hear(String, name(f"{source}/refused"), self._on_refused, setpoint_qos())
+
+    def _on_ready(self, message: Bool) -> None:
+        self.ready = message.data
+
+    def _on_ready_in(self, message: Float64) -> None:
+        self.ready_in = message.data
 
     def _on_refused(self, message: Any) -> None:
         self._refused(message.data)

@@ -288,6 +288,7 @@ class Server:
             "lost": memory.lost,
             "skipped": memory.skipped,
             "tripped": self._tripped(),
+            "ready": {"now": link.ready, "in": link.ready_in if math.isfinite(link.ready_in) else None},
             "stands": stands(link.source, state) if memory.is_live else "",
             "figures": memory.figures(),
             "motor": motor_values(memory),

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The commands ``hysteresis status|get|set|call|echo|setpoint``, executed by a node of the graph."""
+"""The commands ``hysteresis status|get|set|call|echo|setpoint|move``, executed by a node of the graph."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,13 +29,14 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomi
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
 from hysteresis_ros.configuration import ARRAY_TYPES, NODE_NAMES, ParameterRow, parse_value
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, did_you_mean
 from hysteresis_ros.nodes.domain import named
-from hysteresis_ros.nodes.qos import diagnostics_qos
+from hysteresis_ros.nodes.qos import diagnostics_qos, setpoint_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.timing import LIMITED
 from hysteresis_ros.signals import MOTOR_SOURCE, PLANT, kind_of
@@ -504,6 +506,59 @@ def setpoint(client: Client, value: float) -> None:
         raise HysteresisError(f"{source}: {result.reason}")
     _require_moving(client, source, value, state)
     print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
+
+
+def move(client: Client, value: float, tolerance: float | None, dwell: float | None) -> int:
+    """Send a setpoint [m] with a tolerance [m]; print when the axis will be ready, and then when it was.
+
+    Exit code 1: the move was replaced or stopped, or was not ready within the time-out.
+    """
+    source = _source(client)
+    if source.endswith(signals.MOTOR_SOURCE):
+        raise HysteresisError(f"{source}: an inchworm motor predicts nothing; use `hysteresis setpoint`")
+    entries: list[dict[str, Any]] = []
+
+    def told(number: int) -> dict[str, Any]:
+        """Return what the topic has said of a move so far."""
+        return {name: value for entry in entries if entry["move"] == number for name, value in entry.items()}
+
+    def hear(message: String) -> None:
+        entries.append(json.loads(message.data))
+
+    topic = f"{source}/moves"
+    client.node.create_subscription(String, topic, hear, setpoint_qos())
+    client.until(lambda: client.node.count_publishers(topic))
+    _require_active(client, source)
+    given = {"setpoint": value, "tolerance": tolerance, "dwell": dwell}
+    asked = [Parameter(name, Parameter.Type.DOUBLE, one) for name, one in given.items() if one is not None]
+    request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in asked])
+    result = client.ask(SetParametersAtomically, f"{source}/move", request).result
+    if not result.successful:
+        raise HysteresisError(f"{source}: {result.reason}")
+    answer = json.loads(result.reason)
+    if answer["move"] is None:
+        band = readable(answer["deadband"], "m")
+        print(f"{readable(value, 'm')} is within ready.deadband = {band} of the setpoint: the axis does not move")
+        return 0
+    number = answer["move"]
+    if not client.until(lambda: {"predicted", "ended"} & told(number).keys()):
+        raise AbsentError(f"{source} has accepted the move but has not predicted it; see `hysteresis status`")
+    heard = told(number)
+    predicted, why = heard.get("predicted"), heard.get("why") or heard.get("ended")
+    words = f"not predicted: {why}" if predicted is None else f"ready in {readable(predicted, 's')}, predicted"
+    print(f"setpoint {readable(value, 'm')} taken by {source}: {words}", flush=True)
+    if not client.until(lambda: {"ready", "ended"} & told(number).keys()):
+        print(f"not ready within {client.timeout:g} s (--timeout)", flush=True)
+        return 1
+    heard = told(number)
+    if "ended" in heard:
+        print(f"not ready: {heard['ended']}", flush=True)
+        return 1
+    since = heard["ready"]
+    difference = f", {100.0 * (since / predicted - 1.0):+.0f} % from the prediction" if predicted and since else ""
+    skipped = f"; {heard['missing']} samples were skipped or not measured meanwhile" if heard["missing"] else ""
+    print(f"ready after {readable(since, 's')}, measured{difference}{skipped}", flush=True)
+    return 0
 
 
 def _source(client: Client) -> str:

@@ -138,7 +138,7 @@ function status(now) {
     setpoint.value = Number((now.figures.setpoint * state.factor).toPrecision(6));
   }
   const texts = { rms: readable(rms, "m"), largest: readable(largest, "m"), measured: measured === null || !state.factor ? "–" : `${fixed(measured * state.factor, state.unit)} ${state.unit}`, voltage: voltage === null ? "–" : `${fixed(voltage)} V`,
-    rate: now.live ? `${Math.round(now.rate)} Hz` : "–", late: said === undefined ? "–" : `${Number(said)} µs`, skipped: String(now.skipped) };
+    ready: now.ready.now ? "yes" : now.ready.in === null ? "–" : `in ${readable(now.ready.in, "s")}`, rate: now.live ? `${Math.round(now.rate)} Hz` : "–", late: said === undefined ? "–" : `${Number(said)} µs`, skipped: String(now.skipped) };
   for (const [name, text] of Object.entries(texts)) byId(name).textContent = text;
   motor.show(now.motor);
   byId("lost").textContent = now.lost ? `${now.lost} samples did not reach this page` : "";
