@@ -58,7 +58,7 @@ from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
-from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_parameters import StageParameters, without_drivers
 from hysteresis_ros.loop.stage_response import scan_warnings
 from hysteresis_ros.loop.stage_simulation import chosen_stage, displacements_between, simulate_stage, with_scan
 from hysteresis_ros.recordings.dataset import Recording
@@ -1129,7 +1129,7 @@ def scan_run(
     configuration = configuration_of(run) if run.axes and run.configuration else None
     if configuration is None or configuration.stage is None:
         return None
-    parameters = StageParameters.from_configuration(configuration)
+    parameters = StageParameters.from_configuration(without_drivers(configuration, run.axes))
     scan, names = parameters.scan, parameters.scanning_axes
     if scan is None:
         return None

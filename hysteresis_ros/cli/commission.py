@@ -205,8 +205,8 @@ def _coupled_situation(configuration, directory, resumed, plant, offline, choice
         )
     if plant == "external":
         raise ConfigurationError(
-            f"--plant external: {source} describes a stage of coupled axes, which has no drivers and no plants of your "
-            "own yet; leave the option out to commission the simulated stage of the file"
+            f"--plant external: {source} describes a stage of coupled axes, which takes no plants of your own; give "
+            "each axis a driver, or leave the option out to commission the simulated stage of the file"
         )
     parameters = StageParameters.from_configuration(configuration)
     plans = {name: _given(choices, plan) for name, plan in plans_of(configuration, parameters).items()}

@@ -21,6 +21,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -346,7 +347,8 @@ INSIST = 1.0
 class DrivenPlant(Plant):
     """One actuator that is a device, driven from Python.
 
-    After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``.
+    After opening and after :meth:`make_safe` the device is assumed to be at ``safe_voltage``. ``travel`` [m] is the
+    allowed range of the measurement; by default that of a single axis with its model.
     """
 
     #: Samples of this plant are not compiled.
@@ -358,7 +360,9 @@ class DrivenPlant(Plant):
     #: Reason why the device could not be made safe, and the voltage [V] that it still outputs.
     _left, _left_at = "", math.nan
 
-    def __init__(self, parameters: PlantNodeParameters):
+    def __init__(self, parameters: PlantNodeParameters, travel: Sequence[float] | None = None):
+        low, high = parameters.allowed_travel if travel is None else travel
+        self._travel = float(low), float(high)
         self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
         self.sensor = SensorCalibration(parameters.calibration.sensor, 1.0 / parameters.sample_rate)
         self.amplifier = AmplifierCalibration(parameters.calibration.amplifier)
@@ -493,8 +497,8 @@ class DrivenPlant(Plant):
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Allowed range of the measurement [m], from the model in the parameter file."""
-        return self.parameters.allowed_travel
+        """Allowed range of the measurement [m], from the models in the parameter file."""
+        return self._travel
 
     @property
     def saturated(self) -> bool:
@@ -709,9 +713,9 @@ def _actuate_device(laws, plant, row):
 sense.kinds[DrivenPlant], actuate.kinds[DrivenPlant] = _sense_device, _actuate_device
 
 
-def plant_of(parameters: PlantNodeParameters) -> Plant:
+def plant_of(parameters: PlantNodeParameters, travel: Sequence[float] | None = None) -> Plant:
     """Return the plant of a node: the device of its driver, or the simulated one of its type."""
-    return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)
+    return DrivenPlant(parameters, travel) if parameters.driver else PLANTS[parameters.type](parameters)
 
 
 class CompiledPlant(DrivenPlant):
@@ -724,9 +728,9 @@ class CompiledPlant(DrivenPlant):
 
     rounding, begins_safe = 0.0, True
 
-    def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
+    def __init__(self, parameters: PlantNodeParameters, linked: bool = True, travel: Sequence[float] | None = None):
         self._linked = linked
-        super().__init__(parameters)
+        super().__init__(parameters, travel)
         compiled = joints = None
         if linked:
             compiled, joints = self._opened.compiled(), self.capabilities
@@ -804,8 +808,10 @@ class CompiledPlant(DrivenPlant):
         return super().close() if self._linked else ""
 
 
-def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
+def fused_plant_of(
+    parameters: PlantNodeParameters, linked: bool = True, travel: Sequence[float] | None = None
+) -> Plant:
     """Return the plant of a fused axis: the device of its driver, or the simulated plant of its type."""
     if not parameters.driver:
         return PLANTS[parameters.type](parameters)
-    return CompiledPlant(parameters, linked)
+    return CompiledPlant(parameters, linked, travel)

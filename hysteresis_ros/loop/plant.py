@@ -381,6 +381,16 @@ class Plant:
         return bool(self._watch_x.trip[TRIP])
 
     @property
+    def stopped_with_stage(self) -> bool:
+        """Whether this axis is stopped because another axis of its stage is stopped."""
+        return bool(self._watch_x.trip[TRIP] == PARTNER_LOST) and not self.lost
+
+    def stop_with_stage(self) -> None:
+        """Stop because another axis of the stage is stopped; an earlier reason of this axis is kept."""
+        if not self.tripped:
+            self._watch_x.trip[TRIP] = PARTNER_LOST
+
+    @property
     def late(self) -> int:
         """Late voltages so far."""
         return int(self._watch_x.trip[LATE])

@@ -196,6 +196,14 @@ def _value(value):
     return tuple(value) if isinstance(value, list) else value
 
 
+def answers_of(recorded: Recording) -> dict[str, np.ndarray]:
+    """Return what the device of an axis answered in each sample of a recorded run."""
+    nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
+    absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
+    absent["plant_voltage"] = recorded.signals["voltage"]
+    return {name: recorded.signals.get(name, values) for name, values in absent.items()}
+
+
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
@@ -205,10 +213,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     given["pulses"] = recorded.signals.get("trigger_in")
     if parameters.plant_simulator.driver:
-        nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
-        absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
-        absent["plant_voltage"] = recorded.signals["voltage"]
-        given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
+        given["answers"] = answers_of(recorded)
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     # a device's true displacement is unknown
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()

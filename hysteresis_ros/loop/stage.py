@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from hysteresis_ros.loop.plant import (
     PARTNER_LOST,
     TRIP,
     ActuatorPlant,
+    Plant,
     PlantWatchArrays,
     actuate,
     sense,
@@ -114,16 +115,6 @@ class CoupledPlant(ActuatorPlant):
     def resting_drive(self) -> float:
         """Input of the structure at rest, before any voltage is received."""
         return self.actuator.dynamics.output()
-
-    @property
-    def stopped_with_stage(self) -> bool:
-        """Whether this axis is stopped because another axis of the stage is stopped."""
-        return bool(self._watch_x.trip[TRIP] == PARTNER_LOST) and not self.lost
-
-    def stop_with_stage(self) -> None:
-        """Stop because another axis of the stage is stopped; an earlier reason of this axis is kept."""
-        if not self.tripped:
-            self._watch_x.trip[TRIP] = PARTNER_LOST
 
     def note_rest(self, displacement: float) -> None:
         """Set the sensor to the rest position of the structure [m]."""
@@ -393,24 +384,32 @@ class Coupling:
         own = slice(place, place + 1)
         return CoupledPlant(parameters, self.arrays.drive[own], self.arrays.shown[own], self._travel[place])
 
-    def settle(self, plants: Sequence[CoupledPlant]) -> None:
-        """Set the structure to rest at the initial voltages of the plants of all axes."""
+    def settle(self, plants: Sequence[Plant]) -> None:
+        """Set the structure to rest at the initial voltages of the plants of all axes; devices need no structure."""
         group = self.arrays
-        group.drive[:] = [plant.resting_drive for plant in plants]
+        coupled = [plant for plant in plants if isinstance(plant, CoupledPlant)]
         group.commands[:] = group.asked[:] = group.known[:] = 0.0
+        if not coupled:
+            return
+        group.drive[:] = [plant.resting_drive for plant in coupled]
         self.structure.settle(group.drive)
         structure_output(group.p, group.x, group.drive, group.shown)
-        for plant, displacement in zip(plants, group.shown, strict=True):
+        for plant, displacement in zip(coupled, group.shown, strict=True):
             plant.note_rest(float(displacement))
 
 
 class Stage:
-    """The parts of all axes of a stage in closed loop, without ROS."""
+    """The parts of all axes of a stage in closed loop, without ROS.
 
-    def __init__(self, parameters: StageParameters):
+    ``devices`` replace the simulated plants of all axes, and with them the structure that couples these.
+    """
+
+    def __init__(self, parameters: StageParameters, devices: Sequence[Plant] = ()):
         self.parameters = parameters
         self._coupling = Coupling(parameters)
-        self.plants = tuple(self._coupling.plant(i, axis.plant_simulator) for i, axis in enumerate(parameters.axes))
+        self.plants: tuple[Any, ...] = tuple(devices) or tuple(
+            self._coupling.plant(i, axis.plant_simulator) for i, axis in enumerate(parameters.axes)
+        )
         self.axes = tuple(Axis(axis, plant) for axis, plant in zip(parameters.axes, self.plants, strict=True))
         self.sample = 0
         self._coupling.settle(self.plants)
@@ -448,7 +447,7 @@ class Stage:
     @property
     def given(self) -> np.ndarray:
         """Indices of the inputs of a run in the row of an axis."""
-        return np.array(self.kind.given, dtype=float)
+        return np.array([*self.kind.given, *self.plants[0].given], dtype=float)
 
     def default_samples(self) -> int:
         """Return the configured length of a run in samples, which is that of its longest axis; 0: no end."""
@@ -464,11 +463,13 @@ class Stage:
         changes: Mapping[str, Sequence[Change]] | None = None,
         skipped: np.ndarray | None = None,
         pulses: Mapping[str, np.ndarray] | None = None,
+        answers: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes. ``skipped`` is
-        1 for a sample that all axes skip, otherwise 0.
+        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes, and so is what
+        the device of an axis answered in the repeated run (``answers``). ``skipped`` is 1 for a sample that all axes
+        skip, otherwise 0.
         """
         waiting = self._sorted(changes or {})
         given = self.given
@@ -477,6 +478,8 @@ class Stage:
             columns[i, at.SETPOINT] = setpoints[name]
             columns[i, at.SKIPPED] = 0.0 if skipped is None else skipped
             columns[i, at.TRIGGER_IN] = (pulses or {}).get(name, 0.0)
+            for place in self.plants[i].given:
+                columns[i, place] = (answers or {}).get(name, {}).get(at.SIGNALS[place].name, math.nan)
         begin, count, first = self.sample, columns.shape[2], 0
         rows = np.zeros(columns.shape[:2])
         for change, place in waiting:

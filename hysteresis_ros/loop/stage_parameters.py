@@ -198,15 +198,36 @@ def _other_clock(axis: AxisParameters, first: AxisParameters):
             yield Problem(f"{axis.namespace}/plant_simulator: {name}", own[name], allowed)
 
 
+def without_drivers(configuration: Configuration, axes: Sequence[str]) -> Configuration:
+    """Return a stage without its devices, whose drivers need not be on the machine that evaluates a recording."""
+    for name in axes:
+        plant = f"{configuration.stage}/{name}/plant_simulator".lstrip("/")
+        if configuration.node("plant_simulator", f"{configuration.stage}/{name}").get("driver"):
+            unused = {"scan_clock": False, "trigger_output": False, "trigger_input": False}
+            configuration = configuration.override(plant, driver="", driver_options=[], **unused)
+    return configuration
+
+
+def _other_kind(axis: AxisParameters, first: AxisParameters):
+    """Yield a Problem for an axis that is simulated while the first one is a device, or the other way round."""
+    own, wanted = axis.plant_simulator.driver, first.plant_simulator.driver
+    if bool(own) != bool(wanted):
+        has = f"has the driver {wanted}" if wanted else "has no driver"
+        allowed = f"{first.namespace} {has}: give each axis of the stage a driver, or none"
+        yield Problem("driver", own or "''", allowed)
+
+
 def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
     """Yield a Problem for each property of an axis that a stage does not support."""
     plant = axis.plant_simulator
     if plant.type != "actuator":
         yield Problem("type", plant.type, "an axis of a stage is an actuator")
-    if plant.driver:
-        yield Problem("driver", plant.driver, "a stage can only be simulated: remove driver")
     if plant.external_plant:
-        yield Problem("external_plant", True, "a stage can only be simulated: give false")
+        allowed = "an axis of a stage has a driver, or is simulated: give false, and a driver for each axis"
+        yield Problem("external_plant", True, allowed)
+    if plant.scan_clock and plant.time_mode != "fused":
+        allowed = "the devices of a stage output its clock in the fused loop: give time_mode: fused, or false"
+        yield Problem("scan_clock", True, allowed)
     if plant.force_sensor.there:
         given = plant.force_sensor.stack_stiffness
         yield Problem("force_sensor.stack_stiffness", given, "a stage has no force sensors: give 0")
@@ -298,6 +319,11 @@ class StageParameters:
         return self.stage.sample_rate
 
     @property
+    def is_driven(self) -> bool:
+        """Whether devices replace the simulated stage."""
+        return bool(self.axes[0].plant_simulator.driver)
+
+    @property
     def scan(self) -> Scan | None:
         """The scan that axes follow, about their setpoints."""
         given = self.stage.scan
@@ -373,6 +399,7 @@ class StageParameters:
                 problems.append(Problem(f"{where}: joint", joint, allowed))
             joints.setdefault(joint, axis.namespace)
             problems += _other_clock(axis, self.axes[0])
+            problems += [replace(one, name=f"{where}: {one.name}") for one in _other_kind(axis, self.axes[0])]
         where = f"{self.namespace}/{STAGE}: "
         try:
             self.stage.structure.require_sample_time(1.0 / self.sample_rate, f"{where}structure.sample_time")

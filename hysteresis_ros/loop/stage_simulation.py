@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from hysteresis_ros.configuration import STAGE, Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Change
-from hysteresis_ros.loop.simulation import changes_of, unequal
+from hysteresis_ros.loop.device import fused_plant_of
+from hysteresis_ros.loop.simulation import answers_of, changes_of, unequal
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import HAMMERSTEIN, StageParameters
 from hysteresis_ros.loop.stage_response import check_scan
@@ -41,15 +42,17 @@ def simulate_stage(
     changes: Mapping[str, Sequence[Change]] | None = None,
     skipped: np.ndarray | None = None,
     pulses: Mapping[str, np.ndarray] | None = None,
+    answers: Mapping[str, Mapping[str, np.ndarray]] | None = None,
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
-    Axes without setpoints keep their configured one. The signals of the recording are ``x/displacement`` …;
-    :meth:`.Recording.axis` gives those of one axis.
+    Axes without setpoints keep their configured one. ``answers``, of each axis, are what its device answered in the run
+    that is repeated; without them the plants are simulated, also those that have drivers. The signals of the recording
+    are ``x/displacement`` …; :meth:`.Recording.axis` gives those of one axis.
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
-    stage = Stage(parameters)
+    stage = repeated_stage(parameters) if answers else Stage(parameters)
     given = {parameters.names[parameters.place(name)]: values for name, values in (setpoints or {}).items()}
     lists = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in given.items()}
     if duration is not None:
@@ -62,7 +65,7 @@ def simulate_stage(
         name: np.concatenate([values[:samples], np.full(max(samples - len(values), 0), values[-1])])
         for name, values in lists.items()
     }
-    found = stage.run(stage.default_setpoints(samples) | padded, changes, skipped, pulses)
+    found = stage.run(stage.default_setpoints(samples) | padded, changes, skipped, pulses, answers)
     axes: dict[str, Recording] = {}
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         signals = found[name]
@@ -79,20 +82,30 @@ def simulate_stage(
     return Recording.of_axes(axes, metadata)
 
 
+def repeated_stage(parameters: StageParameters) -> Stage:
+    """Return a stage that repeats what its devices answered: recorded measurements already are degrees of freedom."""
+    direct = replace(parameters, stage=replace(parameters.stage, sensor_matrix=()))
+    ranges = zip(parameters.axes, parameters.travel(), strict=True)
+    return Stage(direct, [fused_plant_of(axis.plant_simulator, False, travel) for axis, travel in ranges])
+
+
 def stage_differences(recorded: Recording, parameters: StageParameters) -> dict[str, int]:
     """Compare a recorded run of a stage, in lockstep or fused, with its offline twin, bit for bit.
 
     See :func:`differences`.
     """
     axes = {name: recorded.axis(name) for name in parameters.names}
+    driven = parameters.is_driven
     twin = simulate_stage(
         parameters,
+        answers={name: answers_of(one) for name, one in axes.items()} if driven else None,
         setpoints={name: one["setpoint"] for name, one in axes.items()},
         changes={name: changes_of(one) for name, one in axes.items()},
         skipped=axes[parameters.names[0]].signals.get("skipped"),
         pulses={name: one["trigger_in"] for name, one in axes.items() if one.has("trigger_in")},
     )
-    return unequal(recorded, twin)
+    # the true displacement of a device is unknown
+    return unequal(recorded, twin, {f"{name}/displacement" for name in axes} if driven else ())
 
 
 def with_scan(configuration: Configuration, kind: str, values: Sequence[str]) -> Configuration:

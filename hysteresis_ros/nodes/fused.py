@@ -174,10 +174,10 @@ class FusedAxis:
         plant = self.together[0].plant
         with self._compilation_reported():
             require_speed(given)
-            device = plant.part if plant.parameters.driver else None
-            if device is not None:
+            devices = [one.plant.part for one in self.together if one.plant.parameters.driver]
+            for device in devices:
                 device.reset()
-            axis = Stage(given) if isinstance(given, StageParameters) else Axis(given, device)
+            axis = Stage(given, devices) if isinstance(given, StageParameters) else Axis(given, *devices)
             loop = FusedLoop(axis, plant.parameters.real_time_factor, plant.parameters.samples, warn=self._warn)
         for one, part in zip(self.together, axis.axes, strict=True):
             one._enter(loop, part)

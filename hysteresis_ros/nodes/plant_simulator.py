@@ -243,9 +243,11 @@ class PlantSimulatorNode(AxisNode):
         self._limited = LimitedTime()
         self._clear()
 
-    def make_part(self, parameters):
-        """Return the plant's part of the loop."""
-        return fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
+    def make_part(self, parameters, travel=None):
+        """Return the plant's part of the loop; ``travel`` [m] is the allowed range of a device in a stage."""
+        if parameters.time_mode == "fused":
+            return fused_plant_of(parameters, travel=travel)
+        return plant_of(parameters, travel)
 
     def _tell_device(self) -> None:
         # two calls, because rclpy binds each call site to one severity

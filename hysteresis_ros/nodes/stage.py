@@ -259,8 +259,10 @@ class StagePlantNode(PlantSimulatorNode):
         # all axes of a sample have the same stamp
         self.stamps = self.group.stamps = self.group.stamps or self.stamps
 
-    def make_part(self, parameters):
-        """Return the actuator and the sensor of this axis."""
+    def make_part(self, parameters, travel=None):
+        """Return the actuator and the sensor of this axis, or its device."""
+        if parameters.driver:
+            return super().make_part(parameters, self.group.parameters.travel()[self.place])
         return self.group.coupling.plant(self.place, parameters)
 
     def connect(self) -> None:

@@ -472,7 +472,7 @@ def test_what_repeats_is_told_from_noise():
 REFUSED = {
     "axis": (("--namespace", "x"), "--namespace and --against are for a single axis"),
     "other models": (("--against", "none"), "--namespace and --against are for a single axis"),
-    "external": (("--plant", "external"), "has no drivers and no plants of your own yet"),
+    "external": (("--plant", "external"), "takes no plants of your own; give each axis a driver"),
     "stage of an axis": (("--stage", "creep"), "no stage creep; there are noise, gain, resonance, multisine"),
     "before its time": (("--stage", "loop"), "loop needs the results of noise, gain"),
     "nobody there": ((), "noise: no terminal to ask for permission to move; give --yes"),

@@ -140,9 +140,9 @@ def _full(blocks) -> np.ndarray:
     ("node", "values", "words"),
     [
         (
-            "x__plant_simulator",
-            {"driver": "simulated"},
-            "/x/plant_simulator: driver = 'simulated': a stage can only be simulated: remove driver",
+            "x__*",
+            {"external_plant": True, "time_mode": "realtime"},
+            "/x/plant_simulator: external_plant = True: an axis of a stage has a driver, or is simulated: give false",
         ),
         (
             "y__*",
