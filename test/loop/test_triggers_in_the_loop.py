@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fused_support import assert_twin, change, made_loop, whole
@@ -157,6 +159,8 @@ def test_a_recorded_run_with_pulses_has_its_twin():
     found = triggers_of(recorded)
     np.testing.assert_array_equal(found.time, recorded.time[found.sample] - recorded["trigger_delay"][found.sample])
     assert found.lost == 0 and found.number[-1] == found.sample.size > 10
+    # after a reset they count from 1 again, which loses none
+    assert replace(found, number=np.array([1.0, 2.0, 5.0, 1.0, 2.0])).lost == 2
 
 
 def test_a_stage_triggers_at_the_lines_of_its_scan():

@@ -62,6 +62,10 @@ def test_messages_and_blocks_tell_the_same_and_which_triggers_were_lost():
     wanted = [(k, n, 1e-6 * n, -1.0, 2e-5, lost.get(k, 0.0)) for k, n in at.items()]
     assert by_message.rows == by_block.rows == recorded == wanted
     assert by_message.topic.lost == by_block.topic.lost == 2
+    # also those before the first one that was published
+    late = Heard()
+    late.topic.take(0, table[:, 17])
+    assert late.rows[-1][-1] == 4.0 == late.topic.lost
     # after a reset of the axis they are counted from 1 again
     by_message.topic.restart()
     by_message.topic.take(0, table[:, 3])

@@ -26,10 +26,16 @@ from hysteresis_ros.references.scan import frame_marks, line_marks, pixel_marks
 from hysteresis_ros.references.scan_clock import LEVELS, ScanClock
 from hysteresis_ros.references.scans import parsed_scan
 from hysteresis_ros.references.triggers import (
+    HIGHEST,
+    IN_FORCE,
+    LOWEST,
     NUMBER,
+    REFUSED,
+    TriggerInputParameters,
     TriggerParameters,
     compare,
     makes_triggers,
+    step_setpoint,
     trigger_arrays,
 )
 
@@ -134,6 +140,9 @@ def test_without_a_measurement_the_line_spans_the_gap_and_a_stopped_axis_does_no
     measured = np.array([0.0, 1.0, 2.0, np.nan, np.nan, 5.0, 6.0]) * 1e-6
     found = events(TriggerParameters(positions=(3.5e-6,)), measured, 1e-8)
     assert np.flatnonzero(found[0]).tolist() == [5] and found[3, 5] == pytest.approx(1.5 * STEP)
+    # the measurements before a gap are no part of the cubic after it
+    later = events(TriggerParameters(positions=(5.5e-6,)), measured, 1e-8)
+    assert np.flatnonzero(later[0]).tolist() == [6] and later[3, 6] == pytest.approx(0.5 * STEP)
     skipped = np.array([0.0, 0, 0, 1, 1, 0, 0])
     same = events(TriggerParameters(positions=(3.5e-6,)), np.arange(7) * 1e-6, 1e-8, skipped=skipped)
     np.testing.assert_array_equal(same, found)
@@ -172,11 +181,38 @@ def test_the_marks_of_a_scan_fire_at_their_exact_instants(level, rate):
     assert k.size >= 3
 
 
-def test_an_output_that_needs_time_loses_the_triggers_in_between():
+@pytest.mark.parametrize("rate", [250.0, 300.0])
+def test_an_output_that_needs_time_loses_the_triggers_in_between(rate):
+    """3.3 samples at 300 Hz are over with the fourth one."""
     measured = np.arange(40) * 1e-6
-    chosen = TriggerParameters(start=1e-6, step=1e-6, stop=38e-6, rate=250.0)
+    chosen = TriggerParameters(start=1e-6, step=1e-6, stop=38e-6, rate=rate)
     numbers = events(chosen, measured + 0.5e-6, 1e-8)[0]
     assert numbers[numbers > 0].tolist() == list(range(1, 39, 4))
+
+
+def test_a_time_of_a_sample_is_in_this_sample_whatever_its_last_bit():
+    times = tuple(np.cumsum([0.0, *[STEP] * 199]).tolist())
+    assert any(time / STEP > k for k, time in enumerate(times)), "none is late by its last bit"
+    found = trigger_arrays(TriggerParameters(times=times), 1e-8, 0.0, STEP, None).times
+    np.testing.assert_array_equal(found[:, 0], np.arange(200))
+    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-15)
+
+
+def test_pulses_step_the_setpoint_each_and_those_that_lead_out_of_the_range_are_counted():
+    step = TriggerInputParameters(action="step", distance=-2e-6)
+    arrays = trigger_arrays(TriggerParameters(input=step), 1e-8, 5e-6, STEP, None)
+    arrays.p[LOWEST], arrays.p[HIGHEST] = 0.0, 12e-6
+
+    def setpoint(pulses, tripped=0.0):
+        row = np.zeros(at.MOTOR_ROW)
+        row[at.SETPOINT], row[at.TRIGGER_IN], row[at.TRIPPED] = 5e-6, pulses, tripped
+        interpreted(step_setpoint)(arrays, row)
+        arrays.x[IN_FORCE] = row[at.SETPOINT]
+        return row[at.SETPOINT]
+
+    assert setpoint(1, tripped=2.0) == 5e-6, "a stopped axis does not step"
+    assert setpoint(2) == pytest.approx(1e-6) and arrays.x[REFUSED] == 0.0
+    assert setpoint(3) == pytest.approx(1e-6) and arrays.x[REFUSED] == 3.0
 
 
 def refuse(kind, values) -> None:
@@ -201,6 +237,7 @@ SCAN = {
             WAVEFORM | {"triggers.positions": (1e-6, 13e-6)},
             r"positions = 1.3e-05 m: reaches 1.3e-05 m; allowed: 0 … 1.2e-05",
         ),
+        (WAVEFORM | {"triggers.positions": (-1e-6, 3e-6)}, r"positions = -1e-06 m: reaches -1e-06 m; allowed: 0 "),
         (
             WAVEFORM | {"triggers.start": 1e-6, "triggers.step": 1e-6, "triggers.stop": 20e-6},
             r"triggers.step = 1e-06 m: reaches",
@@ -228,6 +265,12 @@ SCAN = {
         (
             WAVEFORM | {"triggers.times": (0.1, 0.1005)},
             r"times = 0.0005 s: are closer than a sample: give times at least",
+        ),
+        (WAVEFORM | {"triggers.times": (0.1, 0.1005), "triggers.rate": 5000.0}, r"are closer than a sample"),
+        (WAVEFORM | {"triggers.times": (0.1, 0.105), "triggers.rate": 100.0}, r"closer than 1/triggers.rate = 0.01 s"),
+        (
+            WAVEFORM | {"triggers.start": -2e-4, "triggers.step": 1e-9, "triggers.stop": 0.0},
+            r"triggers.step = 1e-09 m: gives more than 100000 positions",
         ),
         (WAVEFORM | {"triggers.times": (-0.1, 0.5)}, r"times = -0.1 s: must not be negative"),
         (WAVEFORM | {"triggers.times": (0.1,), "triggers.positions": (1e-6,)}, r"triggers by one of them"),
@@ -267,5 +310,6 @@ def test_a_grid_has_both_ends_and_a_direction_alone_has_its_positions():
     assert TriggerParameters(positions=(1e-6,), direction="down").up == ()
     assert grid.rearmed(0.0, 1e-5) == pytest.approx(0.025e-6)
     assert TriggerParameters(positions=(1e-6,)).rearmed(0.0, 1e-5) == pytest.approx(1e-7)
+    assert TriggerParameters(positions=(1e-6,)).rearmed(-4e-6, 6e-6) == pytest.approx(1e-7)
     assert not TriggerParameters().asked and not makes_triggers({"triggers.each": "none", "triggers.step": 0.0})
     assert trigger_arrays(grid, 1e-8, 0.0, STEP, None).x[NUMBER] == 0.0
