@@ -172,6 +172,25 @@ def test_an_attempt_that_waits_for_the_device_while_attempts_end_does_not_begin(
     assert "make_safe" not in Stage.calls and device.left_at == 5.0
 
 
+def test_attempts_go_on_until_the_device_is_safe_and_then_end(declared):
+    class Mended(threading.Event):
+        """The time between two attempts; before the third one the device is mended."""
+
+        waits = 0
+
+        def wait(self, timeout=None):
+            self.waits += 1
+            if self.waits == 3:
+                Stage.raised.clear()
+            return self.is_set() or self.waits > 9
+
+    device, done, over = Device(declared, Parameters(), 100.0), [], Mended()
+    device.write([5.0])
+    Stage.raised["make_safe"] = OSError("no answer")
+    device._insist(over, 0.0, lambda: True, lambda: done.append(device.left_at))
+    assert Stage.calls.count("make_safe") == 3 and done == [None] and over.waits == 4
+
+
 def test_a_driver_that_knows_its_output_says_what_is_left(declared, monkeypatch):
     """It stops halfway on the way from 80 V to its safe voltage."""
     device = Device(declared, Parameters(), 100.0)

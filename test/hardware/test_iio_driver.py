@@ -83,6 +83,13 @@ def test_raw_numbers_are_those_of_scale_and_offset(tree):
     device.close()
 
 
+def test_an_attribute_of_a_channel_goes_before_that_of_all_channels(tree):
+    tree.file(0, "in_voltage1_scale").write_text("0.4\n")
+    device = tree.open()
+    assert device.read() == pytest.approx((-0.4,))
+    device.close()
+
+
 def test_it_begins_where_the_converter_is_and_switches_it_on_when_it_is_safe(tree, monkeypatch):
     tree.file(1, "out_voltage3_raw").write_text("4000\n")
     tree.file(1, "out_voltage3_powerdown").write_text("1\n")

@@ -23,6 +23,7 @@ from safe_motion_support import NODES, quantum, stated, steps
 from hysteresis_ros.cli.commissioning.new_file import NewAxis, new_text
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.designs import setpoint_step as stepping
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
 from hysteresis_ros.designs.coupled import controllers_file, design_controllers
 from hysteresis_ros.designs.setpoint_step import overshoot_of, require_gentle, setpoint_step, step_lines
@@ -282,6 +283,22 @@ def test_of_two_stated_slew_rates_the_slower_one_is_the_limit_of_the_approach():
     assert values["/**/plant_simulator"]["ros__parameters"]["limits"]["slew_rate"] == 2000.0
     velocity = values["/**/reference_generator"]["ros__parameters"]["approach"]["maximum_velocity"]
     assert velocity == pytest.approx(0.5 * 2000.0 * 99e-6 / 150.0)
+
+
+@pytest.mark.parametrize(("start", "size"), [(0.0, 99e-6), (70e-6, 70e-6), (30e-6, 69e-6)])
+def test_the_step_of_a_file_is_that_to_the_farther_end_at_the_slower_slew_rate(monkeypatch, start, size):
+    run = {"displacement": np.array([start, 50e-6]), "voltage": np.array([0.0, 1.0])}
+    heard = []
+    monkeypatch.setattr(stepping, "simulate", lambda axis, setpoints, describe: heard.append(setpoints) or run)
+    configuration = parse_configuration(FLEXURE, "a").override("reference_generator", initial_setpoint=start)
+    for plant, own in ((2000.0, 3000.0), (3000.0, 2000.0), (0.0, 2000.0)):
+        nodes = zip(("plant_simulator", "hysteresis_compensator"), (plant, own), strict=True)
+        limited = configuration
+        for node, rate in nodes:
+            limited = limited.override(node, limits__slew_rate=rate)
+        found = setpoint_step(single_axis(limited))
+        assert found.size == pytest.approx(size) and abs(heard[-1][-1] - heard[-1][0]) == pytest.approx(size)
+        assert found.allowed == pytest.approx(2000.0 / RATE)
 
 
 @pytest.mark.parametrize("move", [1e-6, -1e-6])
