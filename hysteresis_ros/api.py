@@ -56,6 +56,7 @@ from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.axis_array import ArrayRun, AxisArray, parameters_of_each
 from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.quiet import quiets_of
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.loop.stage_parameters import StageParameters, without_drivers
@@ -608,6 +609,7 @@ def simulate(  # numpydoc ignore=PR01
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
     scan: Scan | None = None,
+    quiet: Sequence[str | Sequence[float]] = (),
     namespace: str | None = None,
     axes: None = None,
 ) -> Run:
@@ -638,6 +640,7 @@ def simulate(
     speeds: ArrayLike | None = None,
     faults: Sequence[str | Fault] = (),
     scan: Scan | None = None,
+    quiet: Sequence[str | Sequence[float]] = (),
     namespace: str | None = None,
     axes: int | None = None,
     each: Mapping[str, Sequence[Any] | np.ndarray] | None = None,
@@ -669,6 +672,9 @@ def simulate(
         Scan that a stage follows around its setpoints, such as
         ``hysteresis_ros.references.scans.scan_of("raster", {"width": 30e-6, "depth": 30e-6})``; by default that of its
         configuration. :func:`report` then evaluates the scan.
+    quiet : sequence of tuple or str, optional
+        Quiet holds of an axis: ``(start, duration)`` in seconds, on request with the largest drift [m] as a third
+        number, or a text such as ``"1s:500ms:5nm"``.
     namespace : str, optional
         The axis to use, if a configuration contains several; for a stage, the axis in which faults are injected.
     axes : int, optional
@@ -691,7 +697,7 @@ def simulate(
     ConfigurationError
         The configuration cannot be read, the length of the run is not given, or a fault is unknown.
     ParameterError
-        A parameter is wrong; the message states the allowed values.
+        A parameter is wrong, or a quiet hold longer than creep allows; the message states the allowed values.
 
     Examples
     --------
@@ -701,6 +707,8 @@ def simulate(
     ((30,), 'm')
     """
     configuration = configuration_of(config)
+    if quiet and (axes is not None or configuration.stage is not None):
+        raise ConfigurationError("quiet is for a single axis: leave it out")
     if axes is not None:
         if requests is not None or speeds is not None or scan is not None or isinstance(setpoints, Mapping):
             raise ConfigurationError(
@@ -731,7 +739,10 @@ def simulate(
         axis = axis.with_faults(tuple(map(str, faults)))
     for text in reach_warnings(axis):
         warnings.warn(text, stacklevel=2)
-    return Run.of(simulate_axis(axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds))
+    run = simulate_axis(
+        axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds, quiet=quiets_of(quiet)
+    )
+    return Run.of(run)
 
 
 def axis_array(

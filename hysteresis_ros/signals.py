@@ -357,8 +357,8 @@ def place(name: str) -> int:
 #: Values of the ``mode`` signals. RUNNING: normal operation. HOLDING: no usable input in this sample; the output is
 #: held. STALE: no usable input within the time-out. STOPPED: stopped by a request. TRIPPED: stopped by the plant. In
 #: these three modes the output goes to its safe value. FOLLOWING: no node reports achieved commands; the command
-#: follows the displacement.
-MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING = range(6)
+#: follows the displacement. QUIET: the command stands still on request.
+MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING, MODE_QUIET = range(7)
 
 #: Voltages that differ by less than this and are not on a converter's grid count as equal [V].
 LEAST_DIFFERENCE = 1e-9

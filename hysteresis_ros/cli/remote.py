@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis status|get|set|call|echo|setpoint|move``: operate a running axis, without the command ``ros2``."""
+"""``hysteresis status|get|set|call|echo|setpoint|move|quiet``: operate a running axis, without the command ``ros2``."""
 
 from __future__ import annotations
 
@@ -175,3 +175,18 @@ def move(value, tolerance, dwell, namespace, timeout):
         "dwell": None if dwell is None else _quantity("--dwell", dwell, "s"),
     }
     in_graph("move", namespace, timeout, value=_quantity("setpoint", value, "m"), **given)
+
+
+@click.command(short_help="Let a running axis stand still, without its loop.")
+@click.argument("duration")
+@click.option("--tolerance", help="Largest drift by creep, e.g. 5nm; by default any.")
+@steered()
+def quiet(duration, tolerance, namespace, timeout):
+    """Let the command of an axis stand still for DURATION, e.g. 2s or 500ms; 0s ends a quiet hold.
+
+    No noise of the sensor reaches the actuator, and its creep is compensated by the model. Exit code 2: the quiet hold
+    is refused, because creep would leave the tolerance or the axis does not run. Exit code 1: the axis is not found or
+    does not answer.
+    """
+    within = None if tolerance is None else _quantity("--tolerance", tolerance, "m")
+    in_graph("quiet", namespace, timeout, duration=_quantity("duration", duration, "s"), tolerance=within)

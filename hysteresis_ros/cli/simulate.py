@@ -45,6 +45,13 @@ from hysteresis_ros.cli.progress import shown
     metavar="NAME:START:DURATION[:VALUE]",
     help="Inject this fault; repeatable.",
 )
+@click.option(
+    "--quiet",
+    "quiets",
+    multiple=True,
+    metavar="START:DURATION[:TOLERANCE]",
+    help="Let the command stand still, such as 1s:500ms:5nm; repeatable. TOLERANCE: largest drift by creep.",
+)
 @click.option("--learned", metavar="FILE", help="Write the learned correction at the end, for learning.file.")
 @click.option(
     "--drift",
@@ -64,13 +71,27 @@ from hysteresis_ros.cli.progress import shown
     "reference.",
 )
 def simulate(
-    config, values, output, laid_over, duration, setpoints, faults, learned, drift, scan, namespace, reference, triggers
+    config,
+    values,
+    output,
+    laid_over,
+    duration,
+    setpoints,
+    faults,
+    quiets,
+    learned,
+    drift,
+    scan,
+    namespace,
+    reference,
+    triggers,
 ):
     """Run the blocks of CONFIG in closed loop, bit for bit as the nodes do in lockstep, and write all signals.
 
     A stage may follow a scan, see `hysteresis scan`: `hysteresis simulate xy_scanner --scan raster width=30um
     depth=30um lines=32 line_rate=5Hz -o run.npz`.
     """
+    from hysteresis_ros.loop.quiet import quiets_of
     from hysteresis_ros.loop.reach import reach_warnings, single_axis
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.simulation import simulate as run_offline
@@ -88,7 +109,7 @@ def simulate(
             raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")
         configuration = with_scan(configuration, scan, values)
     if configuration.stage is not None:
-        refused = {"--learned": learned, "--drift": drift}
+        refused = {"--learned": learned, "--drift": drift, "--quiet": quiets}
         for option, value in refused.items():
             if value:
                 raise click.UsageError(f"{option} is for a single axis, and {configuration.source} describes a stage")
@@ -104,15 +125,15 @@ def simulate(
         parameters = parameters.with_faults(faults)
         for line in parameters.timeouts():
             click.echo(line)
-    replay: dict[str, Any] = {}
+    replay: dict[str, Any] = {"quiet": quiets_of(quiets)}
     if setpoints is not None:
         recorded = load_run(setpoints, namespace)
-        replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
+        replay |= {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
     with shown("simulating; the first run of a version compiles"):
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
-    if faults:
+    if faults or quiets:
         for line in mode_lines(recording):
             click.echo(line)
     rate = parameters.plant_simulator.sample_rate

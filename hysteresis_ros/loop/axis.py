@@ -23,6 +23,7 @@ from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import PLANTS, CameraPart, Plant, SeenPlant
+from hysteresis_ros.loop.quiet import DURATION, QUIET, Forecast
 from hysteresis_ros.loop.source import SOURCES, GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
 from hysteresis_ros.models.block import specialised_for
@@ -46,10 +47,11 @@ class Change(NamedTuple):
     sample: int  #: Number of the first sample with the change, counted from the start of the axis.
     node: str  #: Name of the node whose part changes.
     #: ``start``, ``stop``, ``retune``; for the plant also ``halt``; for a reference generator also ``follow``, ``hold``
-    #: and ``begin_at``.
+    #: and ``begin_at``; for a controller also ``quiet``.
     action: str
     #: With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
-    #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
+    #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m]. With
+    #: ``quiet``: ``duration`` [s], and ``tolerance`` [m] if the drift is limited.
     parameters: dict = {}
     #: Step of the sample that precedes the change: ``measured`` for the plant, ``answered`` for a controller that has
     #: not yet received the achieved command; empty: none.
@@ -207,8 +209,15 @@ class Axis:
         if change.action == "retune":
             present = part.parameters
             part.retune(type(present).from_mapping({**present.to_mapping(), **change.parameters}))
+        elif change.action == QUIET:
+            self.forecast().require(**change.parameters)
+            part.quiet(change.parameters[DURATION])
         else:
             getattr(part, change.action)(**change.parameters)
+
+    def forecast(self) -> Forecast:
+        """Return the drift of a quiet hold, predicted from the present state of the compensator."""
+        return Forecast(self.compensator.compensator.creep, self.controller.parameters.quiet.creep_uncertainty)
 
     def inject(self, faults: tuple[str, ...]) -> None:
         """Replace the scheduled faults; their times count from the present sample."""

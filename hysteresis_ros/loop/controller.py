@@ -20,6 +20,8 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.control import feedforward as feeding
 from hysteresis_ros.control import law as header
 from hysteresis_ros.control.controller import (
+    ARMED,
+    BIAS,
     DECAY,
     ENTRIES,
     ControllerParameters,
@@ -52,11 +54,14 @@ from hysteresis_ros.control.learning import (
 )
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop import quiet as quieting
 from hysteresis_ros.loop.parameters import ControllerNodeParameters, part
+from hysteresis_ros.loop.quiet import begin_quiet, end_quiet, held_command, is_quiet, quietened
 from hysteresis_ros.loop.watch import (
     FOLLOWING,
     GUARD_STATES,
     HOLDING,
+    QUIET,
     RUNNING,
     STALE,
     STAMP,
@@ -66,9 +71,10 @@ from hysteresis_ros.loop.watch import (
     guard_parameters,
     is_stale,
     receive,
+    samples_of,
     towards,
 )
-from hysteresis_ros.models.block import kernel, nested
+from hysteresis_ros.models.block import interpreted, kernel, nested
 
 
 class ControlArrays(NamedTuple):
@@ -107,7 +113,7 @@ PREDICTS = 4  # 1: the law uses its observer's prediction while a measurement is
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
 NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force there is no command
-OWN_PARAMETERS = 8
+# those of :mod:`.quiet` follow
 
 # Own state.
 STOP = 0  # 1 while stopped
@@ -119,7 +125,7 @@ REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; with active damping this is the output of the damping, not of the law
 OFFSET_LEFT = 7  # remaining part of the previous offset, which fades after a change [m]
 FORCE = 8  # measured force of the last sample [N]
-OWN_STATES = 9
+# that of :mod:`.quiet` follows
 
 #: Smaller offsets count as zero [m].
 NO_OFFSET = 1e-18
@@ -141,7 +147,8 @@ def resume(x, own, value):
 
     The reference also starts at the displacement and fades to the received reference. The reason: a reaching law
     responds mildly to a step of the reference, but strongly to a lasting difference between its command and the
-    achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14).
+    achieved command (Φ = 0.93 amplifies a constant difference by 1/(1 - Φ) = 14). After a quiet hold the controller
+    keeps its states, because the axis has stood still.
     """
     own[RETURNING] = 0.0
     own[ON_PATH] = 1.0
@@ -150,7 +157,14 @@ def resume(x, own, value):
     x.damping[damping.STARTED] = 0.0
     go_on_from(x.handover, own[COMMANDED])
     go_on_from(x.return_path, value)
-    x.controller[header.STARTED] = 0.0
+    if own[quieting.CONTINUES] != 0.0:
+        # a single measurement would put its noise into the reference
+        go_on_from(x.return_path, own[quieting.SEEN])
+        # the difference is the noise of one sample: it is halved in each sample, and nothing fades slowly
+        x.handover[ARMED], x.handover[BIAS] = 2.0, 0.0
+        own[quieting.CONTINUES] = 0.0
+    else:
+        x.controller[header.STARTED] = 0.0
 
 
 @kernel
@@ -196,6 +210,19 @@ def answer(laws, arrays, value, wanted, force):
     return handover(p.handover, x.handover, damp(p.damping, x.damping, wanted, seen, force))
 
 
+@kernel
+def resting_place(own_p, own, mode, value):
+    """Return the command [m] towards which a controller in this mode slews, given the displacement ``value`` [m].
+
+    The slew rate is limited also while the command follows the displacement: otherwise the achieved command would close
+    a loop with gain one.
+    """
+    if mode == QUIET:
+        return held_command(own_p, own, value)
+    end_quiet(own)
+    return value if mode == FOLLOWING else own_p[SAFE_COMMAND]
+
+
 @nested
 def control(laws, arrays, row):
     """Read reference and measurement of a sample from its row and write the command."""
@@ -203,6 +230,8 @@ def control(laws, arrays, row):
     guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
+    if own_p[quieting.ON_PULSE] != 0.0 and row[at.TRIGGER_IN] > 0.0:
+        begin_quiet(own_p, own, own_p[quieting.ON_PULSE])
     own[FORCE] = row[at.FORCE]
     # without its damping, a loop designed for the damped stage must stay open
     unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
@@ -227,6 +256,8 @@ def control(laws, arrays, row):
         mode = STOPPED
     elif is_stale(guard_p, guard):
         mode = STALE
+    elif is_quiet(own) and not unfollowed:
+        mode = QUIET
     elif value != value and (unfollowed or unforced or not foreseeable(own_p, own, state, seen)):
         mode = HOLDING
     elif unfollowed:
@@ -238,17 +269,14 @@ def control(laws, arrays, row):
     wanted = corrected(arrays.p, arrays.x, own, value, answered, row[at.SKIPPED])
     if answered:
         command = answer(laws, arrays, value, wanted, own[FORCE])
-    elif mode == FOLLOWING:
-        # limited to the slew rate to safe: otherwise the achieved command would close a loop with gain one
-        command = towards(command, value, own_p[SAFE_STEP])
-        own[RETURNING] = 1.0
-    if mode in (TRIPPED, STOPPED, STALE):
-        command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
+    elif mode != HOLDING:
+        command = towards(command, resting_place(own_p, own, mode, value), own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     own[UNANSWERED] += 1.0
     # the law's own command is kept, because its difference to the achieved command shows saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
-    sent = min(max(command, own_p[LOWEST]), own_p[HIGHEST])
+    sent = quietened(own_p, own, wanted, command) if answered else command
+    sent = min(max(sent, own_p[LOWEST]), own_p[HIGHEST])
     if sent != command:
         state[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, sent)
     own[COMMANDED] = sent
@@ -290,8 +318,8 @@ class ControllerPart:
         self.history = History()
         self.learning = Learning(parameters.learning, sample_time, parameters.handover_time)
         faults = faulty.fault_parameters(parameters.faults, TARGETS, parameters.sample_rate)
-        self._watch_p = WatchArrays(self._guard(parameters), faults, np.zeros(OWN_PARAMETERS))
-        self._watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(OWN_STATES))
+        self._watch_p = WatchArrays(self._guard(parameters), faults, np.zeros(quieting.OWN_PARAMETERS))
+        self._watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(quieting.OWN_STATES))
         self._pack_own(parameters)
         self._connect()
 
@@ -309,6 +337,11 @@ class ControllerPart:
         own[PREDICTS] = self.controller.predicts
         own[LOWEST], own[HIGHEST] = parameters.command_range
         own[NEEDS_FORCE] = parameters.damping.source == BY_FORCE
+        rate, given = parameters.sample_rate, parameters.quiet
+        own[quieting.AVERAGED] = max(samples_of(given.average, rate), 2.0)
+        # between nodes a pulse is a message to this node, and a change of the log
+        pulsed = parameters.time_mode == "fused" and given.on_trigger > 0.0
+        own[quieting.ON_PULSE] = samples_of(given.on_trigger, rate) if pulsed else 0.0
 
     @property
     def _blocks(self) -> tuple:
@@ -362,6 +395,15 @@ class ControllerPart:
         """Continue without a jump."""
         self._watch_x.own[STOP] = 0.0
         self._watch_x.own[RETURNING] = 1.0
+
+    def quiet(self, duration: float) -> None:
+        """Let the command stand still for ``duration`` [s], after ``quiet.average``; 0 ends a quiet hold."""
+        quieting.require_numbers(duration)
+        if self.parameters.use_origin:
+            remedy = "an inchworm motor is quiet when its clamps hold it: stop the sequencer instead"
+            raise ParameterError([Problem(f"{quieting.QUIET}: {quieting.DURATION}", duration, remedy, "s")])
+        samples = samples_of(duration, self.parameters.sample_rate) if duration else 0.0
+        interpreted(begin_quiet)(self._watch_p.own, self._watch_x.own, samples)
 
     def learn(self) -> None:
         """Learn, beginning with the next sample."""

@@ -37,6 +37,7 @@ from hysteresis_ros.hardware.simulated_camera import SimulatedCameraParameters
 from hysteresis_ros.hardware.tracker import CameraParameters
 from hysteresis_ros.loop.faults import parse_fault
 from hysteresis_ros.loop.inchworm_checks import inchworm_problems
+from hysteresis_ros.loop.quiet import QuietParameters
 from hysteresis_ros.loop.watch import samples_of
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.adaptation import AdaptationParameters
@@ -550,6 +551,7 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
     safe_command: float = parameter(
         0.0, unit="m", low=-1.0, high=1.0, description="command while the measurement is stale"
     )
+    quiet: QuietParameters = group(QuietParameters)
     safe_slew_rate: float = parameter(
         1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="slew rate of the command to safe_command"
     )
@@ -569,6 +571,9 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRang
         if low < high and not low <= self.safe_command <= high:
             remedy = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
             yield Problem("safe_command", self.safe_command, remedy)
+        if self.use_origin and self.quiet.on_trigger:
+            remedy = "an inchworm motor is quiet when its clamps hold it: give 0 s"
+            yield Problem("quiet.on_trigger", self.quiet.on_trigger, remedy, "s")
 
 
 @dataclass(frozen=True)
@@ -754,7 +759,7 @@ TIMEOUTS = {
 }
 
 
-def _device_trigger_problems(plant, name: str, source):
+def _device_trigger_problems(plant, name: str, source, controller):
     """Yield a Problem unless the source has the triggers that the plant's device makes, and acts on its input."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
         remedy = f"differ from those of the {name}: leave them out here, they are taken from there"
@@ -762,8 +767,8 @@ def _device_trigger_problems(plant, name: str, source):
     if plant.trigger_output and not source.triggers.makes_events:
         remedy = f"there are no triggers: give {name} triggers"
         yield Problem("plant_simulator: trigger_output", plant.trigger_output, remedy)
-    if plant.trigger_input and source.triggers.input.action == "none":
-        remedy = f"nothing acts on it: give {name} triggers.input.action"
+    if plant.trigger_input and source.triggers.input.action == "none" and not controller.quiet.on_trigger:
+        remedy = f"nothing acts on it: give {name} triggers.input.action, or motion_controller quiet.on_trigger"
         yield Problem("plant_simulator: trigger_input", plant.trigger_input, remedy)
 
 
@@ -864,7 +869,7 @@ class AxisParameters:
                     problems.append(Problem(f"{name}: {shared}", value, remedy))
         source = found[kind.source]
         if plant.trigger_output or plant.trigger_input:
-            problems += _device_trigger_problems(plant, kind.source, source)
+            problems += _device_trigger_problems(plant, kind.source, source, controller)
             plant = found["plant_simulator"] = replace(plant, triggers=source.triggers)
         if not coupled:
             problems += [replace(item, name=f"{kind.source}: {item.name}") for item in source.trigger_problems()]

@@ -28,6 +28,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, R
 from hysteresis_ros.loop.axis import STEPS, Axis, Change
 from hysteresis_ros.loop.device import fused_plant_of
 from hysteresis_ros.loop.parameters import AxisParameters, PlantNodeParameters
+from hysteresis_ros.loop.quiet import QUIET, Quiet
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
@@ -117,10 +118,11 @@ def simulate(
     skipped=None,
     pulses=None,
     answers: dict | None = None,
+    quiet: Sequence[Quiet] = (),
     describe: bool = True,
     finished: Callable[[Axis], None] | None = None,
 ) -> Recording:
-    """Run an axis offline from rest, for ``duration`` [s] and with ``setpoints`` [m]."""
+    """Run an axis offline from rest, for ``duration`` [s], with ``setpoints`` [m] and quiet holds."""
     if duration is not None:
         parameters = parameters.with_duration(duration)
     plant = fused_plant_of(parameters.plant_simulator, linked=False) if answers else None
@@ -139,6 +141,12 @@ def simulate(
     }
     if answers:
         given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
+    for one in quiet:
+        sample = round(one.start * axis.sample_rate)
+        if sample >= samples:
+            end = f"must be before the end of the run, {samples / axis.sample_rate:g} s"
+            raise ParameterError([Problem("quiet: start", one.start, end, "s")])
+        changes = [*changes, Change(sample, "motion_controller", QUIET, one.parameters)]
     if any(drift):
         changes = [*changes, *drifting(parameters, samples, *drift)]
     signals = axis.run(setpoints, changes=changes, **given)
@@ -171,7 +179,7 @@ LOGGED = {
     "plant_simulator": ("start", "halt", "reset", "retune", "home"),
     "reference_generator": ("start", "stop", "hold", "follow", "begin_at", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
-    "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget"),
+    "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget", "quiet"),
     "hysteresis_compensator": ("start", "stop", "reset", "retune", "freeze", "resume", "forget"),
     "displacement_camera": ("reset", "retune"),
 }

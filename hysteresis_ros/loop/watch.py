@@ -28,7 +28,8 @@ from hysteresis_ros.models.block import called, kernel
 #: Modes of a part, see :mod:`hysteresis_ros.signals`.
 RUNNING, HOLDING, STALE = signals.MODE_RUNNING, signals.MODE_HOLDING, signals.MODE_STALE
 STOPPED, TRIPPED, FOLLOWING = signals.MODE_STOPPED, signals.MODE_TRIPPED, signals.MODE_FOLLOWING
-MODE_NAMES = ("running", "holding", "stale", "stopped", "tripped", "following")
+QUIET = signals.MODE_QUIET
+MODE_NAMES = ("running", "holding", "stale", "stopped", "tripped", "following", "quiet")
 
 
 class WatchArrays(NamedTuple):

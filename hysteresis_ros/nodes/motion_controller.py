@@ -28,9 +28,10 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
 from hysteresis_ros.loop.parameters import ControllerNodeParameters
 from hysteresis_ros.loop.tick import ANSWERED, Laws
-from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
+from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, QUIET, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.nodes.quiet import QuietHold
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 
@@ -197,6 +198,7 @@ class MotionControllerNode(Responder):
     def connect(self) -> None:
         """Create the topics."""
         super().connect()
+        self._quiet = QuietHold(self)
         self._state_of_controller = None
         if self.parameters.controller_state_rate:
             types = message_types()
@@ -219,6 +221,7 @@ class MotionControllerNode(Responder):
     def reset_blocks(self) -> None:
         """Reset the controller to rest."""
         super().reset_blocks()
+        self._quiet.reset()
         self._clear()
 
     def retune(self, parameters) -> None:
@@ -344,6 +347,7 @@ class MotionControllerNode(Responder):
         """Store a reference, an origin, or an achieved command."""
         if input_.previous:
             carried_out(self._arrays, data)
+            self._quiet.follow(data)
             if math.isfinite(data):
                 self.shortfall.carried_out(data)
         else:
@@ -381,7 +385,9 @@ class MotionControllerNode(Responder):
             self.warn("following", text)
         elif mode == TRIPPED and not self.runner.latched:
             self.warn("tripped", "the plant has stopped the axis: going to safe_command", error=True)
-        elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED):
+        elif mode == QUIET:
+            self.get_logger().info("quiet: the command stands still")
+        elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED, QUIET):
             self.get_logger().info(f"resumed after {MODE_NAMES[before]}")
 
     def health(self):

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.remote.client import AbsentError, Client
-from hysteresis_ros.nodes.remote.commands import call, echo, get, move, set_, setpoint, status
+from hysteresis_ros.nodes.remote.commands import call, echo, get, move, quiet, set_, setpoint, status
 
 #: The commands; each is called with the client and the further arguments.
 COMMANDS: dict[str, Callable[..., int | None]] = {
@@ -29,6 +29,7 @@ COMMANDS: dict[str, Callable[..., int | None]] = {
     "echo": echo,
     "setpoint": setpoint,
     "move": move,
+    "quiet": quiet,
 }
 
 
@@ -42,7 +43,7 @@ def done(request: dict, make_client: Callable[[str, float], Client] = Client) ->
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
         # 1: it is unknown whether the request was accepted, which differs from a refusal
-        return 1 if command in (setpoint, move) and isinstance(error, AbsentError) else 2
+        return 1 if command in (setpoint, move, quiet) and isinstance(error, AbsentError) else 2
 
 
 def main() -> int:

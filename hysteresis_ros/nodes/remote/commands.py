@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The commands ``hysteresis status|get|set|call|echo|setpoint|move``, executed by a node of the graph."""
+"""The commands ``hysteresis status|get|set|call|echo|setpoint|move|quiet``, executed by a node of the graph."""
 
 from __future__ import annotations
 
@@ -559,6 +559,18 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
     skipped = f"; {heard['missing']} samples were skipped or not measured meanwhile" if heard["missing"] else ""
     print(f"ready after {readable(since, 's')}, measured{difference}{skipped}", flush=True)
     return 0
+
+
+def quiet(client: Client, duration: float, tolerance: float | None) -> None:
+    """Let an axis stand still for a duration [s] if its drift stays within a tolerance [m]; print what it answers."""
+    controller = client.find(signals.CONTROLLER)
+    given = {"duration": duration, "tolerance": tolerance}
+    asked = [Parameter(name, Parameter.Type.DOUBLE, one) for name, one in given.items() if one is not None]
+    request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in asked])
+    result = client.ask(SetParametersAtomically, f"{controller}/quiet", request).result
+    if not result.successful:
+        raise HysteresisError(f"{controller}: {result.reason}")
+    print(f"{controller}: {result.reason}", flush=True)
 
 
 def _source(client: Client) -> str:

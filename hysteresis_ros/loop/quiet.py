@@ -1,0 +1,263 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Quiet hold: the command stands still for a time, so that neither sensor noise nor quantisation moves the actuator.
+
+The loop first runs on for ``quiet.average`` while the difference of its command from the reference is averaged, because
+a single command contains the noise of its sample. For the same time the deviation from this mean fades out, so that a
+resonance that the loop damps does not ring when the command stands still. The compensator computes a voltage
+for each sample as always, so the voltage follows minus the creep of its model. At the end the controller continues with
+its states; its reference fades from the mean of the last measurements to the received reference, and its command begins
+with the held one.
+
+The drift of a quiet hold is the part of the creep that the model does not compensate. It is assumed to be a part of the
+creep that the model predicts from its present state (``quiet.creep_uncertainty``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.models.block import interpreted, kernel
+from hysteresis_ros.models.creep import DECAYS, OPERATOR, OPERATORS, OUTPUT, Creep, creep_inverse
+from hysteresis_ros.units import quantity_in, readable
+
+#: Name of the change, of the service and of its first number.
+QUIET, DURATION, TOLERANCE = "quiet", "duration", "tolerance"
+#: Longest quiet hold, and the time that a forecast looks ahead [s].
+LONGEST = 1e5
+#: Number of instants at which a forecast looks.
+INSTANTS = 2000
+
+# Own parameters of the controller's part, after those of :mod:`.controller`.
+AVERAGED = 8  # samples whose commands are averaged, and samples in which the command then fades to the mean
+ON_PULSE = 9  # samples of the hold that a pulse of the trigger input begins; 0: it begins none
+OWN_PARAMETERS = 10
+
+# Own state of the controller's part, after that of :mod:`.controller`.
+AHEAD = 9  # samples until the command stands still
+LEFT = 10  # samples until the hold ends
+SUM = 11  # sum of command minus reference so far [m], over COUNT samples
+COUNT = 12
+COMMAND = 13  # the command that stands still [m]
+REFERENCE = 14  # last reference [m]
+AT_REST = 15  # 1 while the reference has not moved since the request
+CONTINUES = 16  # 1: the controller continues with the states that it had before the hold
+SEEN = 17  # mean of the last measurements in the hold [m]
+SEEN_COUNT = 18  # number of these measurements, at most AVERAGED
+OWN_STATES = 19
+
+
+@dataclass(frozen=True)
+class QuietParameters(Parameters):
+    """Quiet hold of a motion controller."""
+
+    average: float = parameter(
+        0.05,
+        unit="s",
+        low=0.0,
+        high=60.0,
+        description="time over which the command is averaged, at least two samples; it then fades to this mean, in the "
+        "same time, and stands still",
+    )
+    on_trigger: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        high=LONGEST,
+        read_only=True,
+        description="length of the quiet hold that a pulse of the trigger input begins; 0: it begins none",
+    )
+    creep_uncertainty: float = parameter(
+        0.3,
+        low=0.0,
+        high=10.0,
+        description="part of the predicted creep that is assumed to remain when it is compensated: the drift",
+    )
+
+
+@kernel
+def begin_quiet(own_p, own, samples):
+    """Begin a quiet hold of this number of samples; 0 ends the present one."""
+    standing = own[LEFT] > 0.0 and own[AHEAD] == 0.0
+    own[LEFT] = samples
+    if samples == 0.0:
+        own[AHEAD] = 0.0
+    elif not standing:
+        own[AHEAD] = 2.0 * own_p[AVERAGED]
+        own[SUM] = own[COUNT] = own[SEEN_COUNT] = 0.0
+        own[AT_REST] = 1.0
+
+
+@kernel
+def is_quiet(own):
+    """Tell whether the command stands still."""
+    return own[LEFT] > 0.0 and own[AHEAD] == 0.0
+
+
+@kernel
+def quietened(own_p, own, reference, command):
+    """Return the command [m] to send; while a quiet hold is about to begin, average it, then fade it to its mean."""
+    if own[AHEAD] == 0.0:
+        return command
+    if own[COUNT] > 0.0 and reference != own[REFERENCE]:
+        own[AT_REST] = 0.0
+    own[REFERENCE] = reference
+    own[AHEAD] -= 1.0
+    if own[COUNT] < own_p[AVERAGED]:
+        own[SUM] += command - reference
+        own[COUNT] += 1.0
+        return command
+    own[COMMAND] = reference + own[SUM] / own[COUNT]
+    return own[COMMAND] + own[AHEAD] / own_p[AVERAGED] * (command - own[COMMAND])
+
+
+@kernel
+def held_command(own_p, own, measured):
+    """Return the command [m] of a sample of the quiet hold, given the measurement [m] of the sample (NaN: none)."""
+    own[LEFT] -= 1.0
+    if measured == measured:
+        own[SEEN_COUNT] = min(own[SEEN_COUNT] + 1.0, own_p[AVERAGED])
+        own[SEEN] += (measured - own[SEEN]) / own[SEEN_COUNT]
+        own[CONTINUES] = own[AT_REST]
+    return own[COMMAND]
+
+
+@kernel
+def end_quiet(own):
+    """End a quiet hold because the axis becomes safe; the controller will start anew."""
+    own[LEFT] = own[AHEAD] = own[CONTINUES] = 0.0
+
+
+class Forecast:
+    """Drift of an axis in a quiet hold, predicted by the creep model of its compensator in its present state."""
+
+    def __init__(self, creep: Creep, uncertainty: float):
+        p, x = creep.p.copy(), creep.x.copy()
+        count = int(p[OPERATORS])
+        self.uncertainty, self.sample_time = uncertainty, creep.sample_time
+        held = float(interpreted(creep_inverse)(p, x, x[OUTPUT]))
+        self._weights = p[DECAYS + count : DECAYS + 2 * count] * (held - x[OPERATOR:])
+        self._decays = p[DECAYS : DECAYS + count]
+        whole = np.rint(np.geomspace(1.0, max(LONGEST / self.sample_time, 2.0), INSTANTS))
+        self._samples = np.unique(whole)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the compensator has a creep model."""
+        return self._decays.size > 0
+
+    def creep(self, duration: float) -> float:
+        """Return the largest predicted creep within a time [s], without compensation [m]."""
+        samples = self._samples[self._samples * self.sample_time < duration]
+        return float(np.max(self._creep(np.append(samples, duration / self.sample_time)), initial=0.0))
+
+    def _creep(self, samples: np.ndarray) -> np.ndarray:
+        """Return the predicted creep [m] after numbers of samples."""
+        return np.abs((1.0 - self._decays ** samples[:, np.newaxis]) @ self._weights)
+
+    def longest(self, tolerance: float) -> float:
+        """Return how long the drift stays within a tolerance [m], in s; infinite if always."""
+        outside = np.flatnonzero(self.uncertainty * self._creep(self._samples) > tolerance)
+        if not outside.size:
+            return math.inf
+        first = int(outside[0])
+        return float(self._samples[first - 1]) * self.sample_time if first else 0.0
+
+    def require(self, duration: float, tolerance: float = 0.0) -> None:
+        """Raise a ParameterError unless a quiet hold of a duration [s] stays within a tolerance [m]; 0: any."""
+        require_numbers(duration, tolerance)
+        if not tolerance:
+            return
+        if not self.is_known:
+            remedy = (
+                "how long the axis may be quiet is unknown, because hysteresis_compensator has no creep model "
+                "(creep.type: none); identify one from a step (hysteresis identify --creep), or omit the tolerance"
+            )
+            raise ParameterError([Problem(f"{QUIET}: {TOLERANCE}", tolerance, remedy, "m")])
+        creep, longest = self.creep(duration), self.longest(tolerance)
+        if self.uncertainty * creep <= tolerance:
+            return
+        would = f"allowed now: at most {readable(longest, 's')}" if longest else "allowed now: no quiet hold"
+        remedy = (
+            f"the displacement would drift by {readable(self.uncertainty * creep, 'm')} ({100 * self.uncertainty:g} % "
+            f"of the predicted creep of {readable(creep, 'm')}), the tolerance is {readable(tolerance, 'm')}; {would}; "
+            "or wait, because creep becomes slower"
+        )
+        raise ParameterError([Problem(f"{QUIET}: {DURATION}", duration, remedy, "s")])
+
+    def describe(self, duration: float) -> str:
+        """Return a text with the predicted drift of a quiet hold of a duration [s]."""
+        if not self.is_known:
+            return "the drift is unknown: hysteresis_compensator has no creep model"
+        creep = self.creep(duration)
+        drift = readable(self.uncertainty * creep, "m")
+        return f"predicted drift {drift}, {100 * self.uncertainty:g} % of the creep of {readable(creep, 'm')}"
+
+
+def require_numbers(duration: float, tolerance: float = 0.0) -> None:
+    """Raise a ParameterError unless duration [s] and tolerance [m] of a quiet hold are possible."""
+    if not 0.0 <= duration <= LONGEST:
+        text = f"must be within 0 … {LONGEST:g} s; 0 ends a quiet hold"
+        raise ParameterError([Problem(f"{QUIET}: {DURATION}", duration, text, "s")])
+    if not 0.0 <= tolerance < math.inf:
+        text = "must be > 0 m, or 0 for any drift"
+        raise ParameterError([Problem(f"{QUIET}: {TOLERANCE}", tolerance, text, "m")])
+
+
+class Quiet(NamedTuple):
+    """A quiet hold of an offline run."""
+
+    start: float  #: Time of the request since the start of the run [s].
+    duration: float  #: Length of the hold [s].
+    tolerance: float = 0.0  #: Largest drift [m]; 0: any.
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of the change."""
+        return {DURATION: float(self.duration), TOLERANCE: float(self.tolerance)}
+
+
+def parse_quiet(text: str) -> Quiet:
+    """Return the quiet hold that ``START:DURATION[:TOLERANCE]`` describes; each with or without a unit."""
+    words = text.split(":")
+    if len(words) not in (2, 3):
+        raise ConfigurationError(f"quiet {text}: write START:DURATION[:TOLERANCE], such as 1s:500ms:5nm")
+    values = []
+    for word, unit in zip(words, ("s", "s", "m"), strict=False):
+        try:
+            values.append(quantity_in(word, unit))
+        except ValueError as error:
+            raise ConfigurationError(f"quiet {text}: {word}: {error}") from None
+    return checked(Quiet(*values))
+
+
+def checked(quiet: Quiet) -> Quiet:
+    """Return a quiet hold whose numbers are possible; otherwise raise a ParameterError."""
+    if not 0.0 <= quiet.start < math.inf:
+        raise ParameterError([Problem(f"{QUIET}: start", quiet.start, "must be ≥ 0 s", "s")])
+    require_numbers(quiet.duration, quiet.tolerance)
+    return quiet
+
+
+def quiets_of(given: Sequence[str | Sequence[float]]) -> list[Quiet]:
+    """Return quiet holds that are given as texts, or as numbers in the order of :class:`Quiet`."""
+    found = []
+    for one in given:
+        if not isinstance(one, str) and len(one) not in (2, 3):
+            raise ConfigurationError(f"quiet {tuple(one)}: give (start, duration) or (start, duration, tolerance)")
+        found.append(parse_quiet(one) if isinstance(one, str) else checked(Quiet(*map(float, one))))
+    return found
