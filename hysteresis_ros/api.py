@@ -66,7 +66,7 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.references.scan import Scan
 from hysteresis_ros.references.scans import scan_words
-from hysteresis_ros.units import readable
+from hysteresis_ros.units import figure_name, readable
 
 if TYPE_CHECKING:
     import pandas
@@ -267,6 +267,8 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         ``inverse_rmse_v`` and more; None for values that are not finite. ``--json`` prints the same.
     warnings : tuple of str
         Warnings, one sentence each.
+    recording : RecordingSummary, optional
+        What the recording showed before the fit, as lines to print.
     """
 
     def predict(
@@ -326,8 +328,9 @@ class Compared(workflow.Compared):  # numpydoc ignore=PR02
         return predict(self.plant, values, step, intersample, initial)
 
     def __repr__(self) -> str:
-        error, share = self.figures.get("rmse_m"), self.figures.get("rmse_percent_of_stroke")
-        parts = [] if error is None else [f"RMS error {readable(error, 'm')}"]
+        units = self.plant.units
+        error, share = self.figures.get(figure_name("rmse_m", units)), self.figures.get("rmse_percent_of_stroke")
+        parts = [] if error is None else [f"RMS error {readable(error, units[1])}"]
         parts += [] if share is None else [f"{share:.3g} % of the stroke"]
         judged = f": {', '.join(parts)}" if parts else ""
         return f"{type(self).__name__}({self._named()}{judged}, {len(self.data)} samples{_warned(self.warnings)})"
@@ -367,6 +370,8 @@ class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
     response : ResponseCheck, optional
         How well the recording determines the frequency response; None for a model whose hysteresis contains the
         dynamics.
+    recording : RecordingSummary, optional
+        What the recording showed before the fit, as lines to print.
     """
 
     def _named(self) -> str:

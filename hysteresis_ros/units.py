@@ -11,8 +11,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import contextvars
 import math
 import re
+from collections.abc import Iterator
 
 from hysteresis_ros.errors import did_you_mean
 
@@ -34,6 +37,8 @@ SUBUNITS = {
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
+    # a temperature in degC differs from one in K by more than a factor, so it stays as it is
+    **{unit: (unit, 1.0) for unit in ("degC", "T", "Nm")},
     "mm/s": ("m/s", 1e3),
     "um/s": ("m/s", 1e6),
     "µm/s": ("m/s", 1e6),
@@ -52,6 +57,11 @@ UNITS = {
     "mA": ("A", 1e3),
     "mN": ("N", 1e3),
     "kN": ("N", 1e-3),
+    "mNm": ("Nm", 1e3),
+    "mT": ("T", 1e3),
+    "kPa": ("Pa", 1e-3),
+    "MPa": ("Pa", 1e-6),
+    "bar": ("Pa", 1e-5),
     "mrad": ("rad", 1e3),
     "urad": ("rad", 1e6),
     "µrad": ("rad", 1e6),
@@ -77,6 +87,7 @@ WORDS = {
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("ampere", "amperes", "amps"), "A"),
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
+    **dict.fromkeys(("°c", "degc", "celsius"), "degC"),
 }
 
 #: Powers as users type them, and as they are printed.
@@ -141,8 +152,51 @@ def quantity_in(text: str, unit: str) -> float:
     return value
 
 
+#: Units in which quantities in V and m are shown.
+_SHOWN: contextvars.ContextVar[dict[str, str] | None] = contextvars.ContextVar("shown units", default=None)
+
+
+@contextlib.contextmanager
+def shown_in(input_unit: str, output_unit: str) -> Iterator[None]:
+    """Within the context, :func:`readable` and :func:`shown_unit` take V as the one unit, and m as the other.
+
+    The models call their input a voltage and their output a displacement; a recording may have others.
+    """
+    token = _SHOWN.set({"V": input_unit, "m": output_unit})
+    try:
+        yield
+    finally:
+        _SHOWN.reset(token)
+
+
+def shown_unit(unit: str) -> str:
+    """Return the unit in which quantities in V or m are shown, see :func:`shown_in`."""
+    return (_SHOWN.get() or {}).get(unit, unit)
+
+
+def ending(unit: str) -> str:
+    """Return the ending of a figure's name for its unit, such as ``_m`` or ``_degc``."""
+    return "_" + {"%": "in_percent"}.get(unit, unit.replace("/", "_per_").replace("^", "").lower())
+
+
+def bare_name(column: str) -> str:
+    """Return the name of a column without the unit at its end: ``coil`` of ``coil_mA``."""
+    name, _, unit = column.rpartition("_")
+    return name if name and unit[:1].isalpha() and conversion(unit) is not None else column
+
+
+def figure_name(name: str, units: tuple[str, str]) -> str:
+    """Return the name of a figure of a recording in ``units`` of input and output, from its name for V and m."""
+    for unit, own in zip(("V", "m"), units, strict=True):
+        for after in ("", "2", "_per_s"):
+            if own != unit and name.endswith(ending(unit) + after):
+                return name.removesuffix(ending(unit) + after) + ending(own) + after
+    return name
+
+
 def readable(value: float, unit: str) -> str:
     """Return a readable quantity: four digits and a prefix that leaves few zeros, as in ``0.2148 µm``."""
+    unit = shown_unit(unit)
     if unit == "m":
         size = abs(value)
         if 0.0 < size < FINE * 1e-6:

@@ -21,10 +21,9 @@ from hysteresis_ros.identification.parameter_file import assumptions
 from hysteresis_ros.identification.prediction import InverseValidation
 from hysteresis_ros.identification.validation import CorrelationTest, Validation
 from hysteresis_ros.identification.workflow import Compared, Identified
-from hysteresis_ros.units import readable
+from hysteresis_ros.units import bare_name, figure_name, readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
-_MICRO = 1e6
 #: Largest number of samples of a drawn loop.
 LOOP_POINTS = 20000
 #: Rows of the table: name, label, unit, factor from SI.
@@ -65,15 +64,18 @@ def write_validation_report(path, found: Compared) -> None:
 
 def _write(path, title: str, found: Compared, plots, stated) -> None:
     rows, data, errors = [], found.data, found.validation
+    units = found.plant.units
     for name, label, unit, factor in ROWS:
-        value = found.figures.get(name)
+        value = found.figures.get(figure_name(name, units))
         if value is not None:
-            rows.append(shown_row(label, value, unit, factor))
+            unit, factor = _own_unit(unit, factor, units)
+            rows.append(shown_row(label.replace("voltage", _input_name(data)), value, unit, factor))
     html = render_page(
         "identification.html.j2",
         title=title,
-        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {readable(errors.rmse, 'm')}, "
+        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {readable(errors.rmse, units[1])}, "
         f"{errors.rmse_percent_of_stroke:.3g} % of stroke, fit {errors.fit_percent:.4g} %",
+        recording=found.recording.lines if found.recording is not None else (),
         warnings=list(found.warnings),
         rows=rows,
         plots=[dict(caption=caption, source=data_uri(figure)) for caption, figure in plots],
@@ -82,19 +84,38 @@ def _write(path, title: str, found: Compared, plots, stated) -> None:
     write_page(path, html)
 
 
+def _own_unit(unit: str, factor: float, units: tuple[str, str]) -> tuple[str, float]:
+    """Return unit and factor of a row for a recording in ``units``: µm and V are for lengths and voltages only."""
+    if unit.startswith("µm") and units[1] != "m":
+        return units[1] + unit.removeprefix("µm"), 1.0
+    return (units[0], 1.0) if unit == "V" else (unit, factor)
+
+
+def _output_axis(data: IdentificationData, largest: float | None = None) -> tuple[str, str, float]:
+    """Return name, unit and factor for the axis of an output; a length below ``largest`` may be drawn in nm."""
+    if data.output_unit != "m":
+        return bare_name(data.output_name), data.output_unit, 1.0
+    return ("displacement", *(("µm", 1e6) if largest is None else length_unit(largest)))
+
+
+def _input_name(data: IdentificationData) -> str:
+    return "voltage" if data.input_unit == "V" else bare_name(data.input_name)
+
+
 def _plots(found: Compared) -> list:
     data, predicted, errors = found.data, found.predicted, found.validation
     plots = [
-        ("Measured and predicted displacement", traces_figure(data, predicted, errors)),
+        (f"Measured and predicted {_output_axis(data)[0]}", traces_figure(data, predicted, errors)),
         ("Residual (measured − predicted)", residual_figure(data, errors)),
-        ("Loops, and the residual over the voltage", loops_figure(data, predicted, errors)),
+        (f"Loops, and the residual over the {_input_name(data)}", loops_figure(data, predicted, errors)),
         (
             f"Correlations of the residual, with bounds of {100 * errors.autocorrelation.confidence:g} % for each lag",
             correlations_figure(errors),
         ),
     ]
     if found.inverse is not None:
-        caption = "Voltage that the inverse computes from the displacement − applied voltage"
+        name = _input_name(data)
+        caption = f"{name.capitalize()} that the inverse computes from the {_output_axis(data)[0]} − applied {name}"
         plots.append((caption, inverse_figure(data, found.inverse)))
     return plots
 
@@ -102,14 +123,15 @@ def _plots(found: Compared) -> list:
 def traces_figure(data: IdentificationData, predicted, found: Validation):
     """Return the figure of measured and predicted displacement over time [µm, s]."""
     figure, (axis,) = new_figure(3.4)
+    name, unit, factor = _output_axis(data)
     for label, values, colour, width in (
         ("measured", data.output, _MEASURED, 2.2),
         ("predicted", np.asarray(predicted) + found.offset, _MODEL, 1.0),
     ):
-        axis.plot(*envelope(data.time, values * _MICRO), color=colour, linewidth=width, label=label)
+        axis.plot(*envelope(data.time, values * factor), color=colour, linewidth=width, label=label)
     if found.skipped:
         axis.axvspan(data.time[0], data.time[found.skipped], color="#eeeeee", zorder=0, label="not compared")
-    axis.set(xlabel="time [s]", ylabel="displacement [µm]")
+    axis.set(xlabel="time [s]", ylabel=f"{name} [{unit}]")
     add_legend(axis)
     return figure
 
@@ -117,7 +139,7 @@ def traces_figure(data: IdentificationData, predicted, found: Validation):
 def residual_figure(data: IdentificationData, found: Validation):
     """Return the figure of the residual over time [µm or nm, s]."""
     figure, (axis,) = new_figure(2.6)
-    unit, factor = length_unit(float(np.max(np.abs(found.residual))))
+    _, unit, factor = _output_axis(data, float(np.max(np.abs(found.residual))))
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     axis.plot(*envelope(data.time[found.skipped :], found.residual * factor), color=_RESIDUAL, linewidth=0.9)
     axis.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
@@ -129,13 +151,14 @@ def loops_figure(data: IdentificationData, predicted, found: Validation):
     figure, (loops, left) = new_figure(4.2, 2)
     first, stride = found.skipped, max(1, found.samples // LOOP_POINTS)
     u = data.input[first::stride]
-    loops.plot(u, data.output[first::stride] * _MICRO, color=_MEASURED, linewidth=2.0, label="measured")
-    loops.plot(u, (predicted[first::stride] + found.offset) * _MICRO, color=_MODEL, linewidth=0.8, label="predicted")
-    unit, factor = length_unit(float(np.max(np.abs(found.residual))))
+    name, unit, factor = _output_axis(data)
+    loops.plot(u, data.output[first::stride] * factor, color=_MEASURED, linewidth=2.0, label="measured")
+    loops.plot(u, (predicted[first::stride] + found.offset) * factor, color=_MODEL, linewidth=0.8, label="predicted")
+    over = f"{bare_name(data.input_name)} [{data.input_unit}]"
+    loops.set(xlabel=over, ylabel=f"{name} [{unit}]")
+    _, unit, factor = _output_axis(data, float(np.max(np.abs(found.residual))))
     left.plot(u, found.residual[::stride] * factor, color=_RESIDUAL, linewidth=0.6)
     left.axhline(0.0, color=_LIMIT, linewidth=0.8)
-    over = f"{data.input_name} [{data.input_unit}]"
-    loops.set(xlabel=over, ylabel="displacement [µm]")
     left.set(xlabel=over, ylabel=f"residual [{unit}]")
     add_legend(loops)
     return figure
@@ -162,12 +185,13 @@ def _correlation(axis, title: str, test: CorrelationTest) -> None:
 
 
 def inverse_figure(data: IdentificationData, inverse: InverseValidation):
-    """Return the figure of the error of the recovered voltage over time [mV, s]."""
+    """Return the figure of the error of the recovered input over time [mV or the input's unit, s]."""
     figure, (axis,) = new_figure(2.6)
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
     time = data.time[data.time.size - inverse.error.size :]
-    axis.plot(*envelope(time, inverse.error * 1e3), color="#6a4c93", linewidth=0.9)
-    axis.set(xlabel="time [s]", ylabel="voltage error [mV]")
+    volts = data.input_unit == "V"
+    axis.plot(*envelope(time, inverse.error * (1e3 if volts else 1.0)), color="#6a4c93", linewidth=0.9)
+    axis.set(xlabel="time [s]", ylabel="voltage error [mV]" if volts else f"input error [{data.input_unit}]")
     return figure
 
 

@@ -23,7 +23,7 @@ from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.workflow import Compared
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.units import readable
+from hysteresis_ros.units import figure_name, readable
 
 #: Rows of a run: figure, label, unit.
 RUN_ROWS = (
@@ -58,7 +58,11 @@ def run_cell(run: Recording) -> str:
 def model_cell(found: Compared, title: str) -> str:
     """Return the HTML of a model compared with a recording."""
     rows = [("samples", f"{len(found.data)}, every {readable(found.data.sample_time, 's')}")]
-    rows += _rows(found.figures, MODEL_ROWS)
+    shown = dict(zip(("V", "m"), found.plant.units, strict=True))
+    declared = tuple(
+        (figure_name(name, found.plant.units), label, shown.get(unit, unit)) for name, label, unit in MODEL_ROWS
+    )
+    rows += _rows(found.figures, declared)
     return _cell(title, rows, found.warnings, lambda: loops_figure(found.data, found.predicted, found.validation))
 
 

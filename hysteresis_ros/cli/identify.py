@@ -19,6 +19,7 @@ import click
 from hysteresis_ros.cli.options import ConfigurationName, Quantity, data_options, format_figures, read, write_json
 from hysteresis_ros.cli.progress import Progress, shown
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.units import figure_name
 
 #: Exit code of a fit that did not converge; the best point is written nevertheless.
 NOT_CONVERGED = 3
@@ -145,6 +146,8 @@ def identify(
             raise click.UsageError(
                 "--model needs --loops for a stage; --linear, -p and --inverse are for a single axis"
             )
+        if columns["input_unit"] or columns["output_unit"]:
+            raise click.UsageError("--input-unit and --output-unit are for a single axis; give units as NAME:UNIT")
         asked = StageRequest(
             type=kind,
             axes=() if axes is None else tuple(name.strip() for name in axes.split(",")),
@@ -172,6 +175,7 @@ def identify(
 
     chosen = parse_options(model, options)
     reading = read(data, **columns)
+    click.echo(f"{reading.summary}\n", err=json_path == "-")
     request = dict(linear=linear, options=chosen, inverse=inverse)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     progress, state = Progress(err=True), FitState()
@@ -185,7 +189,7 @@ def identify(
         with progress.during("writing the page"):
             write_identification_report(report_path, found)
         summary["report"] = str(report_path)
-    write_json(summary, json_path, format_figures(summary, FIRST))
+    write_json(summary, json_path, _figures(summary, found))
     if not found.converged:
         click.echo(f"hysteresis: the fit did not converge; {params} contains the best point", err=True)
         ctx.exit(NOT_CONVERGED)
@@ -285,6 +289,7 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
 
     namespace = columns["namespace"] or ""
     reading = read(data, whole=True, **columns)
+    click.echo(f"{reading.summary}\n", err=json_path == "-")
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     with shown("simulating the measured run"):
         found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
@@ -294,7 +299,13 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
 
         write_validation_report(report_path, found)
         summary["report"] = str(report_path)
-    write_json(summary, json_path, format_figures(summary, FIRST))
+    write_json(summary, json_path, _figures(summary, found))
+
+
+def _figures(summary: dict, found) -> str:
+    """Return the figures of a comparison as lines, in the units of its recording."""
+    units = found.plant.units
+    return format_figures(summary, tuple(figure_name(name, units) for name in FIRST), units)
 
 
 @click.command(short_help="List the models with parameters, units and inverses.")

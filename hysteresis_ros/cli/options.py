@@ -170,6 +170,8 @@ def data_options(command):
                 metavar="NAME[:UNIT]",
                 help="Output column, e.g. cap_sensor_um:um; of a stage repeated for each sensor.",
             ),
+            click.option("--input-unit", metavar="UNIT", help="Unit of the input, e.g. A; kept to the end."),
+            click.option("--output-unit", metavar="UNIT", help="Unit of the output, e.g. N; kept to the end."),
             click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
             click.option(
                 "--sample-time", type=Quantity("s"), help="Sample time of data without a time column, such as 1ms."
@@ -207,21 +209,16 @@ def data_options(command):
     return command
 
 
-def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
+def read(path, *, input_, output_, range_, resample, **columns):
     """Return the checked data of a command; print progress, assumptions and changes to stderr."""
     from hysteresis_ros.identification.reading import Columns, read_data
 
-    columns = Columns(
+    chosen = Columns(
         input=_one("--input", input_),
         output=_one("--output", output_),
-        time=time,
-        sample_time=sample_time,
-        namespace=namespace,
         range=None if range_ is None else _range(range_),
         resample=None if resample is None else _seconds(resample),
-        negate=negate,
-        all_samples=all_samples,
-        whole=whole,
+        **columns,
     )
     state = [""]
 
@@ -229,7 +226,7 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
         state[0] = f"{100 * part:.0f} %"
 
     with Progress(err=True).during(f"reading {path.name}", lambda: state[0]):
-        reading = read_data(path, columns, progress)
+        reading = read_data(path, chosen, progress)
     for note in (*reading.guessed, *reading.data.notes):
         click.echo(f"note: {note}", err=True)
     return reading
@@ -280,16 +277,17 @@ def write_json(figures: dict, path: str | None, table: str) -> None:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
 
 
-def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
+def format_figures(figures: dict, first: tuple[str, ...] = (), units: tuple[str, ...] = ()) -> str:
     """Return figures as lines ``name value``; the names in ``first`` come first, lists of texts last.
 
     If the name of a figure ends in its unit, the value is shown with a readable unit: ``rmse_m`` of 2.148e-7 is shown
-    as ``rmse  0.2148 µm``.
+    as ``rmse  0.2148 µm``. ``units`` are further units that names may end in.
     """
-    from hysteresis_ros.units import readable
+    from hysteresis_ros.units import ending, readable
 
+    known = ENDINGS | {ending(unit): unit for unit in units}
     order = [*(name for name in first if name in figures), *(name for name in figures if name not in first)]
-    endings = {name: next((ending for ending in ENDINGS if name.endswith(ending)), "") for name in order}
+    endings = {name: next((one for one in known if name.endswith(one)), "") for name in order}
     bare = [name.removesuffix(ending) for name, ending in endings.items()]
     labels = {name: text if bare.count(text) == 1 else name for name, text in zip(order, bare, strict=True)}
     width = max(len(label) for label in labels.values())
@@ -299,7 +297,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
         if isinstance(value, (list, tuple)):
             texts += [f"{name.rstrip('s')}: {text}" for text in value]
         elif isinstance(value, float):
-            shown = readable(value, ENDINGS[endings[name]]) if endings[name] else f"{value:.6g}"
+            shown = readable(value, known[endings[name]]) if endings[name] else f"{value:.6g}"
             lines.append(f"{labels[name]:<{width}}  {shown}")
         else:
             shown = {True: "yes", False: "no"}[value] if isinstance(value, bool) else ("-" if value is None else value)

@@ -307,7 +307,12 @@ def _rounding(time):
 
 
 def clipped_share(values, driver=None) -> float:
-    """Return the fraction of samples at a clipped extreme, 0 without clipping.
+    """Return the fraction of samples at a clipped extreme, see :func:`clipped_samples`."""
+    return float(np.mean(clipped_samples(values, driver)))
+
+
+def clipped_samples(values, driver=None) -> np.ndarray:
+    """Return which samples are at a clipped extreme, shape (N,) of bool.
 
     A run of at least three equal samples at the extreme is clipped if it is many times longer than the runs just before
     and after. With a ``driver`` (the input of this output), only runs during which the driver moves count, because an
@@ -318,7 +323,7 @@ def clipped_share(values, driver=None) -> float:
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
     lengths = np.diff(np.r_[starts, values.size])
     level = values[starts]
-    count = 0
+    clipped = np.zeros(level.size, dtype=bool)
     ends = [np.abs(level - extreme) <= tolerance for extreme in (values.min(), values.max())]
     others = lengths[~(ends[0] | ends[1])]
     resting = others[others >= CLIPPED_RUN]
@@ -336,8 +341,8 @@ def clipped_share(values, driver=None) -> float:
             continue
         if driver is None and resting.size and np.max(resting) >= 0.5 * np.max(lengths[long]):
             continue
-        count += int(lengths[long].sum())
-    return count / values.size
+        clipped |= long
+    return np.repeat(clipped, lengths)
 
 
 def count_reversals(values) -> int:

@@ -61,7 +61,7 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Ratio of the length of the recording to that of a segment; segments overlap by half.
 LENGTHS = 8
-#: Number of folds; neighbouring segments belong to the same fold.
+#: Number of folds. Segments are dealt to them in turn, so that no fold alone has what happens at one time.
 FOLDS = 4
 #: Neighbouring frequencies are combined within this fraction of the frequency.
 RESOLUTION = 2e-3
@@ -132,7 +132,7 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
     input_, output, cross = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=complex)
     for number, start in enumerate(starts):
         W, Y = (np.fft.rfft(window * signal[start : start + length])[place] for signal in (w, y))
-        fold = number * FOLDS // len(starts)
+        fold = number % FOLDS
         input_[fold] += np.add.reduceat(np.abs(W) ** 2, edges)
         output[fold] += np.add.reduceat(np.abs(Y) ** 2, edges)
         cross[fold] += np.add.reduceat(Y * turned * np.conj(W), edges)
@@ -389,17 +389,25 @@ TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
 JUDGED = 3
 #: Number of evaluations after which the structures are compared for the first time, and number of those continued.
 SCREENED, CONTINUED = 10, 4
-#: A larger structure must predict better in at least this number of folds. Each added mode must also improve the
-#: prediction at frequencies within this factor of its own.
-MAJORITY, NEARBY_FREQUENCY = 3, 1.4
+#: A larger structure must predict better in at least this fraction of the folds. Each added mode must also improve the
+#: prediction at frequencies within this factor of its own, and only folds with at least this fraction of the input's
+#: power there count.
+MAJORITY, NEARBY_FREQUENCY, LEAST_SHARE = 0.75, 1.4, 0.05
 #: Largest number of evaluations of a fit without one fold, which starts near its minimum.
 FEW_EVALUATIONS = 6
 
 
 def choose_dynamics(
-    spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES, zeros: bool = True
+    spectra: SegmentSpectra,
+    parts=("lag", "delay"),
+    most_modes: int = MOST_MODES,
+    zeros: bool = True,
+    accepted: Callable[[float], bool] | None = None,
 ) -> ModalTrial:
-    """Return the dynamics that predict held-out segments best for their number of parameters."""
+    """Return the dynamics that predict held-out segments best for their number of parameters.
+
+    ``accepted`` states which frequencies [Hz] a mode may have.
+    """
     search = ModalSearch(spectra)
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
@@ -413,6 +421,8 @@ def choose_dynamics(
     for trial in largest[1:]:
         variants = _best_variants(search, trial, parts, zeros)
         judged += [_left_out(search, found) for found in variants[:JUDGED]]
+    if accepted is not None:
+        judged = [pair for pair in judged if all(accepted(mode.frequency) for mode in pair[0].part.modes)]
     return _chosen(judged, spectra)
 
 
@@ -440,7 +450,7 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
         more = trial.structure.numbers - best.structure.numbers
         if (
             gain.sum() > price * more
-            and np.count_nonzero(gain.sum(axis=1) > 0.0) >= min(MAJORITY, len(gain))
+            and _majority(gain, spectra, near)
             and all(gain[:, place].sum() > 2.0 * price for place in near)
         ):
             best, least = trial, errors
@@ -451,6 +461,16 @@ def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
             if same and errors.sum() - least.sum() < price:
                 return trial
     return best
+
+
+def _majority(gain, spectra: SegmentSpectra, near) -> bool:
+    """Return whether most of the folds with content near the added modes improve; without modes, most of all folds."""
+    telling = np.ones(len(gain), dtype=bool)
+    if near:
+        power = spectra.input[:, np.any(near, axis=0)].sum(axis=1)
+        telling = power >= LEAST_SHARE * power.sum()
+    better = gain.sum(axis=1) > 0.0
+    return bool(np.count_nonzero(better & telling) >= MAJORITY * np.count_nonzero(telling))
 
 
 def _added_modes(modes, present) -> list[Mode]:
@@ -597,11 +617,9 @@ def fit_stage(
 
 
 def _modal_stage(spectra: SegmentSpectra, parts, zeros: bool, accepted) -> LinearStage:
-    """Choose lag, delay and modes; if a mode is not accepted, choose without modes."""
+    """Choose lag, delay and modes that are accepted."""
     pair = tuple(part for part in PAIR if part in parts)
-    found = choose_dynamics(spectra, pair, zeros=zeros)
-    if accepted is not None and not all(accepted(mode.frequency) for mode in found.part.modes):
-        found = choose_dynamics(spectra, pair, most_modes=0)
+    found = choose_dynamics(spectra, pair, zeros=zeros, accepted=accepted)
     part = found.part
     return LinearStage(
         part.dynamics(spectra.sample_time), found.gain, 0.0, found.structure.numbers, part.described()[0], part
@@ -653,8 +671,9 @@ FAST_SAMPLES = 12000
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
 #: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if the voltage has
-#: this fraction of its power within this fraction of the resonance frequency.
-HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
+#: this fraction of its power within this fraction of the resonance frequency, in one of the segments of the spectra;
+#: a segment holds at least this number of cycles.
+HARMONICS, LEAST_POWER, BAND, CYCLES = 10, 1e-3, 0.1, 4.0
 #: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
 
@@ -687,11 +706,19 @@ class TurnSearch:
             # if the samples do not resolve a lag or delay of one sample, they resolve no faster dynamics
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
-        start = self.choose(self.voltage)
-        if start.modes or not found:
-            creep = tuple(part for part in self.parts if part == "creep")
-            with contextlib.suppress(ParameterError):
+        # small loops are less steep than large ones: without a hysteresis, a lag parallel to the modes would fit this
+        # difference, and would then replace part of the loops
+        start = self.choose(self.voltage, zeros=False)
+        with contextlib.suppress(ParameterError, IdentificationError):
+            if start.modes:
+                creep = tuple(part for part in self.parts if part == "creep")
                 found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
+            elif not found:
+                # a lag of the spectra alone would contain the phase of the loops
+                together = self.fit(SEARCHED, linear=tuple(part for part in self.parts if part != "modes"))
+                kept = {"like": together.structure} if together.structure is not None else {}
+                found.append(self.fit(SETTLED, linear=Known(together.linear_part), **kept))
+                found += self.settled(together, sharp=True)
         if not found:
             raise IdentificationError(
                 "no hysteresis model can be fitted together with the identified dynamics; try --linear lag,delay,creep"
@@ -710,10 +737,10 @@ class TurnSearch:
             count = max(longest, int(reached) + longest // 4, self.first + longest)
         return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
 
-    def choose(self, moved, late: int = 0) -> LinearPart:
+    def choose(self, moved, late: int = 0, zeros: bool = True) -> LinearPart:
         """Choose the dynamics between their input, shape (N,), and the measured displacement."""
-        y, step = self.displacement, self.sample_time
-        return fit_stage(moved, y, step, MODES, self.first, parts=self.parts, late=late, accepted=self.excited).part
+        how: dict[str, Any] = dict(parts=self.parts, late=late, zeros=zeros, accepted=self.excited)
+        return fit_stage(moved, self.displacement, self.sample_time, MODES, self.first, **how).part
 
     def excited(self, frequency: float) -> bool:
         """Return whether a resonance at a frequency can be distinguished from the shape of the loops.
@@ -725,9 +752,18 @@ class TurnSearch:
         cycles = 0.5 * max(len(turning_points(v)) - 1, 1)
         if frequency > HARMONICS * cycles / (len(v) * self.sample_time):
             return True
-        power = np.abs(np.fft.rfft((v - v.mean()) * np.hanning(len(v)))) ** 2
-        near = np.abs(np.fft.rfftfreq(len(v), self.sample_time) / frequency - 1.0) < BAND
-        return float(power[near].sum()) > LEAST_POWER * float(power.sum())
+        # a window over the whole recording would remove what happens at its ends
+        length = int(len(v) / max(1.0, min(float(LENGTHS), cycles / CYCLES)))
+        # four lines of the spectrum within the band
+        length = min(max(length, math.ceil(2.0 / (BAND * frequency * self.sample_time))), len(v))
+        window = np.hanning(length)
+        near = np.abs(np.fft.rfftfreq(length, self.sample_time) / frequency - 1.0) < BAND
+        for start in np.unique(np.linspace(0, len(v) - length, 2 * (len(v) // length) + 1).astype(int)):
+            part = v[start : start + length]
+            power = np.abs(np.fft.rfft((part - part.mean()) * window)) ** 2
+            if float(power[near].sum()) > LEAST_POWER * float(power.sum()):
+                return True
+        return False
 
     def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
         """Alternately choose the dynamics after the hysteresis and refit the hysteresis.
@@ -749,10 +785,31 @@ class TurnSearch:
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
-            except ParameterError:  # with these dynamics, the hysteresis has no valid weights
+            except (ParameterError, IdentificationError):  # with these dynamics, the hysteresis has no valid weights
                 break
-            found = [fit]
+            if not found or fit.rmse < found[0].rmse:
+                found = [fit]
         return found
+
+
+#: A mode lies at a bound of its search within this fraction.
+AT_BOUND = 0.01
+
+
+def modes_at_bounds(part: LinearPart | None) -> tuple[str, ...]:
+    """Return a sentence for each mode whose damping or frequency ended where its search ends."""
+    found = []
+    for mode in part.modes if part is not None else ():
+        ends = [("damping", mode.damping, end) for end in DAMPING_RANGE]
+        ends += [("frequency times sample time", mode.frequency * part.hold, HIGHEST)] if part and part.hold else []
+        for name, value, end in ends:
+            if abs(value - end) <= AT_BOUND * end:
+                found.append(
+                    f"mode {mode.frequency:.4g} Hz: its {name} = {value:.3g} is the end of the search: the recording "
+                    "does not determine this mode; record a multisine that excites it (hysteresis excite --recipe "
+                    "multisine), or leave modes out (--linear lag,delay,creep)"
+                )
+    return tuple(found)
 
 
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:

@@ -24,8 +24,11 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
+    invalid,
+    require_rising,
     robust_fit,
     survivor,
+    usable,
     without_drift,
 )
 from hysteresis_ros.identification.plant_model import stretches
@@ -96,6 +99,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
             competitors.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
     if freedom != "auto":
         return competitors[-1]
+    competitors = usable(competitors)
     chosen, errors = survivor(competitors, thresholds=(LOOPS_OF_ONE_SIZE if simple_loops(data) else STRUCTURE,))
     chosen.numbers["held_out_rmse_m"] = errors[competitors.index(chosen)]
     return chosen
@@ -108,7 +112,7 @@ def competitors(before, progress) -> list[GeneralisedPlays]:
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
     fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
-    return [fit for fit in fits if not fit.parameters().chosen.warnings()]
+    return [fit for fit in fits if invalid(fit) is None and not fit.parameters().chosen.warnings()]
 
 
 def speeds_differ(data: Condensed) -> bool:
@@ -168,6 +172,7 @@ class GeneralisedPlays(PlayFit):
 
     def parameters(self) -> HysteresisParameters:
         """Return the fit as parameters of the block, without plays of weight 0."""
+        require_rising(float(self.weights.sum()))
         slope = max(float(self.weights[0]), LEAST_SLOPE * float(self.weights.sum()))
         found = self.shaped(self.shape, self.weights[1:], slope)
         moving = self.weights[1:] > 1e-9 * self.weights.sum()

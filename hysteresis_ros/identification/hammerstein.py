@@ -28,7 +28,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.errors import HysteresisError, IdentificationError, ParameterError
+from hysteresis_ros.identification.data import clipped_samples
 from hysteresis_ros.identification.linear_systems import Known, LinearPart
 from hysteresis_ros.identification.plant_model import PlantModel, simulate_chain
 from hysteresis_ros.identification.preprocessing import (
@@ -48,7 +49,7 @@ from hysteresis_ros.identification.thresholds import (
     Threshold,
 )
 from hysteresis_ros.identification.validation import parameter_covariance
-from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.recordings.loops import turning_points
 
 #: Largest lag and delay, as fractions of the mean time between two reversals; largest creep rate per decade.
@@ -110,6 +111,8 @@ def search_linear_part(search: PartSearch, linear):
         if LINEAR_PART.improves(trials[better].spread, found.spread):
             kept.append(part)
             base, found = bases[better], trials[better]
+        elif part == "delay" and "lag" in kept:
+            found = _less_certain(found, trials[0])
     if "lag" in kept and "delay" in linear:
         kept, found = _told_apart(search, kept, base, found)
     return kept, base, found
@@ -124,10 +127,19 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
     # stages usually have a lag: a delay must be visible, and both together must be better than either
     as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
     if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
-        return [*others, "delay"], delayed
+        return [*others, "delay"], _less_certain(delayed, found)
     if "delay" in kept and lagging.spread < (1.0 + DELAY_OR_LAG.part) * found.spread:
-        return [*others, "lag"], lagging
+        return [*others, "lag"], _less_certain(lagging, found)
     return kept, found
+
+
+def _less_certain(found: PartTrial, both: PartTrial) -> PartTrial:
+    """Return a trial of a lag or a delay alone, less certain by what it differs from that in a trial of both."""
+    deviations = dict(found.deviations or {})
+    for name in ("lag", "delay"):
+        if name in deviations and name in both.values:
+            deviations[name] = float(np.hypot(deviations[name], both.values[name] - found.values[name]))
+    return found._replace(deviations=deviations)
 
 
 class PartTrial(NamedTuple):
@@ -208,8 +220,10 @@ def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
 RETIMED_ON = 20000
 
 
-def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
+def finished(fit, voltage, displacement, sample_time, kept=None, clipped=None) -> HammersteinFit:
     """Return the result of a fit, with the residual on the recording itself by the kernels of the nodes.
+
+    The residual omits samples at which the sensor was ``clipped``, shape (N,) of bool.
 
     Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
@@ -241,7 +255,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
         part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, last)[looked])))
     error = error_of(part)
     constant = float(error[used].mean())
-    error = error[first:] - constant
+    error = (error if clipped is None else np.where(clipped, constant, error))[first:] - constant
     # constant errors, from the half sample and from the table, belong to the offset
     chosen: Any = hysteresis.chosen  # the class of the parameters depends on the model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
@@ -288,6 +302,7 @@ def robust_fit(
     without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen anew.
     """
     structure = before
+    clipped = clipped_samples(np.asarray(displacement, dtype=float), np.asarray(voltage, dtype=float))
 
     def fit(kept, _):
         nonlocal structure
@@ -296,16 +311,19 @@ def robust_fit(
             structure = choose(data)
         else:
             structure = again(structure, replace(data, drifts=structure.data.drifts))
-        return finished(structure, voltage, displacement, sample_time, kept)
+        return finished(structure, voltage, displacement, sample_time, kept, clipped)
 
     def look(found: HammersteinFit, kept):
         drift = found.drift * sample_time * np.arange(len(voltage))
         error = np.asarray(displacement, dtype=float) - drift - found.simulate(voltage)
-        return notable_outliers(error, found.skipped, kept)
+        error[clipped] = np.median(error)
+        good = notable_outliers(error, found.skipped, kept)
+        return None if good is None else good & ~clipped
 
-    kept, found = repeated(fit, look, None)
-    if kept is not None:
-        found = replace(found, numbers={**found.numbers, "outliers": float(np.count_nonzero(~kept))})
+    kept, found = repeated(fit, look, ~clipped if clipped.any() else None)
+    outliers = 0 if kept is None else int(np.count_nonzero(~kept & ~clipped))
+    if outliers:
+        found = replace(found, numbers={**found.numbers, "outliers": float(outliers)})
     return found, structure
 
 
@@ -350,6 +368,30 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Th
     return chosen, sizes
 
 
+def invalid(fit) -> HysteresisError | None:
+    """Return why the parameters of a fit make no valid model; None if they do."""
+    try:
+        hysteresis_block(fit.parameters(), fit.data.sample_time)
+    except (IdentificationError, ParameterError) as error:
+        return error
+    return None
+
+
+def usable(fits: list) -> list:
+    """Return the fits whose parameters make a valid model; raise the error of the first if there are none."""
+    found = [fit for fit in fits if invalid(fit) is None]
+    if not found:
+        error = invalid(fits[0])
+        raise error if error is not None else IdentificationError("there is no fit")
+    return found
+
+
+def require_rising(scale: float) -> None:
+    """Raise IdentificationError if the weights of a fit do not add up to a positive gain."""
+    if not scale > 0.0:
+        raise IdentificationError("the displacement falls where the voltage rises; check the columns, or --negate")
+
+
 def without_drift(fit, data):
     """Return ``fit(data)``, with a drift if held-out blocks show the same drift."""
-    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, thresholds=(DRIFT,))[0]
+    return survivor(usable([fit(data), fit(replace(data, drifts=True))]), stretches=1, thresholds=(DRIFT,))[0]

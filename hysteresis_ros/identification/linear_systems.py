@@ -490,6 +490,18 @@ class LinearPart:
         kept = slice(None) if through else slice(n + 1)
         return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
 
+    def held(self, sample_time: float) -> LinearPart:
+        """Return the part for an input that is held between the samples, with the same discrete block.
+
+        Lag and delay then describe the stage itself, without the half sample by which holding delays.
+
+        Units: ``sample_time`` [s].
+        """
+        if self.hold or self.modes or not self.lag + self.delay:
+            return self
+        lag, delay = self._without_holding(sample_time)
+        return replace(self, lag=float(lag), delay=float(delay), hold=float(sample_time))
+
     def _without_holding(self, sample_time: float) -> tuple[float, float]:
         """Return lag and delay without the effect of a held input, where a lag delays by T/(1 - e^(-T/τ)), not τ."""
         lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
@@ -622,7 +634,7 @@ def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
     Units: ``y`` [m], ``sample_time`` [s].
     """
     if not part.modes:
-        return undo_lag(y, part.lag, part.delay, sample_time)
+        return undo_lag(y, part.lag, part.delay + 0.5 * part.hold, sample_time)
     y = np.asarray(y, dtype=float)
     # mirrored about the ends, so that level and slope continue
     longer = np.concatenate([2.0 * y[0] - y[:0:-1], y, 2.0 * y[-1] - y[-2::-1]])

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -44,6 +45,7 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_bl
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.units import figure_name
 
 #: Section that no node reads.
 SECTION = "/identification"
@@ -148,6 +150,8 @@ def identification_section(
         "synchronous": chain.synchronous,
         "voltage_range": (float(chain.voltage_low), float(chain.voltage_high)),
     }
+    if chain.saturation is not None:
+        section["saturation"] = chain.saturation
     if chain.linear_part is not None:
         part = chain.linear_part
         section |= {"continuous.lag": part.lag, "continuous.delay": part.delay, "continuous.settled": part.settled}
@@ -160,6 +164,7 @@ def identification_section(
     figures = {**result.numbers, **metrics}
     for name, value in figures.items():
         if isinstance(value, (bool, int, float, np.floating)) and math.isfinite(value):
+            name = figure_name(name, chain.units)
             section[f"metrics.{name}"] = value if isinstance(value, (bool, int)) else float(value)
     for name, value in result.deviations.items():
         if math.isfinite(value):
@@ -175,8 +180,9 @@ def identification_section(
 def assumptions(result: Identification) -> tuple[str, ...]:
     """Return sentences about the assumptions of the parameter file."""
     low, high = limits_of(result.chain)
+    units = result.chain.units
     found = [
-        f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
+        f"limits {low:.6g} ... {high:.6g} {units[0]}: the range of the recorded voltage, not the amplifier's",
         "no noise, no quantisation: the recording does not show which block causes them",
     ]
     if result.chain.offset:
@@ -187,7 +193,19 @@ def assumptions(result: Identification) -> tuple[str, ...]:
         )
     if result.chain.synchronous:
         found.append("quasi-static recording: an axis reads each displacement one sample later")
+    if units != USUAL_UNITS:
+        found.append(_other_units(units))
     return (*found, *result.assumptions)
+
+
+#: Units of input and output for which blocks and nodes are written.
+USUAL_UNITS = ("V", "m")
+
+
+def _other_units(units: tuple[str, str]) -> str:
+    """Return a sentence about the meaning of V and m in the file of another kind of actuator."""
+    meant = [f"{there} stands for {own}" for there, own in zip(USUAL_UNITS, units, strict=True) if there != own]
+    return f"the parameters, their descriptions and the nodes speak of V and m: here {' and '.join(meant)}"
 
 
 def file_text(result: Identification, section: dict, excited: float = 0.0) -> str:
@@ -201,7 +219,9 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
         node: {name: tuple(value) if isinstance(value, tuple) else value for name, value in values.items()}
         for node, values in nodes.items()
     }
-    text = _HEADER + dump_configuration(copied)
+    units = result.chain.units
+    noted = "" if units == USUAL_UNITS else f"# {_other_units(units)}.\n"
+    text = _HEADER + noted + dump_configuration(copied)
     configuration = parse_configuration(text, "the identified model")
     try:
         _block(configuration, "plant_simulator", ActuatorParameters)
@@ -281,6 +301,7 @@ def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
 
 def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters, sample_time: float) -> PlantModel:
     """Return the model of a plant, with the data that an identification has written about it."""
+    saturation: Any = section.get("saturation")
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
     return PlantModel(
@@ -297,7 +318,16 @@ def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters,
         voltage_low=float(low),
         voltage_high=float(high),
         inverse=inverse,
+        units=_units(section),
+        saturation=None if saturation is None else (float(saturation[0]), float(saturation[1])),
     )
+
+
+def _units(section: dict) -> tuple[str, str]:
+    """Return the units of input and output that an identification has written behind their names."""
+    found = [re.search(r"\[([^\[\]]+)\]$", str(section.get(role, ""))) for role in ("input", "output")]
+    given = [match[1] if match else usual for match, usual in zip(found, USUAL_UNITS, strict=True)]
+    return given[0], given[1]
 
 
 def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:

@@ -86,6 +86,10 @@ class PlantModel:
     voltage_high: float = 0.0
     #: Inverse that the compensator uses.
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
+    #: SI units of input and output, which the parameters call V and m.
+    units: tuple[str, str] = ("V", "m")
+    #: Range of the input [V] outside which the output stays level, if the recording shows one.
+    saturation: tuple[float, float] | None = None
 
     @property
     def invertible(self) -> bool:
@@ -289,6 +293,7 @@ def chain_of(
         voltage_low=low,
         voltage_high=high,
         inverse=InverseParameters(type=request.inverse),
+        units=(data.input_unit, data.output_unit),
     )
 
 
@@ -307,7 +312,12 @@ def identified(
     synchronous: bool,
     offset: float = 0.0,
 ) -> Identification:
-    """Return the result of an identification, with its linear part as figures and text."""
+    """Return the result of an identification, with its linear part as figures and text.
+
+    Lag and delay of an input that is held between the samples are those of the stage.
+    """
+    if request.intersample == "zoh" and not synchronous:
+        part = part.held(data.sample_time)
     numbers, words = part.described()
     dynamics = part.dynamics(data.sample_time)
     return Identification(

@@ -56,6 +56,7 @@ from hysteresis_ros.models.hysteresis.polynomial import (
     polynomial,
 )
 from hysteresis_ros.recordings.loops import REVERSAL
+from hysteresis_ros.units import shown_unit
 
 #: Smallest difference of the peaks of different loops, as a fraction of the largest.
 DIFFERENT_PEAKS = 0.02
@@ -363,8 +364,9 @@ def _check_request(voltage, method: str, criterion: str) -> None:
     high, low = float(voltage.max()), float(voltage.min())
     if high <= 0.0 or low < LOWEST_PART * high:
         raise IdentificationError(
-            f"the voltage runs from {low:g} to {high:g} V; the polynomial model describes only loops between 0 V "
-            "and positive peaks: record such loops, or identify another model (prandtl_ishlinskii) for both polarities"
+            f"the voltage runs from {low:g} to {high:g} {shown_unit('V')}; the polynomial model describes only loops "
+            "between 0 V and positive peaks: record such loops, or identify another model (prandtl_ishlinskii) for "
+            "both polarities"
         )
 
 
@@ -381,7 +383,9 @@ def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
         )
     high, low = float(voltage.max()), float(voltage.min())
     if low > 0.1 * high:
-        warnings.append(f"the lowest voltage is {low:g} V; the residual displacement at 0 V is extrapolated")
+        warnings.append(
+            f"the lowest voltage is {low:g} {shown_unit('V')}; the residual displacement at 0 V is extrapolated"
+        )
     return count, warnings
 
 
@@ -399,7 +403,8 @@ def _undetermined(matrix) -> list[str]:
 def _not_monotone(slope: float, converged: bool) -> str:
     """Return the warning about a fit with a non-monotone branch; ``slope`` [m/V] is the smallest slope."""
     taken = "the nearest monotone one is used" if converged else "a monotone one was not found: do not use this model"
-    return f"the best fit has a branch that is not monotone (smallest slope {slope:.3g} m/V); {taken}"
+    smallest = f"{slope:.3g} {shown_unit('m')}/{shown_unit('V')}"
+    return f"the best fit has a branch that is not monotone (smallest slope {smallest}); {taken}"
 
 
 def _scale(v_unit: float, x_unit: float) -> np.ndarray:

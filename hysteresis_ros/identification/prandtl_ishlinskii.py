@@ -43,10 +43,12 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     PartSearch,
+    require_rising,
     robust_fit,
     search_linear_part,
     split_values,
     survivor,
+    usable,
     without_drift,
 )
 from hysteresis_ros.identification.linear_systems import LinearPart
@@ -55,12 +57,15 @@ from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (
     ANOTHER_KIND,
     DENSITY_DECAY,
+    EQUAL_DENSITIES,
     LOOPS_OF_ONE_SIZE,
     NOTABLE_AMBIGUITY,
+    POOR,
     STRUCTURE,
 )
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+from hysteresis_ros.units import readable
 
 GAUSS_NEWTON_STEPS = 6
 SEARCH_STEPS = 2
@@ -145,6 +150,7 @@ class FreeWeights(PlayFit):
 
     def parameters(self) -> HysteresisParameters:
         """Return the fit as parameters of the block."""
+        require_rising(float(self.weights.sum()))
         moving = self.weights > 1e-9 * self.weights.sum()
         moving[0] = True
         weights = np.maximum(self.weights, 1e-6 * self.weights.sum() * (np.arange(len(moving)) == 0))
@@ -281,8 +287,7 @@ class SmoothDensity:
 
     def parameters(self) -> HysteresisParameters:
         """Return density and map as plays and dead zones."""
-        if not self.scale > 0.0:
-            raise IdentificationError("the displacement falls where the voltage rises; check the columns, or --negate")
+        require_rising(self.scale)
         low, high = min(self.centre - self.span, 0.0), max(self.centre + self.span, 0.0)
         width = (high - low) / PIECES
         above, rising = self._pieces(width, high)
@@ -371,8 +376,11 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     competitors.append(zones)
     alone = simple_loops(data) and density == "auto"
     thresholds = [LOOPS_OF_ONE_SIZE if alone else STRUCTURE] * len(competitors)
-    competitors += others(competitors[0], progress) if others else []
+    competitors += others(competitors[0], progress, linear) if others else []
     thresholds += [ANOTHER_KIND if alone else STRUCTURE] * (len(competitors) - len(thresholds))
+    kept = usable(competitors)
+    thresholds = [row for fit, row in zip(competitors, thresholds, strict=True) if fit in kept]
+    competitors = kept
     chosen, errors = survivor(competitors, thresholds=thresholds)
     if chosen is zones:
         zones.fit(linear, progress)
@@ -422,7 +430,7 @@ class Ambiguity:
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
         return (
             f"the recording does not determine the gain of loops smaller than its own: {low:+.2g} … {high:+.2g} % at "
-            f"a tenth of the range, {1e6 * self.error:.2g} µm on decaying loops; {self._held()}{EXCITATION}",
+            f"a tenth of the range, {readable(self.error, 'm')} on decaying loops; {self._held()}{EXCITATION}",
         )
 
     def _held(self) -> str:
@@ -433,11 +441,13 @@ def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParamete
     """Return the difference of the model from densities and maps that fit equally well; None if there are no others."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
+    if chosen.type == "preisach" and least > POOR * data.stroke:
+        return None  # densities of this kind say nothing about such loops
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
     own = _response(chosen, voltage, data.sample_time)
     decays, gains, errors = [], [1.0], [0.0]
     for fit in fits:
-        if fit.rms > (1.0 + DENSITY_DECAY.part) * least:
+        if fit.rms > (1.0 + EQUAL_DENSITIES) * least:
             continue
         try:
             other = _response(fit.parameters(), voltage, data.sample_time)

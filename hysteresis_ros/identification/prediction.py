@@ -69,6 +69,7 @@ def recover_voltage(
     Units: ``displacement`` [m], ``voltage`` [V].
     """
     y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
+    v = v if plant.saturation is None else np.clip(v, *plant.saturation)
     if free_offset:
         y = y - np.mean((y - plant.simulate(v))[skip:])
     wanted = undo(y, plant.continuous, plant.sample_time)
@@ -116,6 +117,8 @@ def predict(
             f"initial must be one of {', '.join(INITIAL)}"
         )
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
+    if chain.saturation is not None:
+        voltage = np.clip(voltage, *chain.saturation)
     if not chain.invertible:
         if initial == "estimate":
             raise IdentificationError("initial = 'estimate': an oscillator needs zero or periodic; choose one")

@@ -14,20 +14,30 @@ loops: a constant reversible slope, and a density that is a free (smooth, non-ne
 elementary loop and linear in its bias. The Everett map of such a density is that of plays driven by the mapped voltage
 ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by linear least
 squares (:mod:`.play_fit`), and κ is searched with the linear part. With equal weights this is Rayleigh's law.
+
+A *free* density (:class:`FreeDensity`) has a weight ≥ 0 for each cell of the plane of thresholds. It describes every
+loop with return-point memory whose branches rise: loops that saturate, with a dead zone, with branches of different
+shape. It needs loops of several sizes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.identification.hammerstein import HammersteinFit, robust_fit, without_drift
+from hysteresis_ros.identification.hammerstein import HammersteinFit, require_rising, robust_fit, without_drift
+from hysteresis_ros.identification.plant_model import stretches
 from hysteresis_ros.identification.play_fit import PlayFit, radii
-from hysteresis_ros.identification.preprocessing import Condensed, plays
+from hysteresis_ros.identification.preprocessing import Condensed, coarser, plays
+from hysteresis_ros.models.declaration import DISPLACEMENT
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
+from hysteresis_ros.models.hysteresis.preisach import PreisachHysteresis, PreisachParameters
 
 WIDTHS = 24
 NODES = 33
+#: Cells of a free density over the range of the recording, on each side, and largest number of nodes of its map.
+FREE_CELLS, MOST_NODES = 16, 65
+#: Number of samples on which the linear part behind a free density is searched.
+SEARCHED = 1500
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
 #: Largest magnitude of κ, the dependence of the density on the bias. g(V), see above, is monotone up to 0.5.
@@ -41,6 +51,7 @@ def fit_preisach(
     *,
     widths: int = WIDTHS,
     nodes: int = NODES,
+    density: str = "linear",
     linear=("lag", "delay", "creep"),
     skip: int | None = None,
     history: tuple[float, ...] = (),
@@ -51,8 +62,11 @@ def fit_preisach(
     Units: ``voltage`` [V], ``displacement`` [m], ``sample_time`` [s].
     """
 
+    def structure(data) -> PlayFit:
+        return FreeDensity(data) if density == "free" else Density(data, widths, nodes)
+
     def choose(data):
-        return without_drift(lambda data: Density(data, widths, nodes).fit(linear, progress), data)
+        return without_drift(lambda data: structure(data).fit(linear, progress), data)
 
     return robust_fit(voltage, displacement, sample_time, choose, skip=skip, history=history)[0]
 
@@ -91,6 +105,7 @@ class Density(PlayFit):
 
     def parameters(self) -> HysteresisParameters:
         """Return slope and Everett map E(a, b) = Σ w max(0, g(a) - g(b) - 2 r)."""
+        require_rising(float(self.weights.sum()))
         nodes = self.nodes
         voltages = np.linspace(self.low, self.high, nodes)
         grid = self.bent(voltages, self.shape["bias"])
@@ -108,3 +123,77 @@ class Density(PlayFit):
             offset=float(self.constants[0]) / self.part.settled_gain - rest,
         )
         return HysteresisParameters(type="preisach", preisach=parameters)
+
+
+class FreeDensity(PlayFit):
+    """Weights of the cells of the Preisach plane, and a reversible slope."""
+
+    def __init__(self, data: Condensed, cells: int = FREE_CELLS):
+        super().__init__(data)
+        self.cell_count = cells
+        low, high = float(data.voltage.min()), float(data.voltage.max())
+        # the map contains 0 V, where a model starts; only cells within the recording have weights
+        spacing = max((high - low) / cells, (max(high, 0.0) - min(low, 0.0)) / (MOST_NODES - 2))
+        below, above = np.ceil(max(low, 0.0) / spacing), np.ceil(max(high - low, -low) / spacing - 1e-9)
+        self.low, self.nodes = float(low - spacing * below), int(below + above) + 1
+        self.high, self.span = float(self.low + spacing * (self.nodes - 1)), high - low
+        first, last = int(below), int(below + np.ceil((high - low) / spacing - 1e-9))
+        self.cells = [(i, j) for i in range(first, last) for j in range(first, i + 1)]
+        place = {cell: number + 1 for number, cell in enumerate(self.cells)}
+        rows = []
+        for i, j in self.cells:  # second differences along both thresholds
+            for before, after in (((i - 1, j), (i + 1, j)), ((i, j - 1), (i, j + 1))):
+                if before in place and after in place:
+                    row = np.zeros(len(self.cells) + 1)
+                    row[[place[before], place[i, j], place[after]]] = 1.0, -2.0, 1.0
+                    rows.append(row)
+        self.roughness = np.array(rows).reshape(-1, len(self.cells) + 1) * np.sqrt(cells)
+        self.table: np.ndarray | None = None
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet."""
+        return FreeDensity(data, self.cell_count)
+
+    def fit(self, linear, progress):
+        """Search the linear part on coarse data, then compute the weights on all data."""
+        coarse = coarser(self.data, SEARCHED)
+        if coarse is self.data:
+            return super().fit(linear, progress)
+        found = FreeDensity(coarse, self.cell_count).fit(linear, progress)
+        self.kept, self.base, self.found, self.part, self.shape = (
+            found.kept, found.base, found.found, found.part, found.shape
+        )  # fmt: skip
+        self.deviations, self.converged, self.warnings = found.deviations, found.converged, found.warnings
+        self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
+        return self
+
+    def columns(self, shape) -> np.ndarray:
+        """Return the voltage over its range, and the output of each cell of unit weight, shape (N, 1 + cells)."""
+        if self.table is None:
+            found = [self.data.voltage / self.span]
+            for number in range(len(self.cells)):
+                weights = np.zeros(len(self.cells))
+                weights[number] = 1.0
+                block = PreisachHysteresis(self.map(weights, 1.0), self.data.sample_time)
+                rest = float(block.x[DISPLACEMENT])
+                block.simulate(stretches(self.data.history))
+                found.append(block.simulate(self.data.voltage) - rest - self.data.voltage)
+            self.table = np.column_stack(found)
+        return self.table
+
+    def map(self, weights, slope: float, offset: float = 0.0) -> PreisachParameters:
+        """Return the Everett map of the weights of the cells."""
+        density = np.zeros((self.nodes, self.nodes))
+        for weight, (i, j) in zip(weights, self.cells, strict=True):
+            density[i + 1, j] = weight
+        table = np.cumsum(np.cumsum(density, axis=0)[:, ::-1], axis=1)[:, ::-1]
+        everett = tuple(np.tril(table, -1)[np.tril_indices(self.nodes)].tolist())
+        return PreisachParameters(self.low, self.high, everett, float(slope), float(offset))
+
+    def parameters(self) -> HysteresisParameters:
+        """Return slope and Everett map."""
+        require_rising(float(self.weights.sum()))
+        slope = max(float(self.weights[0]), 1e-6 * float(self.weights.sum())) / self.span
+        bare = PreisachHysteresis(self.map(self.weights[1:], slope), self.data.sample_time)
+        offset = float(self.constants[0]) / self.part.settled_gain - float(bare.x[DISPLACEMENT])
+        return HysteresisParameters(type="preisach", preisach=self.map(self.weights[1:], slope, offset))

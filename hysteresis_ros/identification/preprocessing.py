@@ -41,6 +41,7 @@ from hysteresis_ros.identification.data import (
     check_behaviour,
     check_samples,
     checked_signals,
+    clipped_samples,
 )
 from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
 from hysteresis_ros.models.block import COMPILED, specialised
@@ -267,7 +268,7 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     if len(data) <= MOST_SAMPLES:
         return data
     size, rate = len(data), 1.0 / data.sample_time
-    highest = max(_highest_frequency(values, data.sample_time) for values in (data.input, data.output))
+    highest = max(highest_frequency(values, data.sample_time) for values in (data.input, data.output))
     allowed = max(1, int(rate / (OVERSAMPLING * highest))) if highest > 0.0 else size
     first, last, strokes = (0, size, 0.0) if whole else _telling_stretch(data.input, allowed)
     factor = min(allowed, max(1, (last - first) // FEWEST_REDUCED))
@@ -341,7 +342,7 @@ def _shown(levels, speeds) -> float:
     return reach**4 * len(loops)
 
 
-def _highest_frequency(values, sample_time: float) -> float:
+def highest_frequency(values, sample_time: float) -> float:
     """Return the frequency [Hz] above which there is only noise; 0 if there is only noise."""
     size = min(SEGMENT, values.size // SEGMENTS)
     # segments are spread over the recording; more segments would not change the band
@@ -390,7 +391,7 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
     found = []
     if drift:
         found.append(
-            f"the output drifts by {1e6 * drift:.3g} µm/s in addition to creep: fitted, but not part of the model"
+            f"the output drifts by {readable(drift, 'm')}/s in addition to creep: fitted, but not part of the model"
         )
     if outliers:
         found.append(f"{outliers} outliers omitted from the fit")
@@ -403,7 +404,11 @@ def inliers(error, first: int) -> np.ndarray:
     Outliers are single samples and short intervals; longer deviations come from the structure of the model.
     """
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
-    return _within(error, first) | _within(alone, first)
+    good = _within(error, first) | _within(alone, first)
+    # ringing faster than a median filter is no outlier: its samples are dense
+    width = 2 * STRETCH + 1
+    near = scipy.ndimage.uniform_filter1d((~good).astype(float), width, mode="constant") * width
+    return good | (near > STRETCH // 2 + 0.5)
 
 
 def _within(error, first: int) -> np.ndarray:
@@ -463,6 +468,11 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
 
     Units: ``predicted`` [m], ``drift`` [m/s].
     """
+    clipped = clipped_samples(data.output, data.input)
+    if clipped.any():  # what the sensor did not show is put where the model expects it
+        data = replace(
+            data, output=np.where(clipped, predicted + np.median((data.output - predicted)[~clipped]), data.output)
+        )
     error = data.output - predicted
     places = np.arange(len(data))
     if drift is None:
@@ -618,6 +628,26 @@ def condense(
     first = math.ceil(first / factor)
     y = y / np.maximum(used, 1.0)
     return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, remembers, history=history)
+
+
+def coarser(data: Condensed, enough: int) -> Condensed:
+    """Return condensed data averaged to about ``enough`` samples, as far as the steps of the voltage allow."""
+    step = float(np.quantile(np.abs(np.diff(data.voltage)), 0.98)) / data.voltage_range
+    factor = min(len(data.voltage) // enough, int(LARGEST_STEP / step) if step > 0.0 else len(data.voltage))
+    if factor < 2:
+        return data
+    count = len(data.voltage) // factor
+    kept = np.append(np.ones(data.first, dtype=bool), data.kept)[: count * factor].reshape(count, factor)
+    first = math.ceil(data.first / factor)
+    return replace(
+        data,
+        voltage=block_means(data.voltage, factor),
+        displacement=block_means(data.displacement, factor),
+        sample_time=factor * data.sample_time,
+        first=first,
+        factor=factor * data.factor,
+        kept=np.asarray(kept.all(axis=1))[first:],
+    )
 
 
 def wiped_out(voltage) -> int | None:

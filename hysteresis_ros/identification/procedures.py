@@ -39,6 +39,7 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
 from hysteresis_ros.identification.dynamics import MODES, TURNS, fit_stage, found_with
 from hysteresis_ros.identification.generalised_play import competitors, fit_generalised_play
+from hysteresis_ros.identification.hammerstein import without_drift
 from hysteresis_ros.identification.linear_systems import FitError, LinearPart
 from hysteresis_ros.identification.plant_model import (
     FittedHysteresis,
@@ -51,11 +52,11 @@ from hysteresis_ros.identification.plant_model import (
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import predict
-from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
+from hysteresis_ros.identification.preisach import FREE_CELLS, WIDTHS, Density, FreeDensity, fit_preisach
 from hysteresis_ros.identification.preprocessing import Cleaned, automatic_skip, cleaned, condense, repeated
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import Separated, find_start, remembered, separated
-from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, SAME_DRIFT
+from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, POOR, SAME_DRIFT
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
 from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.declaration import HysteresisModel
@@ -64,9 +65,10 @@ from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
 from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis
+from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
-from hysteresis_ros.units import readable
+from hysteresis_ros.units import readable, shown_unit
 
 #: Number of widths of the density in trials of the past.
 TRIED_WIDTHS = 10
@@ -80,13 +82,26 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 
 
 def usual(data: IdentificationData, request: Request) -> Identification:
-    """Fit plays (and dead zones), or generalised plays if they predict held-out blocks better."""
-    return _hammerstein(partial(fit_prandtl_ishlinskii, competitors=competitors), data, request, _numbers_of_plays)
+    """Fit plays (and dead zones), or another kind if it predicts held-out blocks better.
+
+    Other kinds are generalised plays, and a free Preisach density where the simplest structure fits poorly.
+    """
+
+    def others(before, progress, linear) -> list:
+        found: list = list(competitors(before, progress))
+        if before.rms > POOR * before.data.stroke:
+            # neither drift nor dynamics of a poor fit can be trusted
+            still = replace(before.data, drifts=False)
+            found.append(without_drift(lambda data: FreeDensity(data).fit(linear, progress), still))
+        return found
+
+    return _hammerstein(partial(fit_prandtl_ishlinskii, competitors=others), data, request, _numbers_of_plays)
 
 
 def preisach(data: IdentificationData, request: Request) -> Identification:
     """Fit an Everett map together with lag, delay and creep."""
-    count = int(request.options.get("widths", WIDTHS)) + 3
+    free = request.options.get("density") == "free"
+    count = FREE_CELLS * (FREE_CELLS + 1) // 2 + 2 if free else int(request.options.get("widths", WIDTHS)) + 3
     return _hammerstein(
         fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED_WIDTHS, TRIED_WIDTHS)
     )
@@ -99,6 +114,8 @@ def generalised_play(data: IdentificationData, request: Request) -> Identificati
 
 def _numbers_of_plays(parameters) -> int:
     """Return the number of fitted parameters: weights, dead zones or envelopes and rate, and a constant."""
+    if isinstance(parameters, PreisachParameters):
+        return FREE_CELLS * (FREE_CELLS + 1) // 2 + 2
     between = 4 if isinstance(parameters, GeneralisedPlayParameters) else len(parameters.zone_weights)
     return len(parameters.weights) + between + 1
 
@@ -111,6 +128,8 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
     fit = found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
     request = replace(request, model=fit.hysteresis.type)
+    if request.inverse not in MODELS[request.model].inverses:  # the model was chosen by the data
+        request = replace(request, inverse=MODELS[request.model].inverses[0])
     if start.kind != "zero":
         request = replace(request, initial=start.kind)
     found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)
@@ -406,7 +425,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
 
 def _refuse_gain(gain: float) -> None:
     if not gain > 0.0:
-        raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")
+        raise IdentificationError(f"the gain is {readable(gain, 'm')}/{shown_unit('V')}; it must be above 0")
 
 
 def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
@@ -464,14 +483,9 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
     offset = float(np.mean(error[request.skip or 0 :]))
     found = FittedHysteresis(hysteresis, len(OSCILLATOR_FREE) + 1, fit.deviations, fit.warnings, fit.converged)
     result = identified(data, request, found, LinearPart(), False, offset)
-    unit: dict[str, Any] = (
-        {}
-        if data.input_unit == "V"
-        else {"assumptions": (f"the unit of the input is {data.input_unit}, but the parameter file states V",)}
-    )
     numbers = {"starts_agreeing": float(fit.agreeing)} if before is None else before.numbers
     warnings = result.warnings if before is None else tuple(dict.fromkeys((*before.warnings, *result.warnings)))
-    return replace(result, numbers=numbers, warnings=warnings, linear="inside the equation", **unit)
+    return replace(result, numbers=numbers, warnings=warnings, linear="inside the equation")
 
 
 def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:

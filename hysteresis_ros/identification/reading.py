@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import pathlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from hysteresis_ros.errors import IdentificationError, RecordingError
 from hysteresis_ros.identification.data import (
@@ -24,6 +25,7 @@ from hysteresis_ros.identification.data import (
     load_data,
 )
 from hysteresis_ros.identification.preprocessing import prepared
+from hysteresis_ros.identification.recording_summary import RecordingSummary, summarise
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.foreign_tables import (
     TABLE_SUFFIXES,
@@ -38,11 +40,12 @@ from hysteresis_ros.recordings.foreign_tables import (
 #: Usual column names of voltage and displacement in other recordings, the clearest first.
 INPUT_NAMES = (
     *("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo"),
-    *("spannung", "ao0", "ao1", "in"),
+    *("spannung", "ao0", "ao1", "in", "current", "strom", "temperature", "temp", "field", "pressure", "druck"),
 )
 OUTPUT_NAMES = (
     *("measured", "displacement", "position", "sensor", "cap", "gauge", "interferometer", "output"),
     *("y", "x", "z", "d", "pos", "disp", "um", "nm", "weg", "ai0", "ai1", "out"),
+    *("force", "kraft", "torque", "moment", "stress", "strain", "angle", "rotation", "elongation"),
 )
 
 
@@ -71,6 +74,9 @@ class Columns:
     whole : bool
         For long data only average neighbouring samples and omit no interval, because an evaluation uses the whole
         recording.
+    input_unit, output_unit : str, optional
+        Units of the two columns, for a column without a unit in its name or in ``input`` and ``output``. Units other
+        than V and m are kept in files, reports and messages.
     """
 
     input: str | None = None
@@ -83,6 +89,8 @@ class Columns:
     negate: bool = False
     all_samples: bool = False
     whole: bool = False
+    input_unit: str | None = None
+    output_unit: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +101,11 @@ class Reading:
     report: DataReport  #: Result of the checks.
     guessed: tuple[str, ...] = ()  #: Sentences about columns that were chosen by their names.
 
+    @cached_property
+    def summary(self) -> RecordingSummary:
+        """What the recording shows before any fit."""
+        return summarise(self.data, self.report)
+
 
 def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     """Return checked data in SI units."""
@@ -101,6 +114,11 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     columns = columns or Columns()
     if isinstance(source, (Recording, IdentificationData)):
         return _read(source, columns, progress)
+    columns = replace(
+        columns,
+        input=_with_unit(columns.input, columns.input_unit),
+        output=_with_unit(columns.output, columns.output_unit),
+    )
     try:
         return _read(pathlib.Path(source), columns, progress)
     except (RecordingError, IdentificationError) as error:
@@ -110,6 +128,16 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
         raise (DataError(error.check, text) if isinstance(error, DataError) else type(error)(text)) from None
 
 
+def _with_unit(choice: str | None, unit: str | None) -> str | None:
+    """Return a chosen column with its unit."""
+    if choice is None or unit is None:
+        return choice
+    name, own = split_choice(choice)
+    if own is not None and si_unit(own) != si_unit(unit):
+        raise IdentificationError(f"column {choice}: has the unit {own}, not {unit}; give one unit")
+    return f"{name}:{unit}"
+
+
 def _read(source, columns: Columns, progress) -> Reading:
     data, guessed = source, ()
     ranged = columns.range or (0, None)
@@ -117,10 +145,10 @@ def _read(source, columns: Columns, progress) -> Reading:
         data = from_recording(source, columns.input, columns.output)
     elif not isinstance(source, IdentificationData):
         data, guessed, ranged = _load(source, columns, progress)
-    if data.output_unit != "m":
+    if data.output_unit == "V" and columns.output_unit is None and not isinstance(source, IdentificationData):
         raise IdentificationError(
-            f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give its unit, for instance "
-            f"{data.output_name}:um"
+            f"output {data.output_name} is in V, as a sensor reads it; give its sensitivity "
+            f"({data.output_name}:10um/V), or --output-unit V to keep volts"
         )
     if ranged != (0, None):
         data = data.part(*ranged)
@@ -156,26 +184,34 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
     free = {name: si_unit(unit) for name, unit in declared.items() if name not in taken}
     chosen = {role: choice for role, choice in given.items() if choice}
     notes = []
-    for role, names, unit in (("input", INPUT_NAMES, "V"), ("output", OUTPUT_NAMES, "m")):
+    stated = {"input": columns.input_unit, "output": columns.output_unit}
+    known = {"input": (INPUT_NAMES, "V"), "output": (OUTPUT_NAMES, "m")}
+    for role, (names, usual) in known.items():
         if role in chosen:
             continue
+        unit = si_unit(stated[role]) or usual
         best = _most_telling(free, names, unit)
-        if best is None:
-            raise error
-        if free[best] is None:
+        if best is None:  # the other column is clear, and this one is left
+            clear = () if "output" in chosen or role == "output" else (_most_telling(free, *known["output"]),)
+            left = [name for name in free if name not in clear and free[name] is not None]
+            if None in clear or len(left) != 1:
+                raise error
+            best = left[0]
+        if free[best] is None and stated[role] is None:
             raise DataError(
                 "unit", f"{table.path}: column '{best}' seems to be the {role} but has no unit; give it as "
                 f"--{role} {best}:{'V' if unit == 'V' else 'um'} or with its unit"
             )  # fmt: skip
-        chosen[role] = best
+        chosen[role] = _with_unit(best, stated[role]) or best
         del free[best]
         notes.append(f"assumed {role}: column '{best}'; choose another with --{role}")
     return chosen, tuple(notes)
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the column of that unit, or without a unit, with the clearest name; None if two are equally clear."""
+    """Return the column of that unit, without a unit or of any unit, with the clearest name; None if two are equal."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
+    fitting = fitting or list(free)
     ranked = sorted(fitting, key=lambda name: _rank(name, names))
     best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]
     return best[0] if len(best) == 1 and _rank(best[0], names) < len(names) else None

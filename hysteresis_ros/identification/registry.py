@@ -7,66 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification by the name of a model, which declares its procedure, options and inverses.
-
-Before any fit the sign is checked by the gain of slow movement, whose phase neither lag nor resonance changes. Other
-causes of movement (other inputs, vibration, drift) count as noise: the gain is that of the narrowest band, from the
-lowest frequency up, in which it clearly exceeds its standard deviation.
-"""
+"""Identification by the name of a model, which declares its procedure, options and inverses."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
-
-import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, did_you_mean
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import STAGES
 from hysteresis_ros.identification.plant_model import Identification, Request
+from hysteresis_ros.identification.recording_summary import refuse_falling
 from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved
-from hysteresis_ros.units import readable
-
-#: Fraction of the input's power in the first band; each further band has twice as many frequencies.
-FIRST_BAND = 0.01
-#: Distance of the gain from zero, in standard deviations, at which its sign is certain.
-CERTAIN = 3.0
-
-
-class SlowGain(NamedTuple):
-    """Gain of slow movement."""
-
-    gain: float  #: gain, deviation: In the output's unit per input's unit.
-    deviation: float
-    highest: float  #: Upper end of its band [Hz].
-
-    @property
-    def certain(self) -> bool:
-        """Whether the sign of the gain is certain."""
-        return abs(self.gain) > CERTAIN * self.deviation
-
-
-def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that exceeds the disturbances of the output, or of all movement.
-
-    Units: ``sample_time`` [s].
-    """
-    window = np.hanning(len(u))
-    U, Y = (np.fft.rfft(window * (values - values.mean()))[1:] for values in (u, y))
-    power = np.abs(U) ** 2
-    first = int(np.searchsorted(np.cumsum(power), FIRST_BAND * power.sum())) + 1
-    ends = [*(first * 2 ** np.arange(int(np.log2(len(U) / first)) + 1)).tolist(), len(U)]
-    for end in ends:
-        size = float(power[:end].sum())
-        gain = float(np.real(Y[:end] @ np.conj(U[:end]))) / size
-        left = np.abs(Y[:end] - gain * U[:end]) ** 2
-        found = SlowGain(gain, float(np.sqrt(0.5 * (power[:end] @ left))) / size, end / (len(u) * sample_time))
-        if found.certain:
-            break
-    return found
-
 
 #: Name that selects the best predicting model.
 AUTO = "auto"
@@ -158,7 +110,7 @@ def identify(
         raise IdentificationError(f"inverse {inverse!r}: {model} has {', '.join(entry.inverses)}{near}")
     parts, stage = parse_linear(model, linear)
     if entry.block.invertible:
-        _refuse_falling(data)
+        refuse_falling(data)
     competitors = model == USUAL and not options
     request = Request(
         model=entry.name,
@@ -173,15 +125,3 @@ def identify(
         separations={} if separations is None else separations,
     )
     return resolved(RIVALS if competitors else entry.identify)(data, request)
-
-
-def _refuse_falling(data: IdentificationData) -> None:
-    """Refuse an output that falls with rising input: no model of this package describes it."""
-    found = slow_gain(data.input, data.output, data.sample_time)
-    if found.certain and found.gain < 0.0:
-        size, deviation = (readable(value, data.output_unit) for value in (-found.gain, found.deviation))
-        raise IdentificationError(
-            f"the output {data.output_name} falls with rising input {data.input_name}, by {size}/{data.input_unit} "
-            f"(± {deviation}) below {readable(found.highest, 'Hz')}; invert it (--negate), or check "
-            "that the columns belong together"
-        )

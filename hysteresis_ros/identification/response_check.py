@@ -36,6 +36,7 @@ from hysteresis_ros.identification.matrix_fraction import MatrixFractionFit, ide
 from hysteresis_ros.identification.plant_model import PlantModel, group_delay
 from hysteresis_ros.identification.prediction import before_dynamics
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.units import shown_unit
 
 #: Bands per octave, and narrow bands per octave for resonances.
 BANDS, NARROW_BANDS = 6, 24
@@ -63,7 +64,7 @@ RINGS = 0.3
 #: Fraction of the output's power without linear response to the input above which another source of movement is
 #: reported.
 FOREIGN = 0.25
-NO_CONTENT = "the voltage contains hardly any power there"
+NO_CONTENT = "the {} contains hardly any power there"
 #: Largest ratio of the crossover that the model allows to the one that is certain.
 FASTER = 2.0
 
@@ -128,14 +129,15 @@ class ResponseCheck:
     def warnings(self) -> tuple[str, ...]:
         """Sentences about the residual, and about the frequency up to which the dynamics are known."""
         found = [f"the residual rings at {frequency:.4g} Hz" for frequency in self.ringing]
+        driver = "voltage" if shown_unit("V") == "V" else "input"
         if self.foreign > FOREIGN:
             found.append(
-                f"{100.0 * self.foreign:.0f} % of the movement (mean square) is not a linear response to the voltage: "
+                f"{100.0 * self.foreign:.0f} % of the movement (mean square) is not a linear response to the {driver}: "
                 "other sources (inputs, vibration, noise) also move the output; keep other axes still and record again"
             )
         known = self.uncertainty.known_to
         if not np.isinf(known) and self.certain < self.seen:
-            why = "other movement of the output masks them" if self.foreign > FOREIGN else NO_CONTENT
+            why = "other movement of the output masks them" if self.foreign > FOREIGN else NO_CONTENT.format(driver)
             found.append(
                 f"dynamics above {known:.3g} Hz are unknown ({why}): a design is limited to a crossover of about "
                 f"{self.certain:.2g} Hz"

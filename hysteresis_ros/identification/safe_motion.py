@@ -37,6 +37,7 @@ from hysteresis_ros.control.damping.inner_loop import modes
 from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.linear_algebra import eigenvalues
+from hysteresis_ros.units import shown_unit
 
 #: Time in which an unknown stage moves over the voltage range [s].
 FIRST_SECONDS = 1.0
@@ -93,8 +94,8 @@ def safe_slew(
     if amplifier > 0.0:
         known.append(Slew(amplifier, "the slew rate of the amplifier"))
     if excited > 0.0:
-        text = f"twice the largest change in the recording, {excited:.{DIGITS}g} V/s"
-        slow = f"the range in {FIRST_SECONDS:g} s; the recording had at most {excited:.{DIGITS}g} V/s"
+        text = f"twice the largest change in the recording, {excited:.{DIGITS}g} {shown_unit('V')}/s"
+        slow = f"the range in {FIRST_SECONDS:g} s; the recording had at most {excited:.{DIGITS}g} {shown_unit('V')}/s"
         known.append(Slew(ROOM * excited, text) if ROOM * excited > first else Slew(first, slow))
     if pace > 0.0:
         lag = f"the lag of the model, {1e3 / pace:.{DIGITS}g} ms"
@@ -151,7 +152,9 @@ def with_safe_motion(
     rate = _rounded(slew.rate) if not any(stated) else slew.rate
     for name, own in zip(NODES, stated, strict=True):
         if not own > 0.0:
-            text = _with_values(text, name, namespace, "limits", {"slew_rate": (rate, f"V/s: {slew.reason}")})
+            text = _with_values(
+                text, name, namespace, "limits", {"slew_rate": (rate, f"{shown_unit('V')}/s: {slew.reason}")}
+            )
     reference = configuration.node("reference_generator", namespace)
     inverts = nodes["motion_controller"].get("feedforward.type") == "inverse_dynamics"
     if inverts and not reference.get("approach.steps", False):
@@ -169,7 +172,8 @@ def with_safe_motion(
         if resonance
         else "each average lasts a tenth of the travel time"
     )
-    words = ("m/s: half of the slew rate over the range", f"m/s²; {each}", "m/s³, the same")
+    m = shown_unit("m")
+    words = (f"{m}/s: half of the slew rate over the range", f"{m}/s²; {each}", f"{m}/s³, the same")
     limits = safe_approach(rate, span, stroke, resonance)
     chosen = dict(zip(APPROACH, zip(limits, words, strict=True), strict=True))
     return _with_values(text, "reference_generator", namespace, "approach", chosen)

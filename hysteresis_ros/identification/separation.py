@@ -42,6 +42,7 @@ from hysteresis_ros.identification.preprocessing import (
     wiped_out,
 )
 from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
+from hysteresis_ros.units import readable
 
 #: Numbers of plays and dead zones of the trials, and of samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
@@ -129,7 +130,7 @@ def remanence(voltage: float) -> str:
 
     Units: ``voltage`` [V].
     """
-    return f"remanent before the recording, as after {voltage:.4g} V, which was identified with the fit"
+    return f"remanent before the recording, as after {readable(voltage, 'V')}, which was identified with the fit"
 
 
 class _PastTrials:
@@ -201,8 +202,8 @@ def _refuse_open(data: IdentificationData) -> None:
     step = float(np.quantile(np.abs(np.diff(data.input)), 0.98))
     if gap > CLOSED_PART * span + 2.0 * step:
         raise IdentificationError(
-            f"initial = periodic: the first and last input differ by {gap:.3g} V; cut the data to whole periods "
-            "(--range)"
+            f"initial = periodic: the first and last input differ by {readable(gap, 'V')}; cut the data to whole "
+            "periods (--range)"
         )
 
 

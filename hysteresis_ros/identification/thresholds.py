@@ -75,9 +75,17 @@ LOOPS_OF_ONE_SIZE = Threshold(
 ANOTHER_KIND = Threshold(
     0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no assumption about smaller loops."
 )
+#: If the simplest structure leaves more than this fraction of the stroke, a free Preisach density is tried too: loops
+#: that saturate, or whose branches have different shapes. Stacks are far below it.
+POOR = 0.01
 DENSITY_DECAY = Threshold(
-    0.03, RESIDUAL, "Loops of one size hardly distinguish the decay of the density from its map: the default is kept."
+    0.1,
+    RESIDUAL,
+    "Loops of one size hardly distinguish the decay of the density from its map, and a decay imitates loops that grow "
+    "with the rate (8 % less residual, but larger errors on other loops): the default is kept.",
 )
+#: Densities whose residual is within this fraction of the smallest one describe a recording equally well.
+EQUAL_DENSITIES = 0.03
 NETWORK_SIZE = Threshold(0.2, RESIDUAL, "More shape functions take longer to train and to run.")
 FREER_MODEL = Threshold(
     0.03, HELD_OUT, "A generalised play contains plain plays and is never much worse than they are."

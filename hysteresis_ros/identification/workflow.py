@@ -20,12 +20,13 @@ from dataclasses import dataclass, field, replace
 from typing import TypedDict, Unpack
 
 import numpy as np
+import scipy
 
 from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
 from hysteresis_ros.identification import registry
-from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.dynamics import with_fast_dynamics
+from hysteresis_ros.identification.data import IdentificationData, clipped_samples
+from hysteresis_ros.identification.dynamics import modes_at_bounds, with_fast_dynamics
 from hysteresis_ros.identification.parameter_file import (
     file_text,
     identification_section,
@@ -36,12 +37,20 @@ from hysteresis_ros.identification.parameter_file import (
 from hysteresis_ros.identification.plant_model import Identification, PlantModel
 from hysteresis_ros.identification.prediction import InverseValidation, at_rate, judge, predict
 from hysteresis_ros.identification.preprocessing import automatic_skip, wiped_out
-from hysteresis_ros.identification.reading import Columns, read_data
+from hysteresis_ros.identification.reading import Columns, Reading, read_data
+from hysteresis_ros.identification.recording_summary import (
+    LEVELS,
+    RecordingSummary,
+    refuse,
+    refuse_falling,
+    trial_error,
+)
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.safe_motion import largest_change
 from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.units import figure_name, readable, shown_in
 
 #: Held-out fraction of the recording, once at its end and once at its beginning.
 HELD_OUT_PART = 1.0 / 3.0
@@ -65,6 +74,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
     (:class:`~hysteresis_ros.identification.prandtl_ishlinskii.Ambiguity`), held-out data is no new information: the
     model with a stated prior is then chosen, unless another model has less than half of its error.
     """
+    refuse_falling(data)
     found: dict[str, float] = {}
     separations: tuple[dict, dict] = {}, {}
     doubts: dict[str, float] = {}
@@ -132,6 +142,8 @@ def held_out_error(
 
 #: Treatments of the constant of a sensor.
 OFFSETS = ("kept", "free")
+#: RMS error [% of the stroke] above which a model is reported as a poor description.
+LEFT = 2.0
 NOT_CONVERGED = "the fit did not converge: this is the best point it found"
 CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not known"
 
@@ -181,6 +193,8 @@ class Compared:
         if not finite. ``--json`` prints them.
     warnings : tuple of str
         Sentences about uncertainties.
+    recording : RecordingSummary, optional
+        What the recording showed before the fit, as lines to print.
     """
 
     data: IdentificationData
@@ -190,6 +204,8 @@ class Compared:
     inverse: InverseValidation | None
     figures: dict
     warnings: tuple[str, ...]
+    #: What the recording showed before the fit: units, direction, saturation, drift, repetition, content.
+    recording: RecordingSummary | None = field(default=None, kw_only=True)
 
     def predict(
         self,
@@ -273,6 +289,8 @@ class Identified(Compared):
         By names with units, as in :class:`Compared`.
     warnings : tuple of str
         Sentences about uncertainties.
+    recording : RecordingSummary, optional
+        What the recording showed before the fit, as lines to print.
     identification : Identification
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str
@@ -341,7 +359,20 @@ def identify(
     given = _checked(conditions)
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
-    data = reading.data
+    with shown_in(reading.data.input_unit, reading.data.output_unit):
+        return _identified(reading, model, linear, chosen, inverse, fast, progress, given)
+
+
+def _identified(reading: Reading, model, linear, chosen, inverse, fast, progress, given: Conditions) -> Identified:
+    """Return the identification of a recording, after its summary."""
+    recording = reading.summary
+    for label, text in recording.lines if progress is not None else ():
+        progress(0, f"{label}: {text}")
+    if model == registry.AUTO or registry.find_model(model).block.invertible:
+        refuse(recording)
+    data = within_saturation(reading.data, recording)
+    if progress is not None:
+        progress(0, f"model {model}")
     skip = _averaged(given.get("skip"), data)
     # the input moves between averaged samples, even if it was held between the original ones
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
@@ -365,7 +396,11 @@ def identify(
         skip = result.skipped
     elif skip is None:
         skip = automatic_skip(data) if result.chain.invertible else 0
-    return _finished(result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
+    saturation = None if data is reading.data else data.input_range
+    result = replace(result, chain=replace(result.chain, saturation=saturation))
+    read = (*reading.report.warnings, *data.warnings[len(reading.data.warnings) :])
+    found = _finished(result, reading.data, skip, given.get("offset") == "free", read, fast)
+    return replace(found, recording=recording)
 
 
 @dataclass(frozen=True)
@@ -426,11 +461,17 @@ def _finished(
     still = replace(data, output=data.output - drift)
     predicted = predict(result.chain, still.input, still.sample_time, measured=still.output)
     fitted = result.fitted
-    found, back, figures, judged = judge(result.chain, still, predicted, skip=skip, free_offset=free, fitted=fitted)
-    notes = [*read, *result.warnings, *model_warnings(result), *judged]
+    shown = as_sensed(data, predicted + drift) - drift
+    found, back, figures, judged = judge(result.chain, still, shown, skip=skip, free_offset=free, fitted=fitted)
+    notes = [*read, *result.warnings, *model_warnings(result), *judged, *modes_at_bounds(result.chain.linear_part)]
+    if found.rmse_percent_of_stroke > LEFT:
+        notes.append(
+            f"{result.model} leaves {found.rmse_percent_of_stroke:.2g} % of the stroke: another model may come closer "
+            "(--model auto), or something else moves the output too, such as relaxation or noise"
+        )
     if fast is not None:
         result = _with_fast(result, fast)
-    judged_on = fast or Fast(data, skip)
+    judged_on = fast or Fast(_unclipped(data, predicted + drift), skip)
     checked = check_response(result.chain, judged_on.data, judged_on.skip)
     notes += checked.warnings if checked else ()
     if not result.converged:
@@ -443,6 +484,7 @@ def _finished(
     named = {"model": result.model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= checked.figures if checked else {}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
+    named = {figure_name(name, result.chain.units): value for name, value in named.items()}
     compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)
     return Identified(**vars(compared), identification=result, text=text, response=checked)
 
@@ -469,12 +511,26 @@ def validate(
     ``parameters`` is a parameter file, or the result of :func:`identify` or :func:`validate`.
     """
     given = _checked(conditions)
+    reading = read_data(source, Columns(whole=True))
+    data = reading.data
     if isinstance(parameters, Compared):
         plant, identified_from = parameters.plant, parameters.figures.get("identified_from", parameters.data.source)
     else:
         plant, section = load_chain(parameters, namespace)
         identified_from = section.get("source")
-    reading = read_data(source, Columns(whole=True))
+        if "input" not in section:  # the file does not say from which units it was made
+            plant = replace(plant, units=(data.input_unit, data.output_unit))
+    if (data.input_unit, data.output_unit) != plant.units:
+        raise IdentificationError(
+            f"the recording is in {data.input_unit} and {data.output_unit}, but the model was identified in "
+            f"{plant.units[0]} and {plant.units[1]}; choose other columns (--input, --output)"
+        )
+    with shown_in(*plant.units):
+        return _validated(plant, identified_from, reading, inverse, given)
+
+
+def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bool, given: Conditions) -> Compared:
+    """Return the comparison of a plant with a recording."""
     data = reading.data
     if plant.invertible:
         plant = at_rate(plant, data.sample_time)
@@ -485,7 +541,8 @@ def validate(
         # samples with an unknown past are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     free = given.get("offset") == "free"
-    found, back, figures, judged = judge(plant, data, predicted, skip=skip, free_offset=free, inverse=inverse)
+    shown = as_sensed(data, predicted)
+    found, back, figures, judged = judge(plant, data, shown, skip=skip, free_offset=free, inverse=inverse)
     notes = [*reading.report.warnings, *_beyond(plant, data), *judged]
     figures = {
         "model": plant.hysteresis.type,
@@ -494,8 +551,55 @@ def validate(
         "autocorrelation_bound": found.autocorrelation.bound,
         "lags_outside": found.autocorrelation.outside,
     }
+    figures = {figure_name(name, plant.units): value for name, value in figures.items()}
     figures = {**finite(figures), "identified_from": identified_from, "data": data.source}
-    return Compared(data, plant, predicted, found, back, figures, tuple(notes))
+    return Compared(data, plant, predicted, found, back, figures, tuple(notes), recording=reading.summary)
+
+
+def within_saturation(data: IdentificationData, recording: RecordingSummary) -> IdentificationData:
+    """Return the data with the input limited to where the output still follows it, with a warning; or unchanged."""
+    low, high = recording.saturation
+    limits = [-np.inf if low is None else low, np.inf if high is None else high]
+    width = 1.5 * float(np.ptp(data.input)) / LEVELS
+    for place, level in enumerate(limits):
+        if math.isfinite(level):
+
+            def error(value: float, place: int = place) -> float:
+                return trial_error(data, (value, limits[1]) if place == 0 else (limits[0], value))
+
+            found = scipy.optimize.minimize_scalar(
+                error, bounds=(level - width, level + width), method="bounded", options={"maxiter": 12}
+            )
+            limits[place] = float(found.x)
+    if not np.isfinite(limits).any():
+        return data
+    words = [
+        f"{side} {readable(limit, data.input_unit)}"
+        for side, limit in zip(("below", "above"), limits, strict=True)
+        if math.isfinite(limit)
+    ]
+    warning = (
+        f"the output stays level {' and '.join(words)}: an amplifier or the actuator saturates there; the fit and the "
+        "limits of the file end there"
+    )
+    return replace(data, input=np.clip(data.input, limits[0], limits[1]), warnings=(*data.warnings, warning))
+
+
+def as_sensed(data: IdentificationData, predicted: np.ndarray) -> np.ndarray:
+    """Return a prediction as a sensor shows it that clips where the recording is clipped, shape (N,)."""
+    clipped = clipped_samples(data.output, data.input)
+    ends = [float(end) if np.any(clipped & (data.output == end)) else math.inf for end in _extremes(data.output)]
+    return np.clip(predicted, -math.inf if math.isinf(ends[0]) else ends[0], ends[1])
+
+
+def _extremes(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _unclipped(data: IdentificationData, predicted: np.ndarray) -> IdentificationData:
+    """Return the data with the prediction in place of clipped samples of the output."""
+    clipped = clipped_samples(data.output, data.input)
+    return replace(data, output=np.where(clipped, predicted, data.output)) if clipped.any() else data
 
 
 def _averaged(skip: int | None, data: IdentificationData) -> int | None:
@@ -531,8 +635,8 @@ def _beyond(plant: PlantModel, data: IdentificationData):
     margin = 0.01 * (plant.voltage_high - plant.voltage_low)
     if low < plant.voltage_low - margin or high > plant.voltage_high + margin:
         yield (
-            f"the voltage runs from {low:.4g} to {high:.4g} V, beyond the {plant.voltage_low:.4g} … "
-            f"{plant.voltage_high:.4g} V of the identification: extrapolated"
+            f"the voltage runs from {low:.4g} to {high:.4g} {plant.units[0]}, beyond the {plant.voltage_low:.4g} … "
+            f"{plant.voltage_high:.4g} {plant.units[0]} of the identification: extrapolated"
         )
 
 

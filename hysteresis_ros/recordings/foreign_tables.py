@@ -64,7 +64,7 @@ def column_unit(name: str, header_unit: str | None = None) -> str | None:
 
 def si_unit(unit: str | None) -> str | None:
     """Return the SI unit of a declared unit; an unknown unit is returned unchanged."""
-    return None if unit is None else (conversion(unit) or (unit,))[0]
+    return unit if unit in (None, "%") else (conversion(unit) or (unit,))[0]
 
 
 def split_choice(choice: str) -> tuple[str, str | None]:
@@ -78,7 +78,7 @@ def split_choice(choice: str) -> tuple[str, str | None]:
 
 def known_conversion(name: str, unit: str) -> tuple[str, float]:
     """Return the result of :func:`conversion`; raise RecordingError for an unknown unit."""
-    found = conversion(unit)
+    found = ("%", 1.0) if unit.strip() == "%" else conversion(unit)  # a column in % stays in %
     if found is None:
         raise RecordingError(f"column '{name}': unknown unit '{unit}'; known are {', '.join(UNITS)}, and 10um/V")
     return found
@@ -660,7 +660,7 @@ def _chosen(table, choice, declared):
     if unit is None:
         raise RecordingError(f"{table.path}: column '{name}' has no unit; give it, for instance '{name}:um'")
     si, divisor = known_conversion(name, unit)
-    stands = conversion(other) if other is not None and other != unit else None
+    stands = known_conversion(name, other) if other is not None and other != unit and conversion(other) else None
     if stands is not None and stands[0] == "V" and "/" in unit:
         divisor *= stands[1]  # a sensitivity (10um/V) converts a sensor's voltage
     elif stands not in (None, (si, divisor)):

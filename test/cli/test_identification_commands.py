@@ -147,8 +147,8 @@ def test_lag_is_told_from_hysteresis_and_the_file_says_where_it_comes_from(recor
     result = run("identify", recording, "--linear", "lag", "--offset", "free", "-o", path, "--json", "-")
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
-    # the identified lag includes the converter: 10 ms and half a sample
-    assert figures["lag_s"] == pytest.approx(0.0125, abs=0.001)
+    # the lag of the stage, without the half sample by which a held input delays
+    assert figures["lag_s"] == pytest.approx(0.010, abs=0.001)
     assert figures["offset_m"] == pytest.approx(-3e-6, abs=2e-7)
     chain, section = load_chain(path)
     assert chain.offset == 0.0 and "preload.A1" not in load_configuration(path).node("plant_simulator")
@@ -243,6 +243,28 @@ def test_clipped_data_is_warned_of_in_file_and_report(tmp_path):
     assert any("clipped" in text for text in load_chain(tmp_path / "p.yaml")[1]["warnings"])
     page = report.read_text(encoding="utf-8")
     assert "clipped" in page and page.count("data:image/png") == 5 and "Assumptions" in page
+
+
+def test_what_the_recording_shows_is_printed_before_the_figures_in_its_units(tmp_path):
+    voltage = loops(800)
+    table = np.column_stack([np.arange(800) / RATE, 10.0 * voltage, 1e6 * measured(voltage)])
+    path = tmp_path / "brake.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,coil_mA,torque", comments="")
+    quick = ("--model", "proportional", "--linear", "none", "-o", tmp_path / "p.yaml")
+    result = run("identify", path, *quick, "--output-unit", "N")
+    assert result.exit_code == 0, result.output
+    before, figures = result.stdout.split("\n\n")
+    said = dict(row.split(maxsplit=1) for row in before.splitlines())
+    assert said["input"].startswith("coil: 0 A … 1 A") and said["output"].startswith("torque: ")
+    assert {"units", "direction", "shape", "saturation", "drift", "repetition", "content"} <= set(said)
+    shown = dict(row.split(maxsplit=1) for row in figures.splitlines()[:6])
+    assert shown["rmse"].endswith(" N") and shown["inverse_rmse_a"].endswith(" A")
+    # with JSON on stdout the summary does not disturb it
+    again = run("identify", path, *quick, "--output", "torque:N", "--json", "-")
+    assert json.loads(again.stdout)["rmse_n"] > 0.0 and again.stderr.count("direction  ") == 1
+    other = ("--input", "coil_mA", "--output", "torque:um")
+    result = run("validate", tmp_path / "p.yaml", path, *other)
+    assert result.exit_code == 2 and "identified in A and N" in result.stderr
 
 
 def bad(name):

@@ -23,7 +23,7 @@ from hysteresis_ros.identification.dynamics import choose_dynamics, segment_spec
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.prediction import predict
-from hysteresis_ros.identification.registry import slow_gain
+from hysteresis_ros.identification.recording_summary import slow_gain
 from hysteresis_ros.identification.response_check import check_response
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.creep import CreepParameters

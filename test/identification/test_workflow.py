@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -97,8 +99,10 @@ def test_columns_are_guessed_by_name_and_it_is_said(tmp_path):
     assert read_data(reading) is reading
     chosen = read_data(path, Columns(input="monitor_V:V", range=(100, 900), resample=0.01, negate=True))
     assert len(chosen.data) == 400 and chosen.data.input_name == "monitor_V" and chosen.data.output.max() <= 0.0
-    with pytest.raises(IdentificationError, match="must be a length"):
-        read_data(path, Columns(input="control_V:V", output="monitor_V:V"))
+    volts = Columns(input="control_V:V", output="monitor_V:V")
+    with pytest.raises(IdentificationError, match="give its sensitivity"):
+        read_data(path, volts)
+    assert read_data(path, replace(volts, output_unit="V")).data.output_unit == "V"
 
 
 def test_the_file_says_for_which_sample_time_its_dynamics_are():

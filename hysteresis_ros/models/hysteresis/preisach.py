@@ -344,5 +344,10 @@ MODEL = HysteresisModel(
     options={
         "widths": Option(int, "widths of elementary loops at which the density has a weight", low=1),
         "nodes": Option(int, "nodes of the map on each side", low=2),
+        "density": Option(
+            str,
+            "linear in the bias of a loop, or free: a weight for each cell, for loops that saturate or are asymmetric",
+            choices=("linear", "free"),
+        ),
     },
 )
