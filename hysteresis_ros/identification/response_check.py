@@ -30,7 +30,7 @@ from hysteresis_ros.control.uncertainty import (
 )
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.dynamics import SegmentSpectra, segment_spectra
+from hysteresis_ros.identification.dynamics import DAMPING_RANGE, SegmentSpectra, segment_spectra
 from hysteresis_ros.identification.frequency_response import PROBABILITY, Analysis
 from hysteresis_ros.identification.matrix_fraction import MatrixFractionFit, identify_matrix_fraction
 from hysteresis_ros.identification.plant_model import PlantModel, group_delay
@@ -46,6 +46,8 @@ KNOWN = 0.5
 #: ratio of the peak of that resonance to its mean over a narrow band, with the assumed damping of an unobserved
 #: resonance.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
+#: The same ratio where the residual rings, for the lightest mode that an identification finds.
+RINGING_PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING_RANGE[0])
 #: A deviation larger than this multiple of two standard deviations also counts as known.
 CLEARLY = 2.0
 #: Overlapping windows: number of sums equivalent to one independent sum.
@@ -87,8 +89,11 @@ class ResponseCheck:
 
     @property
     def fit_for_feedback(self) -> bool:
-        """Whether the recording permits a loop about as fast as the model alone would allow."""
-        return self.seen * FASTER >= self.believed
+        """Whether the residual does not ring, and the recording permits a loop about as fast as the model would allow.
+
+        The mean over a band says little about the height of a light mode in it, so any ringing counts.
+        """
+        return not self.ringing and self.seen * FASTER >= self.believed
 
     @property
     def reason(self) -> str:
@@ -98,7 +103,7 @@ class ResponseCheck:
         there = self.unfit_at
         percent = 100.0 * float(self.uncertainty.at([there])[0])
         why = f"the response at {there:.4g} Hz is known only to {percent:.0f} %"
-        if there > self.uncertainty.known_to and self.ringing:
+        if self.ringing and (there > self.uncertainty.known_to or self.seen * FASTER >= self.believed):
             why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has no resonance"
         slower = (
             f"it is fit up to {self.certain:.3g} Hz" if self.certain else "a slower loop is not known to be safe either"
@@ -155,8 +160,8 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     z = np.exp(2j * np.pi * spectra.frequencies * data.sample_time)
     plant = plant_state_space(replace(chain.dynamics, input_scale=0.0))
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
-    uncertainty, shown = _uncertainty(spectra, response)
     ringing = _ringing(spectra, response)
+    uncertainty, shown = _uncertainty(spectra, response, ringing)
     # a band without excitation does not test a model, but ringing in it is an error
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
@@ -169,10 +174,11 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     return ResponseCheck(uncertainty, believed, seen, certain, worst.frequency, ringing, foreign)
 
 
-def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty, ResponseUncertainty]:
+def _uncertainty(spectra: SegmentSpectra, response, ringing) -> tuple[ResponseUncertainty, ResponseUncertainty]:
     """Return the largest possible and the smallest certain deviation of the response from the model, in bands."""
     centres, deviation, spread = _in_bands(spectra, response, BANDS)
     clear = deviation > CLEARLY * 2.0 * spread
+    rings = np.any([np.abs(np.log2(centres / frequency)) < 1.0 / BANDS for frequency in ringing], axis=0)
     known = (2.0 * spread < KNOWN) | clear
     none = np.array([0.0])
     if not np.any(known):
@@ -191,8 +197,8 @@ def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty
     most, least = deviation + 2.0 * spread, np.maximum(deviation - 2.0 * spread, 0.0)
     np.maximum.at(most, band[seen], (narrow + 2.0 * wide)[seen])
     np.maximum.at(least, band[clear[band]], narrow[clear[band]])
-    most[clear & (most > KNOWN)] *= PEAK
-    kept = known & (np.arange(len(centres)) <= last)
+    most *= np.where(rings, RINGING_PEAK, np.where(clear & (most > KNOWN), PEAK, 1.0))
+    kept = (known | rings) & (np.arange(len(centres)) <= last)
     known_to = float(centres[last]) * 2.0 ** (0.5 / BANDS)
     known_to = np.inf if known_to * spectra.sample_time >= WHOLE else known_to
     most, least = (np.minimum(size, UNKNOWN)[kept] for size in (most, least))
