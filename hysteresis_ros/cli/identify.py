@@ -289,10 +289,10 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
 
     namespace = columns["namespace"] or ""
     reading = read(data, whole=True, **columns)
-    click.echo(f"{reading.summary}\n", err=json_path == "-")
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     with shown("simulating the measured run"):
         found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
+    click.echo(f"{reading.summary}\n", err=json_path == "-")
     summary = {**found.figures, "warnings": list(found.warnings)}
     if report_path is not None:
         from hysteresis_ros.analysis.identification_report import write_validation_report

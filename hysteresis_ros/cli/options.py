@@ -75,7 +75,9 @@ class RunFile(click.ParamType):
         """Return the path; click reports a refused suffix, with exit code 2."""
         path = pathlib.Path(value)
         if path.suffix.lower() not in RUN_FORMATS:
-            self.fail(f"{path}: unknown kind of file '{path.suffix}'; write {', '.join(RUN_FORMATS)}", param, ctx)
+            *others, last = RUN_FORMATS
+            kinds = f"{', '.join(others)} or {last}"
+            self.fail(f"{path}: unknown kind of file '{path.suffix}'; write {kinds}", param, ctx)
         return path
 
 

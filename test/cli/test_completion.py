@@ -132,7 +132,8 @@ def test_a_fit_of_unknown_length_never_goes_back():
 
 
 #: Commands that are fast, report their progress themselves, or run until they are ended.
-QUICK = {"new", "urdf", "policy", "parameters", "models", "setpoint", "status", "get", "set", "call", "echo"}
+QUICK = {"new", "urdf", "policy", "parameters", "models"}
+QUICK |= {"setpoint", "move", "quiet", "status", "get", "set", "call", "echo"}
 TALKATIVE = {"up", "ioc", "emulate", "watch"}
 
 

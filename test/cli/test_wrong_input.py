@@ -232,5 +232,5 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
 def test_a_kind_of_file_that_no_run_has_is_refused_before_the_run(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     line = refusal(*words)
-    assert "run.txt: unknown kind of file '.txt'; write .npz, .csv, .mcap" in line and "samples" not in line
+    assert "run.txt: unknown kind of file '.txt'; write .npz, .csv or .mcap" in line and "samples" not in line
     assert not list(tmp_path.iterdir())
