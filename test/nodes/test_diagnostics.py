@@ -92,7 +92,7 @@ def test_levels_of_the_modes_of_controller_and_compensator(axis):
     assert said(controller) == (WARN, "stopped")
     controller._mode = TRIPPED
     assert said(controller) == (ERROR, "the plant has stopped the axis"), "a stop hides no error"
-    source._take(math.nan)
+    source.take_and_tell(math.nan)
     level, text = said(source)
     assert level == WARN and "refused" in text
     assert said(source)[0] == OK, "reported once"

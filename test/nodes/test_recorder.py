@@ -264,6 +264,6 @@ def test_every_setpoint_that_was_taken_is_in_the_bag_and_no_other(inside, tmp_pa
     until(lambda: source._taken.get_subscription_count() and recorder.sample > 3, what="a recorded axis")
     asked = [1e-6, 2e-6, 5e-2, 2e-6, 3e-6, 4e-6]  # one is outside the range
     for value in asked:
-        source._take(value)
+        source.take_and_tell(value)
     until(lambda: len(written) >= 5, what="setpoints in the bag")
     assert written == [value for value in asked if value < 1e-3]
