@@ -101,8 +101,8 @@ def test_an_excited_axis_is_identified_from_its_bag(tmp_path):
     )
     assert result.returncode == 0, result.stderr
     figures = json.loads(result.stdout)
-    # the stage's lag, seen through the converter of its axis
-    assert figures["lag_s"] == pytest.approx(0.0158, abs=0.003)
+    # the plant's block is a lag of 13.27 ms under held voltages: exp(-5 ms / 13.27 ms) = 0.686; creep takes part of it
+    assert figures["lag_s"] == pytest.approx(0.01327, abs=0.002)
     assert figures["rmse_percent_of_stroke"] < 0.5
 
 
