@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.options import ConfigurationName, write_json
+from hysteresis_ros.cli.options import ConfigurationName, RunFile, write_json
 from hysteresis_ros.cli.progress import Progress
 
 #: Suffixes of recordings; a folder is a bag.
@@ -73,7 +73,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     help="external: your own running node replaces plant_simulator.",
 )
 @click.option("--namespace", help="Axis to use, if there are several.")
-@click.option("--record", type=click.Path(path_type=pathlib.Path), help="Keep the run: .npz, .csv or .mcap.")
+@click.option("--record", type=RunFile(), help="Keep the run: .npz, .csv or .mcap.")
 @click.option(
     "-o", "--output", "outputs", multiple=True, type=click.Path(path_type=pathlib.Path),
     help="File for the response: .npz (for design and identify), .csv or .yaml; repeatable.",

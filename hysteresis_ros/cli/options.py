@@ -22,9 +22,6 @@ from click.shell_completion import CompletionItem
 
 from hysteresis_ros.cli.progress import Progress
 
-#: Suffixes that ``recordings.files.save_run`` writes.
-RUN_FORMATS = (".npz", ".csv", ".mcap")
-
 
 class ConfigurationName(click.ParamType):
     """A parameter file: a path, or the name of one that comes with the package."""
@@ -73,12 +70,13 @@ class RunFile(click.ParamType):
 
     def convert(self, value, param, ctx) -> pathlib.Path:
         """Return the path; click reports a refused suffix, with exit code 2."""
-        path = pathlib.Path(value)
-        if path.suffix.lower() not in RUN_FORMATS:
-            *others, last = RUN_FORMATS
-            kinds = f"{', '.join(others)} or {last}"
-            self.fail(f"{path}: unknown kind of file '{path.suffix}'; write {kinds}", param, ctx)
-        return path
+        from hysteresis_ros.errors import RecordingError
+        from hysteresis_ros.recordings.files import require_run_file
+
+        try:
+            return require_run_file(value)
+        except RecordingError as error:
+            self.fail(str(error), param, ctx)
 
 
 class WaveformName(click.ParamType):

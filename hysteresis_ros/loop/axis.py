@@ -129,6 +129,7 @@ class Axis:
     def run(
         self,
         setpoints,
+        *,
         requests=None,
         speeds=None,
         changes: Sequence[Change] = (),

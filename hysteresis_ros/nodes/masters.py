@@ -52,7 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Return the number and the command line of the process that has claimed a node; '' if there is none."""
+    """Return the number and the command line of the process that has claimed a node; '' if no process has."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -179,7 +179,7 @@ class IdentifiedSubscription(Waitable):
         return wait_set.is_ready("subscription", self._index)
 
     def take_data(self):
-        """Take a message; None when there is none."""
+        """Take a message; None when no message waits."""
         information = ctypes.addressof(self._information)
         if self._take(self._handle.pointer, self._message, information, None) or self._callback is None:
             return None
@@ -294,7 +294,7 @@ class Master:
     @property
     def refusal(self) -> str:
         """Message about the refused publisher, with a remedy."""
-        name, rival = (self._masters.name_of(self.topic, who) for who in (self.identity or b"", self._rival))
+        name, rival = (self._masters.name_of(self.topic, one) for one in (self.identity or b"", self._rival))
         return f"{self.topic} is accepted from {name} and refused from {rival}: {REMEDY}"
 
 

@@ -55,17 +55,23 @@ class QuietHold:
     # -- the creep model, between nodes --------------------------------------------------------------------------
 
     def _on_change(self, message) -> None:
-        """Build the creep model of the compensator, or change its numbers."""
+        """Keep the parameters of the compensator."""
         try:
             entry = json.loads(message.data)
             if entry["node"] != signals.COMPENSATOR or entry["action"] not in (signals.CONFIGURED, "retune"):
                 return
             self._given |= entry["parameters"]
+        except (ValueError, KeyError, TypeError):
+            return
+        self._take_model(entry["action"] == signals.CONFIGURED)
+
+    def _take_model(self, anew: bool) -> None:
+        """Build the creep model of the compensator at rest, as the compensator begins, or change its numbers."""
+        try:
             parameters = part(CompensatorNodeParameters.from_mapping(self._given), CompensatorParameters)
         except (ValueError, KeyError, TypeError, HysteresisError):
             return
-        if self._creep is None or entry["action"] == signals.CONFIGURED:
-            # at rest, as the compensator begins
+        if anew or self._creep is None:
             self._creep = Compensator(parameters, 1.0 / self._node.parameters.sample_rate).creep
         else:
             self._creep.retune(parameters.creep)
@@ -78,8 +84,8 @@ class QuietHold:
 
     def reset(self) -> None:
         """Return the creep model to rest."""
-        self._creep, entry = None, {"node": signals.COMPENSATOR, "action": signals.CONFIGURED, "parameters": {}}
-        self._on_change(String(data=json.dumps(entry)))
+        self._creep = None
+        self._take_model(anew=True)
 
     @property
     def forecast(self) -> Forecast:

@@ -23,8 +23,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from builtin_interfaces.msg import Duration
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.duration import Duration
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -50,11 +50,6 @@ Told = Callable[[Ending, str], None]
 def seconds(duration) -> float:
     """Return a ``Duration`` or ``Time`` message in seconds."""
     return duration.sec + 1e-9 * duration.nanosec
-
-
-def duration_of(seconds: float) -> Duration:
-    """Return a time [s] as a ``Duration`` message."""
-    return Duration(sec=int(seconds), nanosec=int(1e9 * (seconds - int(seconds))))
 
 
 #: Points of one joint in the form of the generator: ``times``, ``positions``, ``velocities``, ``accelerations``.
@@ -367,7 +362,7 @@ class TrajectoryAction:
         if move is not None and math.isfinite(move.predicted):
             elapsed = len(move.measured) / node.parameters.sample_rate
             for point, time in ((feedback.desired, move.predicted), (feedback.actual, elapsed)):
-                point.time_from_start = duration_of(time)
+                point.time_from_start = Duration(seconds=time).to_msg()
 
 
 #: Points of a trajectory that brings a joint to rest.

@@ -169,17 +169,23 @@ def load_run(path, namespace: str | None = None, *, further: bool = False) -> Re
     return read_recording(path, namespace, further=further)
 
 
+def require_run_file(path) -> pathlib.Path:
+    """Return the path of a run to be written, unless its suffix is of no format that :func:`save_run` has."""
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in (".npz", ".csv", ".mcap"):
+        raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .mcap")
+    return path
+
+
 def save_run(recording: Recording, path, configuration: str | None = None) -> None:
     """Write a run as ``.npz``, ``.csv`` or ``.mcap``, by the suffix."""
-    path = pathlib.Path(path)
+    path = require_run_file(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":
         write_npz(recording, path)
     elif suffix == ".csv":
         write_csv(recording, path)
-    elif suffix == ".mcap":
+    else:
         from hysteresis_ros.recordings.run_bag import write_recording
 
         write_recording(recording, path, configuration)
-    else:
-        raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .mcap")

@@ -225,6 +225,7 @@ def test_a_key_that_stands_twice_is_refused_with_file_line_and_name(tmp_path):
     "words",
     [
         ("simulate", "kim2009", "-o", "run.txt"),
+        ("frf", "kim2009", "--offline", "--record", "run.txt"),
         ("excite", "xy_scanner", "--recipe", "multisine", "--offline", "--record", "run.txt"),
     ],
     ids=lambda words: words[0],

@@ -218,7 +218,7 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
         start, target = _place(axis), sequencer_of(axis).x[at.TARGET]
         walked = walking_distance(speeds, sequencer_of(axis).x[at.SPEED], rate)
         axis.inject(faults)
-        table = axis.run(setpoints, requests, speeds)
+        table = axis.run(setpoints, requests=requests, speeds=speeds)
         front, rear = table["front_voltage"], table["rear_voltage"]
         both_open += int(np.count_nonzero(np.maximum(front, rear) < threshold))
         least = min(least, float(np.min(np.maximum(table["front_force"], table["rear_force"]))))
