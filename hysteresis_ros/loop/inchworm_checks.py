@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.compensator import reachable_commands
 from hysteresis_ros.references.inchworm_parameters import SWING_RANGE
@@ -68,7 +70,7 @@ def inchworm_problems(plant, parts):
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
     """Return the warnings: clamps that hold less than twice the load, a load too heavy for the stroke, fast motions."""
-    return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
+    return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant, sequencer.walk))
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
@@ -89,15 +91,24 @@ def _swing(motor) -> float:
     return 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
 
 
-def _walking_doubts(motor, walk):
+def _walking_doubts(plant, walk):
     """Yield warnings where the motor violates assumptions of continuous walking over the phase."""
     if not walk.continuous:
         return
+    motor = plant.inchworm
     swing = 1.0 / _swing(motor)
     if walk.swing > 0.0 and abs(walk.swing / swing - 1.0) > SWING_RANGE:
         yield (
             f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider oscillates on the extender at "
             f"{swing:.4g} Hz: learning may not converge; set walk.swing to this frequency"
+        )
+    poles = np.log(np.linalg.eigvals(plant.dynamics.matrices.A).astype(complex)) * plant.sample_rate
+    modes = np.abs(poles[poles.imag > 0.0]) / (2.0 * math.pi)
+    if walk.resonance > 0.0 and not np.any(np.abs(walk.resonance / modes - 1.0) <= SWING_RANGE):
+        said = " and ".join(f"{mode:.4g} Hz" for mode in np.sort(modes)) or "none"
+        yield (
+            f"inchworm_sequencer: walk.resonance = {walk.resonance:g} Hz, the extender's resonance is {said}: the "
+            "error rises with the square of the speed; set walk.resonance to this frequency"
         )
     deflection = abs(motor.slider.force) / motor.extender_stiffness
     if deflection > walk.bound:

@@ -53,16 +53,24 @@ from __future__ import annotations
     BOUND,  # largest correction [m]
     LEARNING_GAIN,
     LEARNING_RATE,  # rate of the cycles that the learning uses [1/sample]
-    INERTIA,  # additional extension per acceleration [samples²]
+    INERTIA,  # lead of the extender per acceleration of the slider [samples²]
+    INERTIA_LAG,  # delay of this lead by the damping [samples]
+    TIP_INERTIA,  # lead of the command per acceleration of the extender [samples²]
+    TIP_LAG,  # lead of the command per speed of the extender [samples]
+    CLAMP_LEAD,  # lead of the clamps over the extender [samples]
+    QUICK_CLAMPS,  # not 0: the clamps' ramps take the gait's times at any speed
+    TOUCHES,  # fraction of the closing ramp at which a clamp touches the slider
+    LETS_GO,  # fraction of the opening ramp at which it lets go
     SPLINES,  # number of splines of the correction
     BINS,  # number of bins of the error
-) = range(43)
+) = range(50)
 #: Phases at which the processes of a forward cycle end, then those of a backward cycle (named below).
-FORWARD_BOUNDS = 43
-BACKWARD_BOUNDS = 51
-#: Learning matrices (SPLINES, BINS) forward and then backward, row by row.
-LEARNING_MATRICES = 59
-PARAMETERS = 59
+FORWARD_BOUNDS = 50
+BACKWARD_BOUNDS = 58
+#: Matrices of the learning for each direction, row by row: of the errors (SPLINES, BINS), then of the coefficients
+#: (SPLINES, SPLINES).
+LEARNING_MATRICES = 66
+PARAMETERS = 66
 
 #: Ends of the processes of a cycle: returned, front clamp begins to close, rear clamp to open, carrying begins, ends,
 #: rear clamp begins to close, front clamp to open, returning begins. The middle of returning is phase 0.

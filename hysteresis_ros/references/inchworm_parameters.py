@@ -23,9 +23,10 @@ wrong step length) depend on the phase of the cycle and hardly on its speed. A c
 learned at one speed, is therefore valid at other speeds [1]_.
 
 Let θ be the coefficients of a periodic cubic spline, and e the mean error of the slider in each bin of the phase. A
-cycle changes θ by γ L e with L = (MᵀM + S)⁻¹ Mᵀ, the norm-optimal update of iterative learning [2]_. M is the motion of
-the slider per coefficient: the slider follows the extender while the front clamp is closed and the rear one open, and
-keeps its position when the rear clamp closes. S weighs the change of θ and its curvature.
+cycle changes θ by γ (L e − K θ) with L = (MᵀM + S + W)⁻¹ Mᵀ and K = (MᵀM + S + W)⁻¹ W, the norm-optimal update of
+iterative learning [2]_. M is the motion of the slider per coefficient: the slider follows the extender while the front
+clamp is closed and the rear one open, and keeps its position when the rear clamp closes. S weighs the change of θ. W
+weighs the curvature of the correction, which therefore stays smooth where the error does not determine it.
 
 References
 ----------
@@ -68,6 +69,11 @@ def ramp(linear, s):
     if linear != 0.0:
         return min(max(s, 0.0), 1.0)
     return cycloid(s)
+
+
+def inertia(frequency: float) -> float:
+    """Return 1/ω² of a mode of ``frequency`` [Hz], its lag per acceleration [s²]; 0 Hz: rigid."""
+    return 1.0 / (2.0 * math.pi * frequency) ** 2 if frequency > 0.0 else 0.0
 
 
 def crossing(linear: bool, level: float) -> float:
@@ -243,7 +249,8 @@ class GaitParameters(Parameters):
 
 #: Number of bins of the error per spline.
 BINS_PER_SPLINE = 4
-#: Weights of the change of the coefficients and of its curvature, relative to the mean of the diagonal of MᵀM.
+#: Weights of the change of the coefficients and of the correction's curvature, relative to the mean of the diagonal of
+#: MᵀM.
 CHANGE_WEIGHT = 1.0e-3
 CURVATURE_WEIGHT = 1.0e-2
 #: Largest deviations of the motor from the model of the learning: of the fraction of the extender's motion that reaches
@@ -298,6 +305,20 @@ class WalkParameters(Parameters):
         read_only=True,
         description="delay of drive and sensor, by which the outputs lead the path, in addition to half a sample",
     )
+    clamp_lead: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        high=1.0,
+        read_only=True,
+        description="delay of the clamps' forces behind their voltages, by which the clamps lead the extender",
+    )
+    quick_clamps: bool = parameter(
+        False,
+        read_only=True,
+        description="true: the ramps of the clamps take the gait's times at any speed, and touch the slider at the "
+        "same phase; false: they take the same part of the cycle at any speed",
+    )
     learning: bool = parameter(
         False, read_only=True, description="true: learn from the start; the services ~/learn and ~/freeze change it"
     )
@@ -337,6 +358,17 @@ class WalkParameters(Parameters):
     swing_damping: float = parameter(
         0.03, low=1.0e-4, high=0.9, read_only=True, description="damping ratio of this oscillation"
     )
+    resonance: float = parameter(
+        0.0,
+        unit="Hz",
+        low=0.0,
+        high=1.0e6,
+        read_only=True,
+        description="natural frequency of the extender itself; 0: it follows its command at once",
+    )
+    resonance_damping: float = parameter(
+        0.03, low=1.0e-4, high=0.9, read_only=True, description="damping ratio of this resonance"
+    )
     file: str = parameter(
         "",
         read_only=True,
@@ -346,11 +378,6 @@ class WalkParameters(Parameters):
     save_file: str = parameter(
         "", read_only=True, description="file that the service ~/save writes; empty: none", place="files"
     )
-
-    @property
-    def inertia(self) -> float:
-        """Lead of the extender over the slider per acceleration of the slider [s²]: 1/ω² of its oscillation."""
-        return 1.0 / (2.0 * math.pi * self.swing) ** 2 if self.swing > 0.0 else 0.0
 
     def fastest(self, gait: GaitParameters) -> float:
         """Return the highest speed [m/s]: one step per period of the gait."""
@@ -410,14 +437,23 @@ def phase_bounds(gait: GaitParameters, direction: int) -> np.ndarray:
     return np.array(found)
 
 
-def basis(phases, splines: int) -> np.ndarray:
-    """Return the periodic cubic B-splines at ``phases``, shape (N, splines)."""
+def contacts(walk: WalkParameters, gait: GaitParameters) -> tuple[float, float]:
+    """Return the fractions of the closing and of the opening ramp at which a clamp touches and lets go."""
+    span = gait.grip_voltage - gait.release_voltage
+    level, linear = (walk.touch_voltage - gait.release_voltage) / span, gait.clamp_ramp == "linear"
+    return crossing(linear, level), crossing(linear, 1.0 - level)
+
+
+def basis(phases, splines: int, second: bool = False) -> np.ndarray:
+    """Return the periodic cubic B-splines at ``phases``, or their second derivatives, shape (N, splines)."""
     s = np.mod(np.asarray(phases, dtype=float), 1.0) * splines
     first = np.minimum(s.astype(int), splines - 1)
     u = s - first
     v = 1.0 - u
     values = np.zeros((len(s), splines))
     parts = v * v * v, 3 * u * u * u - 6 * u * u + 4, 3 * v * v * v - 6 * v * v + 4, u * u * u
+    if second:
+        parts = tuple(6.0 * splines**2 * part for part in (v, 3.0 * u - 2.0, 3.0 * v - 2.0, u))
     for offset, part in zip((-1, 0, 1, 2), parts, strict=True):
         values[np.arange(len(s)), (first + offset) % splines] += part / 6.0
     return values
@@ -449,10 +485,9 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
         Deviation of the motor from the model.
     """
     bounds = phase_bounds(gait, direction)
-    span = gait.grip_voltage - gait.release_voltage
-    level, linear = (walk.touch_voltage - gait.release_voltage) / span, gait.clamp_ramp == "linear"
-    grips = gait.grip * (crossing(linear, level) + off.grip) / gait.period
-    opens = gait.release * (crossing(linear, 1.0 - level) - off.grip) / gait.period
+    touches, lets_go = contacts(walk, gait)
+    grips = gait.grip * (touches + off.grip) / gait.period
+    opens = gait.release * (lets_go - off.grip) / gait.period
     front, rear = bounds[at.CLOSE_FRONT] + grips, bounds[at.CLOSE_REAR] + grips
     released = bounds[at.OPEN_REAR] + opens
     count = BINS_PER_SPLINE * walk.splines * STEPS_PER_BIN
@@ -461,7 +496,10 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
     moved = np.zeros_like(wanted)
     swinging = walk.swing > 0.0
     if swinging:
-        dt = walk.step / walk.learning_speed / count
+        rate, lead = walk.learning_speed / walk.step, inertia(walk.swing)
+        late = phases - 2.0 * walk.swing_damping * math.sqrt(lead) * rate
+        wanted += lead * rate**2 * basis(late, walk.splines, second=True)
+        dt = 1.0 / rate / count
         a, b, c, d = _swing_steps(replace(walk, swing=walk.swing * off.swing), dt)
     behind, velocity = np.zeros(walk.splines), np.zeros(walk.splines)
     for k in np.flatnonzero(phases >= released):
@@ -480,29 +518,32 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
 
 
 @functools.cache
-def learning_matrix(walk: WalkParameters, gait: GaitParameters, direction: int) -> np.ndarray:
-    """Return L, shape (splines, bins), in a fixed order of arithmetic."""
+def learning_matrices(walk: WalkParameters, gait: GaitParameters, direction: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return L, shape (splines, bins), and K, shape (splines, splines), in a fixed order of arithmetic."""
     moved = response(walk, gait, direction)
     squares = product(moved.T, moved)
     curvature = -2.0 * np.eye(walk.splines)
     curvature += np.roll(np.eye(walk.splines), 1, axis=0) + np.roll(np.eye(walk.splines), -1, axis=0)
     mean = float(np.add.accumulate(np.diagonal(squares))[-1]) / walk.splines
-    weights = CHANGE_WEIGHT * np.eye(walk.splines) + CURVATURE_WEIGHT * product(curvature.T, curvature)
-    return solve(squares + mean * weights, moved.T)
+    change = mean * CHANGE_WEIGHT * np.eye(walk.splines)
+    smooth = mean * CURVATURE_WEIGHT * product(curvature.T, curvature)
+    found = solve(squares + change + smooth, np.hstack([moved.T, smooth]))
+    return found[:, : len(moved)], found[:, len(moved) :]
 
 
 @functools.cache
 def contraction(walk: WalkParameters, gait: GaitParameters, direction: int) -> float:
-    """Return the factor by which a cycle multiplies an error on the worst motor: the spectral radius of I − γ L M.
+    """Return the factor by which a cycle multiplies an error on the worst motor: spectral radius of I − γ (L M + K).
 
     The motors are the corners of :data:`GAIN_RANGE`, :data:`GRIP_RANGE` and :data:`SWING_RANGE` around the model.
     """
-    learned, worst = learning_matrix(walk, gait, direction), 0.0
+    (learned, kept), worst = learning_matrices(walk, gait, direction), 0.0
     for gain in (1.0 - GAIN_RANGE, 1.0 + GAIN_RANGE):
         for grip in (-GRIP_RANGE, GRIP_RANGE):
             for swing in (1.0 - SWING_RANGE, 1.0 + SWING_RANGE):
                 moved = response(walk, gait, direction, Offset(gain, grip, swing))
-                worst = max(worst, float(np.max(np.abs(1.0 - walk.gain * np.linalg.eigvals(product(learned, moved))))))
+                rates = np.linalg.eigvals(product(learned, moved) + kept)
+                worst = max(worst, float(np.max(np.abs(1.0 - walk.gain * rates))))
     return worst
 
 

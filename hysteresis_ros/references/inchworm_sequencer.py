@@ -37,8 +37,10 @@ from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_parameters import (
     BINS_PER_SPLINE,
     InchwormSequencerParameters,
+    contacts,
     cycloid,
-    learning_matrix,
+    inertia,
+    learning_matrices,
     phase_bounds,
     ramp,
 )
@@ -529,7 +531,13 @@ class InchwormSequencer(Block):
         p[at.BOUND] = walk.bound
         p[at.LEARNING_GAIN] = walk.gain
         p[at.LEARNING_RATE] = walk.learning_speed * self.sample_time / walk.step
-        p[at.INERTIA] = walk.inertia / self.sample_time**2
+        p[at.INERTIA] = inertia(walk.swing) / self.sample_time**2
+        p[at.INERTIA_LAG] = 2.0 * walk.swing_damping * math.sqrt(p[at.INERTIA])
+        p[at.TIP_INERTIA] = inertia(walk.resonance) / self.sample_time**2
+        p[at.TIP_LAG] = 2.0 * walk.resonance_damping * math.sqrt(p[at.TIP_INERTIA])
+        p[at.CLAMP_LEAD] = walk.clamp_lead / self.sample_time
+        p[at.QUICK_CLAMPS] = walk.quick_clamps
+        p[at.TOUCHES], p[at.LETS_GO] = contacts(walk, gait)
         p[at.SPLINES] = walk.splines if walk.continuous else 0.0
         p[at.BINS] = BINS_PER_SPLINE * p[at.SPLINES]
         p[at.FORWARD_BOUNDS : at.FORWARD_BOUNDS + 8] = phase_bounds(gait, 1)
@@ -540,7 +548,7 @@ class InchwormSequencer(Block):
         gait, walk = parameters.gait, parameters.walk
         if not walk.continuous:
             return []
-        return [learning_matrix(walk, gait, direction).ravel() for direction in (1, -1)]
+        return [part.ravel() for direction in (1, -1) for part in learning_matrices(walk, gait, direction)]
 
     def initial_state(self) -> np.ndarray:
         """Return x before the first sample: both clamps are about to close."""

@@ -12,7 +12,8 @@
 A cycle consists of the gait's six processes. Its phase is 0 in the middle of a return and 1 in the middle of the next.
 The path of the slider is a straight line over the phase while it is carried, and constant while the extender returns. A
 correction learned as a function of the phase (:mod:`hysteresis_ros.references.inchworm_parameters`) is added to the
-extender's motion: errors that depend on the phase repeat at any speed.
+extender's motion: errors that depend on the phase repeat at any speed. The outputs lead by the known dynamics of
+slider, extender and clamps, which depend on time.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ GLIDE_PART = 0.8
 TOO_FAST = 1.05
 #: Relative difference of speeds that are equal for learning.
 SAME_SPEED = 0.02
+#: Fraction of the highest rate below which quick ramps of the clamps become slower.
+SLOWEST = 1.0e-3
 #: Value of a ramp's counter after its end.
 AT_ONCE = 1.0e9
 
@@ -98,6 +101,18 @@ def spline(x, first, n, phase):
 
 
 @kernel
+def spline_bend(x, first, n, phase):
+    """Return the second derivative of the spline by the phase."""
+    s = phase * n
+    i = int(s)
+    u = s - i
+    v = 1.0 - u
+    value = v * x[first + (i - 1) % n] + (3.0 * u - 2.0) * x[first + i % n]
+    value += (3.0 * v - 2.0) * x[first + (i + 1) % n] + u * x[first + (i + 2) % n]
+    return value * n * n
+
+
+@kernel
 def coefficients(p, x):
     """Return the index of the present direction's coefficients: the new ones, followed by the previous ones."""
     return at.WALK + (0 if x[at.DIRECTION] > 0.0 else 2 * int(p[at.SPLINES]))
@@ -111,24 +126,41 @@ def path(p, x, phase):
 
 
 @called
-def extension(p, x, phase):
-    """Return the extension [m] at ``phase``, including the correction, which is stored in ``x``."""
-    b = bounds_of(x)
+def tip(p, x, phase, glide):
+    """Return the desired position [m] of the extender at ``phase``; the correction is stored in ``x``.
+
+    ``glide`` is the share of the new coefficients of the correction. A slider that oscillates needs additional
+    extension while it accelerates.
+    """
+    b, n, first = bounds_of(x), int(p[at.SPLINES]), coefficients(p, x)
     half = p[b + at.RETURNED]
+    late = wrapped(phase - p[at.INERTIA_LAG] * x[at.CYCLE_RATE])
+    new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
+    x[at.CORRECTION] = old + glide * (new - old)
+    new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
+    acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
     if phase < half or phase >= p[b + at.RETURN]:
         way = 1.0 - cycloid(0.5 + 0.5 * (phase if phase < half else phase - 1.0) / half)
     else:
         way = path(p, x, phase)
-        # an oscillating load needs additional extension while it accelerates
         pace = x[at.CYCLE_RATE] / (p[b + at.CARRIED] - p[b + at.CARRY])
-        part = (phase - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY])
-        way += p[at.INERTIA] * pace * pace * bend(p[at.BLEND], part)
-    n, first = int(p[at.SPLINES]), coefficients(p, x)
-    new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
-    glide = cycloid(x[at.CYCLE_PHASE] / (GLIDE_PART * p[b + at.CLOSE_FRONT]))
-    x[at.CORRECTION] = old + glide * (new - old)
+        part = (late - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY])
+        acceleration += x[at.DIRECTION] * p[at.WALKING_STEP] * pace * pace * bend(p[at.BLEND], part)
     middle = 0.5 * (p[at.LOWEST] + p[at.HIGHEST])
-    return middle + x[at.DIRECTION] * p[at.WALKING_STEP] * (way - 0.5) + x[at.CORRECTION]
+    value = middle + x[at.DIRECTION] * p[at.WALKING_STEP] * (way - 0.5) + x[at.CORRECTION]
+    return value + p[at.INERTIA] * acceleration
+
+
+@called
+def extension(p, x, phase):
+    """Return the commanded extension [m] at ``phase``, which leads the desired one by the extender's own dynamics."""
+    glide = cycloid(x[at.CYCLE_PHASE] / (GLIDE_PART * p[bounds_of(x) + at.CLOSE_FRONT]))
+    if p[at.TIP_INERTIA] == 0.0:
+        return tip(p, x, phase, glide)
+    before = tip(p, x, wrapped(phase - x[at.CYCLE_RATE]), glide)
+    after = tip(p, x, wrapped(phase + x[at.CYCLE_RATE]), glide)
+    now = tip(p, x, phase, glide)
+    return now + 0.5 * p[at.TIP_LAG] * (after - before) + p[at.TIP_INERTIA] * (after - 2.0 * now + before)
 
 
 @kernel
@@ -138,20 +170,26 @@ def clamp_voltage(p, closed):
 
 
 @called
-def passed(p, phase, first, last):
-    """Return the elapsed fraction of a clamp's ramp between two phases at ``phase``."""
-    return ramp(p[at.LINEAR_RAMP], (phase - first) / (last - first))
+def passed(p, rate, phase, first, last, contact):
+    """Return the elapsed fraction of a clamp's ramp at ``phase``.
+
+    The ramp takes all of the time between two phases, or the gait's time around its part ``contact``.
+    """
+    part = (phase - first) / (last - first)
+    if p[at.QUICK_CLAMPS] != 0.0:
+        part = contact + (part - contact) / max(rate * p[at.CYCLE_SAMPLES], SLOWEST)
+    return ramp(p[at.LINEAR_RAMP], part)
 
 
 @kernel
 def set_clamps(p, x, phase):
     """Set the voltages of both clamps according to the phase."""
-    b = bounds_of(x)
-    closed = passed(p, phase, p[b + at.CLOSE_FRONT], p[b + at.OPEN_REAR])
-    opened = passed(p, phase, p[b + at.OPEN_FRONT], p[b + at.RETURN])
+    b, rate, touch, free = bounds_of(x), x[at.CYCLE_RATE], p[at.TOUCHES], p[at.LETS_GO]
+    closed = passed(p, rate, phase, p[b + at.CLOSE_FRONT], p[b + at.OPEN_REAR], touch)
+    opened = passed(p, rate, phase, p[b + at.OPEN_FRONT], p[b + at.RETURN], free)
     x[at.FRONT_VOLTAGE] = x[at.FRONT_TO] = clamp_voltage(p, closed - opened)
-    opened = passed(p, phase, p[b + at.OPEN_REAR], p[b + at.CARRY])
-    closed = passed(p, phase, p[b + at.CLOSE_REAR], p[b + at.OPEN_FRONT])
+    opened = passed(p, rate, phase, p[b + at.OPEN_REAR], p[b + at.CARRY], free)
+    closed = passed(p, rate, phase, p[b + at.CLOSE_REAR], p[b + at.OPEN_FRONT], touch)
     x[at.REAR_VOLTAGE] = x[at.REAR_TO] = clamp_voltage(p, 1.0 - opened + closed)
     x[at.FRONT_COUNT] = x[at.REAR_COUNT] = AT_ONCE
 
@@ -185,7 +223,7 @@ def forget(p, x):
 def correct(p, x):
     """Update the correction by the errors of the last cycle."""
     n, m = int(p[at.SPLINES]), int(p[at.BINS])
-    matrix = at.LEARNING_MATRICES + (0 if x[at.DIRECTION] > 0.0 else n * m)
+    matrix = at.LEARNING_MATRICES + (0 if x[at.DIRECTION] > 0.0 else n * (m + n))
     sums, counts, first = at.WALK + 4 * n, at.WALK + 4 * n + m, coefficients(p, x)
     for j in range(m):
         if x[counts + j] > 0.0:
@@ -196,6 +234,8 @@ def correct(p, x):
         change = 0.0
         for j in range(m):
             change += p[matrix + i * m + j] * x[sums + j]
+        for j in range(n):
+            change -= p[matrix + n * m + i * n + j] * x[first + n + j]
         wanted = x[first + i] + p[at.LEARNING_GAIN] * change
         x[first + i] = min(max(wanted, -p[at.BOUND]), p[at.BOUND])
     x[at.LEARNED_CYCLES] += 1.0
@@ -265,12 +305,13 @@ def begin_walk(p, x):
         forget(p, x)
     phase = p[bounds_of(x) + at.OPEN_REAR]
     x[at.CYCLE_PHASE] = phase
+    x[at.CYCLE_RATE] = 0.0
     start = extension(p, x, phase)
     x[at.ANCHOR] = x[at.SLIDER]
     if abs(start - x[at.TIP]) <= EQUAL and x[at.PRETENSION] == 0.0:
         begin_cycle(p, x)
         x[at.CYCLE] = 1.0
-        x[at.CYCLE_RATE] = x[at.WHOLE] = 0.0
+        x[at.WHOLE] = 0.0
         x[at.PATH] = x[at.SLIDER]
         x[at.STEP_FROM] = x[at.SLIDER]
         x[at.MOVE_FROM] = x[at.TIP]
@@ -333,13 +374,14 @@ def stride(p, x):
     most = fastest / p[at.CYCLE_SAMPLES]
     x[at.CYCLE_RATE] = wanted if abs(change) <= most else x[at.CYCLE_RATE] + math.copysign(most, change)
     phase = advance(p, x)
+    clamps = wrapped(phase + p[at.CLAMP_LEAD] * x[at.CYCLE_RATE])
     if change != 0.0 or abs(wanted - p[at.LEARNING_RATE]) > SAME_SPEED * wanted or x[at.BAD] > 0.0:
         x[at.WHOLE] = 0.0
     observe(p, x)
-    go_on(p, x, phase)
+    go_on(p, x, clamps)
     if x[at.CYCLE] != 0.0:
         x[at.TIP] = extension(p, x, phase)
-        set_clamps(p, x, phase)
+        set_clamps(p, x, clamps)
 
 
 @kernel

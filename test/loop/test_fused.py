@@ -43,6 +43,7 @@ def test_without_deadlines_it_makes_the_run_of_the_axis(name):
 
 def test_a_motor_that_learns_its_walk_makes_the_run_of_the_axis():
     walk = {"walk__continuous": True, "walk__learning": True, "walk__swing": 456.0, "gait__walking_speed": 1e-4}
+    walk |= {"walk__resonance": 635.0, "walk__clamp_lead": 2e-4, "walk__quick_clamps": True}
     loop, given = made_loop("inchworm_travel", samples=4000, inchworm_sequencer=walk)
     loop.start()
     assert loop.join()

@@ -24,7 +24,7 @@ from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references import inchworm_parameters as walks
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
-from hysteresis_ros.references.inchworm_walk import bend, carried, spline
+from hysteresis_ros.references.inchworm_walk import bend, carried, spline, spline_bend
 
 RATE = 4000.0
 SPEED = 1.0e-4
@@ -115,6 +115,10 @@ def test_the_correction_is_a_periodic_cubic_spline():
     expected = BSpline(knots, np.take(coefficients, np.arange(-1, 14), mode="wrap"), 3)(phases)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(walks.basis(phases, 12) @ coefficients, expected, atol=1e-12)
+    second = BSpline(knots, np.take(coefficients, np.arange(-1, 14), mode="wrap"), 3).derivative(2)(phases)
+    found = [spline_bend(np.array([7.0, *coefficients]), 1, 12, phase) for phase in phases]
+    np.testing.assert_allclose(found, second, atol=1e-9)
+    np.testing.assert_allclose(walks.basis(phases, 12, second=True) @ coefficients, second, atol=1e-9)
 
 
 def test_the_processes_of_a_cycle_take_their_part_of_it():
@@ -153,6 +157,61 @@ def test_what_is_learned_at_one_speed_is_right_at_others():
     assert after[1.0] < before[1.0] / 50.0
     assert all(after[part] < before[part] / 20.0 for part in before), (before, after)
     assert motor.x[at.LEARNED_CYCLES] >= 20 and not np.any(motor.sequencer.learned_walk.backward)
+
+
+def test_a_correction_that_no_error_determines_becomes_smooth():
+    motor = Motor()
+    motor.wrong = lambda extension: extension
+    motor.walk(SPEED, 1)
+    # both clamps hold between these phases: the slider does not follow there
+    held = np.flatnonzero((np.arange(WALK.splines) > 5) & (np.arange(WALK.splines) < 9))
+    motor.x[at.WALK + held] = 0.4e-6 * (-1.0) ** held
+    motor.sequencer.request(at.LEARN_REQUEST)
+    motor.walk(SPEED, 30)
+    found = motor.sequencer.learned_walk.forward
+    assert np.max(np.abs(found - 0.5 * (np.roll(found, 1) + np.roll(found, -1)))) < 0.06e-6
+
+
+def contact_and_ramp(motor, part):
+    """Walk at a part of the highest speed; return the phases at which the rear clamp lets go and touches, and the
+    duration of its opening [samples]."""
+    fastest = WALK.fastest(GAIT)
+    motor.walk(part * fastest, 3)
+    phases, first = [], len(motor.log)
+    for _ in range(round(1.5 * WALK.step / (part * fastest) * RATE)):
+        motor.step()
+        phases.append(motor.x[at.CYCLE_PHASE])
+    rear = np.array(motor.log[first:])[:, 1]
+    closed = rear > WALK.touch_voltage
+    opens, closes = (np.flatnonzero(change)[0] for change in (closed[:-1] & ~closed[1:], ~closed[:-1] & closed[1:]))
+    between = (rear > GAIT.release_voltage) & (rear < GAIT.grip_voltage)
+    last = opens + int(np.argmin(between[opens:]))
+    start = opens - int(np.argmin(between[opens::-1]))
+    return phases[opens], phases[closes], last - start
+
+
+def test_quick_clamps_take_the_gaits_time_and_touch_at_the_same_phase_at_any_speed():
+    for quick in (True, False):
+        for part in (0.05, 0.3, 1.0):
+            motor = Motor(quick_clamps=quick)
+            lets_go, touches, length = contact_and_ramp(motor, part)
+            sample = part / (GAIT.period * RATE)
+            bounds, (touch, free) = walks.phase_bounds(GAIT, 1), walks.contacts(motor.sequencer.parameters.walk, GAIT)
+            ramp = GAIT.release / GAIT.period
+            assert abs(lets_go - (bounds[at.OPEN_REAR] + free * ramp)) < 1.6 * sample
+            assert abs(touches - (bounds[at.CLOSE_REAR] + touch * ramp)) < 1.6 * sample
+            assert length == pytest.approx(GAIT.release * RATE / (1.0 if quick else part), abs=2.1)
+            clamps = np.array(motor.log)[:, :2]
+            assert np.all(clamps.max(axis=1) >= GAIT.threshold_voltage)
+
+
+def test_clamps_lead_by_their_delay_at_any_speed():
+    late = 8.0 / RATE
+    for part in (0.3, 1.0):
+        (one, two, _), (led, also, _) = (contact_and_ramp(Motor(clamp_lead=lead), part) for lead in (0.0, late))
+        ahead = late * part / GAIT.period
+        sample = part / (GAIT.period * RATE)
+        assert abs(one - led - ahead) < 1.1 * sample and abs(two - also - ahead) < 1.1 * sample
 
 
 def test_backward_is_learned_apart_from_forward():
@@ -293,7 +352,7 @@ def test_saving_without_a_file_or_into_nowhere_is_refused(tmp_path):
         ({"gait.walking_speed": 2.5e-4}, "gait.walking_speed", "0.000230769 m/s"),
         ({"walk.learning_speed": 2.5e-4}, "walk.learning_speed", "nothing would be learned"),
         ({"walk.gain": 1.9}, "walk.gain", "multiplies an error by"),
-        ({"walk.gain": 1.6, "walk.swing": 456.0, "walk.learning_speed": 1.9e-4}, "walk.gain", "1.08"),
+        ({"walk.gain": 1.8, "walk.swing": 456.0, "walk.learning_speed": 1.9e-4}, "walk.gain", "multiplies"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name_and_number(changes, name, said):
@@ -312,11 +371,21 @@ def test_speeds_beyond_the_walk_are_refused_with_the_number():
 
 def test_the_learning_finds_what_the_response_says_it_can():
     """A disturbance that the extender can cancel is reduced to the limit of the weights; other modes stay."""
-    learning, moved = walks.learning_matrix(WALK, GAIT, 1), walks.response(WALK, GAIT, 1)
+    (learning, kept), moved = walks.learning_matrices(WALK, GAIT, 1), walks.response(WALK, GAIT, 1)
     np.testing.assert_allclose(moved @ np.ones(WALK.splines), 0.0, atol=1e-12)
     wanted = moved @ np.random.default_rng(2).normal(size=WALK.splines)
     rest = wanted - moved @ (learning @ wanted)
     assert np.std(rest) < 0.2 * np.std(wanted)
+    # repeated, it ends where error and curvature are least together: also where the error determines nothing
+    found = np.random.default_rng(3).normal(size=WALK.splines)
+    for _ in range(2000):
+        found += learning @ (wanted - moved @ found) - kept @ found
+    curvature = np.roll(np.eye(WALK.splines), 1, axis=0) - 2.0 * np.eye(WALK.splines)
+    curvature += np.roll(np.eye(WALK.splines), -1, axis=0)
+    weight = walks.CURVATURE_WEIGHT * np.mean(np.sum(moved**2, axis=0))
+    both = np.vstack([moved, np.sqrt(weight) * curvature])
+    least = np.linalg.lstsq(both, np.r_[wanted, np.zeros(WALK.splines)], rcond=None)[0]
+    np.testing.assert_allclose(both @ found, both @ least, atol=1e-6 * np.std(wanted))
     # before the rear clamp is open the slider does not follow, and after the last grip it keeps its position
     bounds = walks.phase_bounds(GAIT, 1)
     phases = (np.arange(len(moved)) + 0.5) / len(moved)

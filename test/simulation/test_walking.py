@@ -32,6 +32,24 @@ def test_what_is_learned_at_one_speed_is_used_at_another():
     assert abs(after.speed_error) < 4e-3 < abs(before.speed_error)
 
 
+@pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
+@pytest.mark.parametrize(("kick", "factors"), [(0.0, {2.0: 12.0, 4.0: 3.5}), (1.0e-9, {2.0: 4.0, 4.0: 1.4})])
+def test_the_motor_that_improves_least_is_nearer_to_its_path_at_speeds_that_were_not_learned(kick, factors):
+    for part, (before, after) in compared(1, parts=tuple(factors), kick=kick).items():
+        assert before.off_path > factors[part] * after.off_path, (part, before, after)
+
+
+@pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
+def test_a_motor_as_its_models_say_is_on_its_path_at_high_speed():
+    found = {}
+    for plain in (False, True):
+        walker = Walker(seed=0, plain=plain)
+        for _ in range(100):
+            walker.sample()
+        found[plain] = walker.judge(4.0 * SPEED).off_path
+    assert found[False] < 1.3e-9 and found[True] > 10e-9, found
+
+
 def test_the_finer_motor_of_the_figures_is_the_motor():
     walker = Walker(seed=0)
     fine, coarse = walker.motor, walker.axis.plant.motor
@@ -53,6 +71,11 @@ def test_a_walk_that_does_not_fit_its_motor_is_doubted_or_refused():
         text for text in inchworm_warnings(heavy.plant_simulator, heavy.inchworm_sequencer) if "walk.swing" in text
     )
     assert "456 Hz" in said and "322.3 Hz" in said
+    stiff = single_axis(configuration.override("inchworm_sequencer", walk__resonance=800.0))
+    (said,) = inchworm_warnings(stiff.plant_simulator, stiff.inchworm_sequencer)
+    assert "walk.resonance = 800 Hz" in said and "635 Hz" in said
+    right = single_axis(configuration.override("inchworm_sequencer", walk__resonance=635.0))
+    assert inchworm_warnings(right.plant_simulator, right.inchworm_sequencer) == ()
     loaded = single_axis(configuration.override("plant_simulator", inchworm__slider__external_force=-1.0))
     assert any("walk.bound" in text for text in inchworm_warnings(loaded.plant_simulator, loaded.inchworm_sequencer))
     with pytest.raises(ParameterError, match="walk.file"):

@@ -39,11 +39,14 @@ from hysteresis_ros.references.inchworm_walk import carried
 INSTANTS = 4
 #: Speed of learning [m/s], and walking speeds as multiples of it.
 SPEED = 5.0e-5
-PARTS = (0.2, 0.5, 1.0, 2.0, 3.0)
+PARTS = (0.2, 0.4, 1.0, 2.0, 4.0)
 #: Numbers of learned cycles, of cycles before an evaluated part, and of evaluated cycles.
 LEARNED, SETTLED, JUDGED = 15, 1, 2
-#: The slider swings on the extender at 456 Hz; the extender itself lags by 2 ζ/ω.
-WALK = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
+#: Parameters of the walk: the slider oscillates on the extender at 456 Hz, the extender itself at 635 Hz, and the
+#: clamps lag by 0.2 ms.
+PLAIN = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
+WALK = PLAIN | {"walk__resonance": 635.0, "walk__clamp_lead": 2.0e-4, "walk__quick_clamps": True}
+#: Without ``walk.resonance`` the extender's lag at a constant speed, 2 ζ/ω, is a part of ``walk.lead``.
 LAG = 1.5e-5
 
 
@@ -81,11 +84,11 @@ class Deviation:
 class Walker:
     """An inchworm motor that walks over the phase, simulated between the samples, with voltages a sample late."""
 
-    def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True):
+    def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True, plain: bool = False):
         configuration = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)
         configuration = configuration.override("hysteresis_compensator", **CREEP)
-        delay = 1.0e-4 if told else 0.0
-        configuration = configuration.override("inchworm_sequencer", **WALK, walk__lead=LAG + delay)
+        delay = (1.0e-4 if told else 0.0) + (LAG if plain else 0.0)
+        configuration = configuration.override("inchworm_sequencer", **(PLAIN if plain else WALK), walk__lead=delay)
         if seed:
             configuration = mismatched(configuration, MISMATCH, seed)
         if not inverse:
@@ -173,6 +176,8 @@ CASES: dict[str, dict[str, Any]] = {
     "kick of 2 nm/N": {"kick": 2.0e-9},
     "rigid, the delay of a sample unknown to the sequencer": {"told": False},
     "kick of 1 nm/N, no inverse of hysteresis and creep": {"kick": 1.0e-9, "inverse": False},
+    "rigid contacts, without walk.resonance, clamp_lead and quick_clamps": {"plain": True},
+    "kick of 1 nm/N, without walk.resonance, clamp_lead and quick_clamps": {"kick": 1.0e-9, "plain": True},
 }
 
 
