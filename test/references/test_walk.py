@@ -392,3 +392,12 @@ def test_the_learning_finds_what_the_response_says_it_can():
     assert not np.any(moved[phases < bounds[at.OPEN_REAR]])
     stays = moved[phases > bounds[at.OPEN_FRONT]]
     np.testing.assert_array_equal(stays, np.broadcast_to(stays[0], stays.shape))
+
+
+def test_a_slider_that_oscillates_follows_a_correction_that_leads_by_its_dynamics():
+    coefficients = np.exp(-(((np.arange(WALK.splines) - 15.0) / 1.5) ** 2))
+    fast = replace(WALK, swing=456.0, learning_speed=1.9e-4)
+    moved = walks.response(fast, GAIT, 1) @ coefficients
+    phases = (np.arange(8 * len(moved)) + 0.5) / (8 * len(moved))
+    wanted = (walks.basis(phases, WALK.splines) @ coefficients).reshape(-1, 8).mean(axis=1)
+    assert np.max(np.abs(moved - wanted)) < 0.02 * np.max(wanted)
