@@ -34,7 +34,7 @@ QUICK = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
 QUICK |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
 CYCLE = 140
 #: Continuous walking over the phase of its cycle.
-WALK = {"walk__continuous": True, "walk__learning_speed": 4.0e-4, "walk__swing": 456.0, "walk__resonance": 635.0}
+WALK = {"walk__continuous": True, "walk__learning_speed": 4.0e-4, "walk__swing": 456.0}
 
 
 def motor(**common):

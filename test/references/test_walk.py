@@ -24,7 +24,7 @@ from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references import inchworm_parameters as walks
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
-from hysteresis_ros.references.inchworm_walk import bend, carried, spline, spline_bend
+from hysteresis_ros.references.inchworm_walk import bend, carried, spline, spline_bend, tip
 
 RATE = 4000.0
 SPEED = 1.0e-4
@@ -401,3 +401,21 @@ def test_a_slider_that_oscillates_follows_a_correction_that_leads_by_its_dynamic
     phases = (np.arange(8 * len(moved)) + 0.5) / (8 * len(moved))
     wanted = (walks.basis(phases, WALK.splines) @ coefficients).reshape(-1, 8).mean(axis=1)
     assert np.max(np.abs(moved - wanted)) < 0.02 * np.max(wanted)
+
+
+def test_the_extender_leads_by_the_acceleration_of_path_and_correction():
+    walk = replace(WALK, swing=300.0, swing_damping=0.2)
+    sequencer = InchwormSequencer(replace(PARAMETERS, walk=walk), 1.0 / RATE)
+    p, x, omega = sequencer.p, sequencer.x, 2.0 * math.pi * walk.swing / RATE
+    x[at.DIRECTION] = 1.0
+    x[at.WALK : at.WALK + WALK.splines] = 1e-7 * np.random.default_rng(4).normal(size=WALK.splines)
+
+    def desired(phase, rate=0.0):
+        x[at.CYCLE_RATE] = rate
+        return tip(p, x, phase, 1.0)
+
+    bounds, rate, d = walks.phase_bounds(GAIT, 1), 0.003, 1e-4
+    for phase in np.linspace(bounds[at.CARRY] + 0.03, bounds[at.CARRIED] - 0.03, 23):
+        late = phase - 2.0 * walk.swing_damping / omega * rate
+        acceleration = (desired(late + d) - 2.0 * desired(late) + desired(late - d)) / d**2 * rate**2
+        assert desired(phase, rate) - desired(phase) == pytest.approx(acceleration / omega**2, abs=1e-10)
