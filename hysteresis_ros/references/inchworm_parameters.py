@@ -497,6 +497,7 @@ def response(walk: WalkParameters, gait: GaitParameters, direction: int, off: Of
     swinging = walk.swing > 0.0
     if swinging:
         rate, lead = walk.learning_speed / walk.step, inertia(walk.swing)
+        lead = lead if walk.resonance > 0.0 else 0.0
         late = phases - 2.0 * walk.swing_damping * math.sqrt(lead) * rate
         wanted += lead * rate**2 * basis(late, walk.splines, second=True)
         dt = 1.0 / rate / count

@@ -137,8 +137,10 @@ def tip(p, x, phase, glide):
     late = wrapped(phase - p[at.INERTIA_LAG] * x[at.CYCLE_RATE])
     new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
     x[at.CORRECTION] = old + glide * (new - old)
-    new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
-    acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
+    acceleration = 0.0
+    if p[at.TIP_INERTIA] > 0.0:  # a resonance of the extender that is not known would be excited by this lead
+        new, old = spline_bend(x, first, n, late), spline_bend(x, first + n, n, late)
+        acceleration = (old + glide * (new - old)) * x[at.CYCLE_RATE] * x[at.CYCLE_RATE]
     if phase < half or phase >= p[b + at.RETURN]:
         way = 1.0 - cycloid(0.5 + 0.5 * (phase if phase < half else phase - 1.0) / half)
     else:

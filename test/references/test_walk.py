@@ -396,7 +396,7 @@ def test_the_learning_finds_what_the_response_says_it_can():
 
 def test_a_slider_that_oscillates_follows_a_correction_that_leads_by_its_dynamics():
     coefficients = np.exp(-(((np.arange(WALK.splines) - 15.0) / 1.5) ** 2))
-    fast = replace(WALK, swing=456.0, learning_speed=1.9e-4)
+    fast = replace(WALK, swing=456.0, resonance=635.0, learning_speed=1.9e-4)
     moved = walks.response(fast, GAIT, 1) @ coefficients
     phases = (np.arange(8 * len(moved)) + 0.5) / (8 * len(moved))
     wanted = (walks.basis(phases, WALK.splines) @ coefficients).reshape(-1, 8).mean(axis=1)
@@ -404,7 +404,7 @@ def test_a_slider_that_oscillates_follows_a_correction_that_leads_by_its_dynamic
 
 
 def test_the_extender_leads_by_the_acceleration_of_path_and_correction():
-    walk = replace(WALK, swing=300.0, swing_damping=0.2)
+    walk = replace(WALK, swing=300.0, swing_damping=0.2, resonance=635.0)
     sequencer = InchwormSequencer(replace(PARAMETERS, walk=walk), 1.0 / RATE)
     p, x, omega = sequencer.p, sequencer.x, 2.0 * math.pi * walk.swing / RATE
     x[at.DIRECTION] = 1.0
