@@ -125,6 +125,7 @@ JUDGES = {
     # the error of a singular matrix has NumPy's name; the highest speed of a reference is printed or leads to a refusal
     "models/linear_algebra.py": {"np.linalg"},
     "loop/reach.py": {"cmath", "import cmath"},
+    "loop/inchworm_checks.py": {"cmath", "import cmath"},  # the mode of a warning
     # displacements between the samples of a finished run
     "loop/stage_simulation.py": {"np.linalg", "@", "scipy", "import scipy.signal"},
     # noise, predicted times and predicted creep: published, or a reason to refuse

@@ -11,12 +11,12 @@
 
 from __future__ import annotations
 
+import cmath
 import math
-
-import numpy as np
 
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.compensator import reachable_commands
+from hysteresis_ros.models.linear_algebra import eigenvalues
 from hysteresis_ros.references.inchworm_parameters import SWING_RANGE
 from hysteresis_ros.references.inchworm_steps import LOAD_PART
 
@@ -102,10 +102,10 @@ def _walking_doubts(plant, walk):
             f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider oscillates on the extender at "
             f"{swing:.4g} Hz: learning may not converge; set walk.swing to this frequency"
         )
-    poles = np.log(np.linalg.eigvals(plant.dynamics.matrices.A).astype(complex)) * plant.sample_rate
-    modes = np.abs(poles[poles.imag > 0.0]) / (2.0 * math.pi)
-    if walk.resonance > 0.0 and not np.any(np.abs(walk.resonance / modes - 1.0) <= SWING_RANGE):
-        said = " and ".join(f"{mode:.4g} Hz" for mode in np.sort(modes)) or "none"
+    poles = [complex(pole) for pole in eigenvalues(plant.dynamics.matrices.A)]
+    modes = [abs(cmath.log(pole)) * plant.sample_rate / (2.0 * math.pi) for pole in poles if pole.imag > 0.0]
+    if walk.resonance > 0.0 and not any(abs(walk.resonance / mode - 1.0) <= SWING_RANGE for mode in modes):
+        said = " and ".join(f"{mode:.4g} Hz" for mode in sorted(modes)) or "none"
         yield (
             f"inchworm_sequencer: walk.resonance = {walk.resonance:g} Hz, the extender's resonance is {said}: the "
             "error rises with the square of the speed; set walk.resonance to this frequency"
