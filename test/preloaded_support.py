@@ -12,7 +12,8 @@
 A node or a command spends most of its processor time on importing Numba, SciPy, rclpy and this package, and a run of
 the tests starts hundreds of them. After :func:`install`, a ``subprocess.Popen`` of ``python -m hysteresis_ros.…`` is a
 fork of a process that has imported them, and becomes a child of this process. Everything else is unchanged: identifier,
-arguments, environment, folder, pipes, session, signals and exit code; the module runs as ``__main__``.
+arguments, environment, folder, pipes, session, signals and exit code; the module runs as ``__main__``. A process of
+``STARTERS``, which starts others itself, keeps a copy of its state before it runs, from which these are forked.
 
 A start that could differ by its imports is not replaced: another interpreter, environment variables other than
 ``HARMLESS``, another copy of the package in the path, the user's modules in the folder. With ``HYSTERESIS_COLD=1`` no
@@ -33,6 +34,7 @@ import os
 import pathlib
 import pickle
 import pkgutil
+import runpy
 import signal
 import socket
 import subprocess
@@ -46,6 +48,8 @@ HARMLESS = frozenset(
     {"ROS_DOMAIN_ID", "HYSTERESIS_DOMAIN", "ROS_AUTOMATIC_DISCOVERY_RANGE", "PYTEST_CURRENT_TEST"}
     | {"PYTHONUNBUFFERED", "PYTHONSAFEPATH", "PYTHONPATH"}
 )
+#: Modules whose processes start others of the package.
+STARTERS = frozenset({"hysteresis_ros.cli.main", "hysteresis_ros.cli.entry"})
 #: Environment variable with which no start is replaced.
 COLD = "HYSTERESIS_COLD"
 
@@ -57,16 +61,22 @@ _lock = threading.Lock()
 class _Starter:
     """The process that has imported everything, and the conditions of its start."""
 
-    def __init__(self):
+    def __init__(self, channel: socket.socket, process: subprocess.Popen | None = None):
         self.environment = _usual_environment()
         self.pid = os.getpid()
-        self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket, self._process = channel, process
+
+    @classmethod
+    def started(cls) -> _Starter:
+        """Start the process that imports everything."""
+        ours, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         with other:
             command = [sys.executable, __file__, str(other.fileno()), str(tested_folder())]
             os.set_inheritable(other.fileno(), True)
-            self._process = subprocess.Popen(
-                command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, env=self.environment
+            process = subprocess.Popen(
+                command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, env=_usual_environment()
             )
+        return cls(ours, process)
 
     def fork(self, request: dict, files: list[int]) -> int:
         """Return the identifier of a new child of this process."""
@@ -81,13 +91,14 @@ class _Starter:
         finally:
             libc.prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if len(answer) < 8:
-            raise OSError(f"the process that forks others ended with exit code {self._process.wait()}")
+            raise OSError("the process that forks others has ended")
         return int.from_bytes(answer, "little")
 
     def close(self) -> None:
         """End the process."""
         self._socket.close()
-        self._process.wait()
+        if self._process is not None:
+            self._process.wait()
 
 
 _starter: _Starter | None = None
@@ -179,7 +190,7 @@ def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *r
             _starter.close()  # an earlier test, or a library that it imported, has set a variable
             _starter = None
         if _starter is None or _starter.pid != os.getpid():
-            _starter = _Starter()
+            _starter = _Starter.started()
         try:
             self.pid = _starter.fork(request, given)
         except OSError as error:
@@ -293,8 +304,8 @@ def _served(channel: socket.socket) -> tuple[dict, list[int]]:
         channel.sendall(answer)
 
 
-def _become(request: dict, files: list[int], base: list[str]) -> str:
-    """Give this process the state of one that was started normally; return the module to run."""
+def _become(request: dict, files: list[int], base: list[str]) -> None:
+    """Give this process the state of one that was started normally, and run its module."""
     while os.getppid() != request["parent"]:
         os.sched_yield()
     for standard, file in enumerate(files):
@@ -324,17 +335,43 @@ def _become(request: dict, files: list[int], base: list[str]) -> str:
     first = pickle.loads(bytes.fromhex(request["first"]))
     if first is not None:
         first()
+    if request["module"] in STARTERS:
+        _keep_a_copy(base)
     sys.modules.pop(request["module"], None)
-    return request["module"]
+    runpy._run_module_as_main(request["module"])
 
 
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _keep_a_copy(base: list[str]) -> None:
+    """Start the processes of this process from a copy of it as it is now, before it runs and has threads."""
+    global _starter
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    if os.fork() == 0:
+        ours.close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _end_with_parent()
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for standard in range(3):  # the files of this process are closed when it has ended
+            os.dup2(nothing, standard)
+        os.close(nothing)
+        _become(*_served(theirs), base)
+        sys.exit(0)
+    theirs.close()
+    remember_environment()
+    _starter = _Starter(ours)
+    install()
+
+
+def _end_with_parent() -> None:
     with contextlib.suppress(OSError):
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with the tests
-    _channel = socket.socket(fileno=int(sys.argv[1]))
-    _base = sys.path[1:]
-    sys.path.insert(1, sys.argv[2])
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _serve(channel: socket.socket, folder: str) -> None:
+    """Import everything and fork for each request; a child of it runs its module here."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with_parent()
+    base = sys.path[1:]
+    sys.path.insert(1, folder)
     _import_all_but_ros()
     _load_kernels()
     inspect.getframeinfo(sys._getframe())  # rclpy calls this at each place that logs; the function caches all modules
@@ -342,8 +379,10 @@ if __name__ == "__main__":
     gc.freeze()
     if len(os.listdir("/proc/self/task")) > 1:
         sys.exit("a library has started a thread, which a fork would not have")
-    _request, _files = _served(_channel)
-    _module = _become(_request, _files, _base)
-    import runpy
+    _become(*_served(channel), base)
 
-    runpy._run_module_as_main(_module)
+
+if __name__ == "__main__":
+    import preloaded_support  # the module, because the one that a child runs takes the place of this one
+
+    preloaded_support._serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2])

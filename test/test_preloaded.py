@@ -18,6 +18,7 @@ import sys
 
 import preloaded_support
 import pytest
+from waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux can give a fork another parent")
 
@@ -30,6 +31,15 @@ def cold(request):
     preloaded_support.start_cold(request.param)
     yield request.param
     preloaded_support.start_cold(False)
+
+
+@pytest.fixture
+def claimed():
+    pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+    from hysteresis_ros.nodes.domain import Domain
+
+    with Domain() as domain:
+        yield domain.number
 
 
 def imports_everything(process: subprocess.Popen) -> bool:
@@ -67,6 +77,24 @@ def test_output_and_exit_code_are_those_of_a_true_start(node, tmp_path):
         said.append((done.returncode, done.stdout, done.stderr))
     preloaded_support.start_cold(False)
     assert said[0] == said[1] and said[0][0] == 2 and "nowhere.yaml" in said[0][2]
+
+
+def test_what_a_forked_command_starts_is_forked_too_and_nothing_of_it_remains(claimed, tmp_path):
+    axis = pathlib.Path(__file__).parents[1] / "config" / "kim2009.yaml"
+    command = [*MAIN, "up", str(axis), "--rate", "lockstep", "--duration", "20", "--composed"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(claimed), "PYTHONPATH": str(preloaded_support.tested_folder())}
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as up:
+        children = pathlib.Path(f"/proc/{up.pid}/task/{up.pid}/children")
+        # its copy, and a process with the nodes; a true start has the name of a module in its command line
+        started = until(lambda: len(found := children.read_text().split()) > 1 and found, what="its processes")
+        for child in started:
+            words = pathlib.Path(f"/proc/{child}/cmdline").read_text().split("\0")
+            assert pathlib.Path(preloaded_support.__file__).name in words[1]
+        up.send_signal(signal.SIGINT)
+        assert up.wait(60.0) == 0, up.stderr.read()
+        until(lambda: not any(pathlib.Path(f"/proc/{child}").exists() for child in started), what="their end")
 
 
 def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
