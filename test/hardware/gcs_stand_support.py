@@ -34,7 +34,7 @@ class Stand:
         self.deaf = False
 
     def given(self, **changes) -> GcsParameters:
-        return GcsParameters(**{"port": self.port, "safe_time": 0.02, "timeout": 0.2, "check_period": 0.01} | changes)
+        return GcsParameters(**{"port": self.port, "safe_time": 0.02, "timeout": 2.0, "check_period": 0.01} | changes)
 
     def open(self, **changes) -> Device:
         return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)

@@ -35,6 +35,10 @@ from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.parameters import PlantNodeParameters
 
 
+#: Time [s] after which an answer counts as lost, in tests that lose answers.
+LOST = 0.2
+
+
 @pytest.fixture
 def stand(request):
     stand = Stand(getattr(request, "param", "E-754"))
@@ -259,7 +263,7 @@ def test_what_goes_wrong_in_motion_stops_the_axis_until_it_is_started(stand, hap
 
 
 def plant_parameters(stand) -> PlantNodeParameters:
-    own = {f"gcs.{name}": value for name, value in stand.given().to_mapping().items() if value != ()}
+    own = {f"gcs.{name}": value for name, value in stand.given(timeout=LOST).to_mapping().items() if value != ()}
     return PlantNodeParameters.from_mapping(
         {"driver": "gcs", "sample_rate": RATE, "late_limit": -1, "safe_slew_rate": 1.0e4, "overtravel": -1.0}
         | {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 8e-7}
@@ -311,7 +315,7 @@ def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
 @pytest.mark.parametrize("looks", ["each time", "seldom"])
 def test_a_line_that_is_wrong_or_too_many_gives_an_error_and_never_another_reading(stand, happens, lines, looks):
     stand.number_readings()
-    device = stand.open(check_period=0.001 if looks == "each time" else 60.0)
+    device = stand.open(check_period=0.001 if looks == "each time" else 60.0, timeout=LOST)
     # for any line of an answer: those of the next reading, and of the following one
     for ask_before in range(3):
         assert_every_reading_is_of_now(stand, device, ask_before)
@@ -326,7 +330,7 @@ def test_a_line_that_is_wrong_or_too_many_gives_an_error_and_never_another_readi
 @pytest.mark.parametrize("happens", WRONG_LINES)
 @pytest.mark.parametrize("first", ["read", "make_safe"])
 def test_a_device_is_made_safe_whatever_line_goes_wrong(stand, happens, lines, first):
-    device = stand.open()
+    device = stand.open(timeout=LOST)
     device.write([24.0])
     until(lambda: device.read()[0] > 5.0e-6)
     stand.faults.add(f"{happens}:0:60:{lines}")
@@ -342,7 +346,7 @@ def test_a_device_is_made_safe_whatever_line_goes_wrong(stand, happens, lines, f
 
 @pytest.mark.parametrize("happens", [*WRONG_LINES, "none"])
 def test_a_device_that_is_closed_is_safe_and_says_nothing(stand, happens):
-    device = stand.open()
+    device = stand.open(timeout=LOST)
     device.write([24.0])
     until(lambda: stand.controller.axes["1"].open_value == 24.0)
     if happens != "none":
