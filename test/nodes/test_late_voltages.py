@@ -12,17 +12,29 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections import deque
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import SOON_AT_REST, Observer, axis_parameters, compose, diagnostics, until  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
 
 from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
+from hysteresis_ros.nodes.plant_runners import (  # noqa: E402
+    ANSWERS,
+    LONGEST_SETTLING,
+    PUBLISHED,
+    SETTLED,
+    LockstepPlant,
+    RealTimePlant,
+)
+from hysteresis_ros.nodes.realtime import STARTING  # noqa: E402
 from hysteresis_ros.signals import DISPLACEMENT, PLANT_VOLTAGE, SOURCE_MODE  # noqa: E402
 
 SETPOINT = 6.0e-6
@@ -235,3 +247,118 @@ def test_a_node_that_joins_or_leaves_does_not_let_the_plant_wait_for_its_voltage
     other.close()
     more(plant, 30)
     assert not waited
+
+
+def pretended_runner(kind=RealTimePlant, given: int = 0, asked: int = 0, **node):
+    """Return a runner of a plant without a graph, which has received and expects a number of voltages."""
+    runner = object.__new__(kind)
+    voltage = SimpleNamespace(
+        topic="voltage", partner="hysteresis_compensator", value=0.0, received=1.0, count=20, first=-100.0
+    )
+    done = []
+    part = SimpleNamespace(silent=False, tripped=False, failure="", lost="", late=0)
+    part.forgive, part.await_voltages, part.count_late = (partial(done.append, name) for name in CALLED)
+    values = {"sample_rate": 200.0, "real_time_factor": 0.5, "allowed_late": 10, "wait_for_recorder": True, "lead": 3}
+    own = {"loop_complete": lambda: True, "patience": 0.1, "leaving": False, "sample": 0, "part": part}
+    own |= {"receive": lambda input_, value: setattr(input_, "value", value)}
+    runner.node = SimpleNamespace(inputs=[voltage], parameters=SimpleNamespace(**values), **(own | node))
+    runner._given, runner._asked = {"voltage": given}, asked
+    runner._gone, runner._coming, runner._known = set(), set(), set()
+    runner._published, runner._answers, runner._answered = [0.0] * PUBLISHED, [0.0] * ANSWERS, 0
+    runner._heard, runner._awake_time = {}, SimpleNamespace(at=lambda moment: moment)
+    runner._unaligned, runner._settling, runner._unsettled, runner._acknowledged = False, 0, 0, 0
+    runner.done = done
+    return runner, voltage
+
+
+#: Methods of a part that a pretended runner reports.
+CALLED = ("forgive", "await_voltages", "count_late")
+
+
+def test_a_voltage_too_many_does_not_answer_the_next_sample():
+    runner, voltage = pretended_runner(asked=1)
+    assert runner._is_behind(voltage)
+    for value in (1.0, 2.0, 3.0):
+        runner.voltage(voltage, Float64(data=value))
+        assert not runner._is_behind(voltage) and voltage.value == value, "the last one before the deadline counts"
+    runner._asked += 1
+    assert runner._is_behind(voltage), "only voltages of earlier samples have come"
+    runner.voltage(voltage, Float64(data=4.0))
+    assert not runner._is_behind(voltage)
+
+
+def test_a_voltage_of_an_earlier_sample_is_dropped_or_counted_only_in_a_closed_loop():
+    for open_loop, allowed, value, called in (
+        ({}, 10, math.nan, ["await_voltages"]),
+        ({}, 0, 0.0, ["count_late"]),
+        ({"loop_complete": lambda: False}, 10, 0.0, []),
+    ):
+        runner, voltage = pretended_runner(given=3, asked=4, **open_loop)
+        runner.node.parameters.allowed_late = allowed
+        runner._drop_late()
+        assert runner.done == called and math.isclose(voltage.value, value) == (value == value)
+    runner, voltage = pretended_runner(given=3, asked=4)
+    runner._gone.add("motion_controller")
+    runner._drop_late()
+    assert not runner.done and voltage.value == 0.0
+    runner, voltage = pretended_runner(given=4, asked=4)
+    runner._drop_late()
+    assert not runner.done
+
+
+def test_voltages_are_counted_again_after_ten_answered_samples_in_a_row_and_at_the_latest_after_a_hundred():
+    for answered, length in ((lambda k: True, SETTLED), (lambda k: k != 6, 7 + SETTLED), (lambda k: k % 2, 100)):
+        runner, voltage = pretended_runner(given=0, asked=9)
+        runner.settle()
+        found = []
+        for k in range(2 * LONGEST_SETTLING):
+            voltage.value = 1.0 if answered(k) else math.nan
+            found.append(runner._settle())
+        assert sum(found) == length and all(found[:length])
+        # the count begins where it is, and what was missing meanwhile is forgiven
+        assert runner._given == {"voltage": 9} and runner.done == ["forgive"] * length
+
+
+def test_the_rate_that_a_graph_achieves_is_half_of_what_its_answers_allow():
+    runner, _ = pretended_runner()
+    assert "answers within" not in runner.explain_trip()
+    for number in range(ANSWERS):
+        runner._answers[number] = 0.5 if number == 0 else 0.01
+    runner._answered = 3 * ANSWERS
+    text = runner.explain_trip()
+    assert "more than 10 voltages" in text and "at 100 Hz" in text
+    assert "answers within 10 ms (99 %), which is enough for 50 Hz" in text
+    runner._answered = 1
+    assert "within 500 ms (99 %), which is enough for 1 Hz" in runner.explain_trip()
+
+
+def test_an_active_node_is_silent_after_its_time_and_one_that_starts_has_longer():
+    now, loss = 1000.0, 0.2
+    for count, known, since_first, silence, silent in (
+        (20, False, 100.0, 0.9 * loss, False),
+        (20, False, 100.0, 1.1 * loss, True),
+        # a node that is compiling has sent few voltages, or begins just now
+        (9, False, 100.0, 100.0, False),
+        (1, True, 100.0, 1.1 * loss, True),
+        (0, True, 100.0, 100.0, False),
+        (20, False, 0.5 * STARTING, 0.9 * STARTING, False),
+        (20, False, 0.5 * STARTING, 1.1 * STARTING, True),
+    ):
+        # 100 Hz on the wall clock: twice the time of the axis
+        runner, voltage = pretended_runner()
+        assert runner._loss_time == pytest.approx(loss)
+        voltage.count, voltage.received, voltage.first = count, now - silence, now - silence - since_first
+        runner._heard = {"voltage": now - silence}
+        runner._known = {"hysteresis_compensator"} if known else set()
+        assert runner._is_silent(voltage, now) is silent, (count, known, since_first, silence)
+
+
+def test_a_plant_in_lockstep_is_never_further_ahead_of_its_recorder_than_the_lead():
+    runner, _ = pretended_runner(LockstepPlant)
+    for acknowledged, begins in ((-1, []), (0, [0, 1, 2]), (4, [0, 1, 2, 3, 4, 5, 6])):
+        runner._acknowledged, found = acknowledged, []
+        for runner.node.sample in range(10):
+            found += [] if runner._recorder_behind() else [runner.node.sample]
+        assert found == begins
+    runner.node.parameters.wait_for_recorder, runner._acknowledged = False, -1
+    assert not runner._recorder_behind()

@@ -23,14 +23,17 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import InProcess, Observer, axis_parameters, compose, until  # noqa: E402
+from rcl_interfaces.srv import SetParametersAtomically  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import Bool, Float64, String  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
 from hysteresis_ros.nodes.ready import WAITING, MoveToReady, ReadyTopics  # noqa: E402
+from hysteresis_ros.nodes.remote import commands  # noqa: E402
 from hysteresis_ros.nodes.remote.__main__ import done  # noqa: E402
-from hysteresis_ros.nodes.remote.client import Client  # noqa: E402
+from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
 from hysteresis_ros.nodes.remote.commands import move, set_, setpoint  # noqa: E402
 from hysteresis_ros.references.moves import Noise  # noqa: E402
 
@@ -294,3 +297,175 @@ def test_an_axis_that_has_not_rested_is_not_metered_and_one_that_has_is():
     table[signals.SKIPPED] = [1.0] * 600
     skipped.ready.look_at_all(0, np.array(table))
     assert skipped.ready.noise is None
+
+
+def test_the_predictor_rests_before_a_move_after_every_motion_that_it_has_not_foreseen():
+    monitor, calls = Monitor(), []
+    predictor, own = monitor.ready._predictor, monitor.node.parameters
+    predictor.rest_at = lambda setpoint: calls.append(("rest", setpoint))
+    predictor.predict = lambda setpoint, after, *_: calls.append((setpoint, after)) or 0.004
+
+    def moved(before, setpoint):
+        calls.clear()
+        monitor.ready.begin(before, setpoint)
+        monitor.work()
+        return list(calls)
+
+    assert moved(1e-6, 5e-6) == [("rest", 1e-6), (5e-6, 0)]
+    for samples in (7, 4):  # samples since the last move, not since the start
+        for _ in range(samples):
+            monitor.samples(0.0)
+        assert moved(5e-6, 5e-6) == [(5e-6, samples)]
+
+    def not_followed():
+        monitor.node.parameters = replace(own, ready=replace(own.ready, tolerance=0.0))
+        monitor.ready.begin(5e-6, 6e-6)
+        monitor.node.parameters = own
+
+    unforeseen = [
+        lambda: monitor.samples(0.0, TRIPPED=1.0),
+        lambda: [monitor.samples(0.0), monitor.samples(0.0, setpoint=7e-6)],
+        lambda: monitor.ready.stop("reset"),
+        not_followed,
+    ]
+    for happens in unforeseen:
+        happens()
+        (rested, before), (setpoint, _) = moved(5e-6, 5e-6)
+        assert (rested, before, setpoint) == ("rest", 5e-6, 5e-6), "the models must not go on where the axis is not"
+        assert len(moved(5e-6, 5e-6)) == 1
+
+
+def test_a_configuration_replaces_parameters_and_a_retune_changes_some():
+    monitor, kept = Monitor(), []
+    for action, parameters in (
+        (signals.CONFIGURED, {"a": 1, "b": 2}),
+        ("retune", {"b": 3}),
+        (signals.CONFIGURED, {"a": 4}),
+    ):
+        entry = {"node": signals.CONTROLLER, "action": action, "parameters": parameters}
+        monitor.ready._on_change(String(data=json.dumps(entry)))
+        kept.append(monitor.ready._given[signals.CONTROLLER])
+    assert kept == [{"a": 1, "b": 2}, {"a": 1, "b": 3}, {"a": 4}]
+
+
+def requested(given, noise=1e-9, waveform="hold", setpoint=5e-6, moving=False, deadband=0.0, tolerance=20e-9):
+    """Return whether a request for a move is accepted, its reason, and tolerance and dwell time while it is taken."""
+    monitor, asked = Monitor(), []
+    node, own = monitor.node, monitor.node.parameters
+    node.parameters = replace(
+        own,
+        ready=replace(own.ready, tolerance=tolerance, deadband=deadband),
+        waveform=replace(own.waveform, type=waveform),
+    )
+    monitor.ready._meter = SimpleNamespace(
+        sensor=math.nan if noise is None else noise, noise=lambda *_: Noise(noise, noise), FEWEST=200
+    )
+    node.active = node.running = True
+    node.setpoint, node.hindrance, node.refuse = setpoint, lambda: "", lambda *_: None
+    generator = SimpleNamespace(refuse=lambda value: "out of range" if value > 1e-4 else "", moving=moving)
+    node.part = SimpleNamespace(generator=generator)
+    node.take_and_tell = lambda value: asked.append(monitor.ready.asked) or ""
+    made = [SetParametersAtomically.Request(parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in given])]
+    result = monitor.ready._on_move(made[0], SetParametersAtomically.Response()).result
+    assert monitor.ready.asked is None
+    return result.successful, result.reason, asked
+
+
+@pytest.mark.parametrize(
+    ("given", "state", "words"),
+    [
+        ([("tolerance", 1e-8)], {}, "move takes"),
+        ([("setpoint", 5)], {}, "move takes"),
+        ([("setpoint", 5e-6), ("speed", 1.0)], {}, "move takes"),
+        ([("setpoint", 5e-6), ("setpoint", 6e-6)], {}, "move takes"),
+        ([("setpoint", 1.0)], {}, "out of range"),
+        ([("setpoint", 6e-6)], {"tolerance": 0.0}, "a move needs a tolerance > 0"),
+        ([("setpoint", 6e-6), ("tolerance", 0.0)], {}, "tolerance 0 m refused: must be > 0"),
+        ([("setpoint", 6e-6), ("tolerance", math.inf)], {}, "must be > 0"),
+        ([("setpoint", 6e-6), ("tolerance", math.nan)], {}, "must be > 0"),
+        ([("setpoint", 6e-6), ("dwell", -1e-3)], {}, "dwell -0.001 s refused"),
+        ([("setpoint", 6e-6), ("dwell", math.inf)], {}, "dwell inf s refused"),
+        ([("setpoint", 6e-6)], {"waveform": "sine"}, "moves the axis"),
+        ([("setpoint", 6e-6)], {"noise": None}, "not measured yet"),
+        ([("setpoint", 6e-6), ("tolerance", 2.575e-9)], {}, "give at least that"),
+    ],
+)
+def test_a_move_that_cannot_be_judged_is_refused_with_the_reason(given, state, words):
+    successful, reason, asked = requested(given, **state)
+    assert not successful and words in reason and not asked
+
+
+def test_a_move_has_its_own_tolerance_and_dwell_time_or_those_of_the_axis():
+    assert requested([("setpoint", 6e-6)])[2] == [(20e-9, 0.01)]
+    assert requested([("setpoint", 6e-6), ("dwell", 0.5)])[2] == [(20e-9, 0.5)]
+    # 99 % of the noise is within 2.576 standard deviations
+    assert requested([("setpoint", 6e-6), ("tolerance", 2.5761e-9), ("dwell", 0.0)])[2] == [(2.5761e-9, 0.0)]
+
+
+def test_a_move_within_the_deadband_of_an_axis_at_rest_moves_nothing():
+    near, far = [("setpoint", 5e-6 - 9e-9)], [("setpoint", 5e-6 + 11e-9)]
+    successful, reason, asked = requested(near, deadband=10e-9)
+    assert successful and json.loads(reason) == {"move": None, "deadband": 10e-9} and not asked
+    # an axis that still moves would stay where it is going, not where it is asked to go
+    for given, state in ((near, {"moving": True, "deadband": 10e-9}), (far, {"deadband": 10e-9}), (near, {})):
+        successful, _, asked = requested(given, **state)
+        assert successful and len(asked) == 1
+    assert len(requested([("setpoint", 5e-6)])[2]) == 1, "without a deadband every move is one"
+
+
+class Answering:
+    """A client whose axis accepts a move and reports these entries on ``~/moves``; every wait ends at once."""
+
+    timeout = 9.0
+
+    def __init__(self, entries, answer=None):
+        self.entries, self.answer, self.request = entries, {"move": 7} if answer is None else answer, None
+        self.node = SimpleNamespace(create_subscription=self.hear, count_publishers=lambda topic: 1)
+
+    def hear(self, kind, topic, heard, qos):
+        self.heard = heard
+
+    def until(self, condition, *_):
+        return condition()
+
+    def ask(self, kind, name, request):
+        self.request = {one.name: one.value.double_value for one in request.parameters}
+        for entry in self.entries:
+            self.heard(String(data=json.dumps(entry)))
+        result = SimpleNamespace(successful=True, reason=json.dumps(self.answer))
+        return SimpleNamespace(result=result)
+
+
+FORESEEN, UNFORESEEN = {"move": 7, "predicted": 0.004}, {"move": 7, "predicted": None, "why": "too many moves"}
+READY = {"move": 7, "ready": 0.003, "missing": 0}
+OTHER = [{"move": 6, "ended": "replaced"}, {"move": 6, "predicted": 0.1}, {"move": 8, "ready": 0.2, "missing": 0}]
+
+
+@pytest.mark.parametrize(
+    ("entries", "code", "words"),
+    [
+        (
+            [FORESEEN, {"move": 7, "ready": 0.005, "missing": 0}],
+            0,
+            ("ready in 4 ms, predicted", "5 ms, measured, +25 %"),
+        ),
+        ([FORESEEN, {"move": 7, "ready": 0.003, "missing": 0}], 0, ("ready after 3 ms, measured, -25 %",)),
+        ([UNFORESEEN, READY | {"missing": 2}], 0, ("not predicted: too many moves", "; 2 samples")),
+        ([FORESEEN, {"move": 7, "ended": "replaced"}], 1, ("ready in 4 ms", "not ready: replaced")),
+        ([{"move": 7, "ended": "replaced"}], 1, ("not predicted: replaced", "not ready: replaced")),
+        ([FORESEEN], 1, ("ready in 4 ms", "not ready within 9 s")),
+    ],
+)
+def test_a_move_is_reported_by_its_own_entries(monkeypatch, capsys, entries, code, words):
+    monkeypatch.setattr(commands, "_source", lambda client: "/left/reference_generator")
+    monkeypatch.setattr(commands, "_require_active", lambda client, source: None)
+    client = Answering([*OTHER[:2], *entries, *OTHER[2:]])
+    assert move(client, 5e-6, 1e-8, 0.25) == code
+    assert client.request == {"setpoint": 5e-6, "tolerance": 1e-8, "dwell": 0.25}
+    printed = capsys.readouterr().out
+    assert all(text in printed for text in words), printed
+    assert ("% from" in printed) is ("%" in words[-1])
+    with pytest.raises(AbsentError, match="has not predicted it"):
+        move(Answering(OTHER), 5e-6, None, None)
+    assert move(Answering([], {"move": None, "deadband": 1e-8}), 5e-6, None, None) == 0
+    assert "within ready.deadband = 10 nm" in capsys.readouterr().out

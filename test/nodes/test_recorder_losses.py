@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from types import SimpleNamespace
 
@@ -19,7 +20,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from std_msgs.msg import Float64  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
 
 from hysteresis_ros.loop.pacing import Samples  # noqa: E402
 from hysteresis_ros.nodes.recorder import STRIDE, RecorderNode  # noqa: E402
@@ -96,6 +98,32 @@ def test_setpoints_are_recorded_as_sent_where_no_node_reports_those_that_it_has_
     RecorderNode._record(recorder, "setpoint", Float64, None, "volatile", heard="/setpoint_taken")
     received[1](b"taken")
     assert written == [*recorded, b"taken"]
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "reference", "changes"])
+def test_messages_of_a_run_are_recorded_while_it_lasts_and_changes_always(topic):
+    for external, ended, active, running in itertools.product((False, True), repeat=4):
+        written, received = [], []
+        bag = SimpleNamespace(add_topic=lambda *given: None, write=lambda *given, kept=written: kept.append(given))
+        recorder = SimpleNamespace(
+            resolve_topic_name=lambda topic: f"/{topic}",
+            subscriber=lambda kind, topic, write, *given, kept=received, **more: (
+                kept.append(write) or SimpleNamespace(topic_name=topic)
+            ),
+            recording=SimpleNamespace(attempt=lambda what, bag=bag: what(bag)),
+            parameters=SimpleNamespace(external_plant=external),
+            end_of_run=20 if ended else -1,
+            active=active,
+            running=running,
+            _unfinished=bag,
+            _is_taken=lambda data: False,
+            _note_change=lambda text: None,
+        )
+        RecorderNode._record(recorder, topic, String, None, "volatile")
+        received[0](serialize_message(String(data="{}")))
+        # an external plant continues to measure after the end of the run
+        late = topic == "joint_states" and external and ended
+        assert bool(written) is (topic == "changes" or (active and running and not late))
 
 
 def recorder_of(counts, **values):

@@ -166,6 +166,10 @@ def test_the_plane_of_two_axes_puts_samples_of_one_stamp_together():
     # a restarted run is another path
     plane.add("/s/x", block(0, reference=[0.0], measured=[0.0]))
     assert plane.told()["error"] == [] and plane.told()["rms"] is None
+    # the first references of y are unknown again, not those of the run before
+    plane.add("/s/x", block(1, reference=np.zeros(4), measured=np.zeros(4)))
+    plane.add("/s/y", block(0, reference=10.0 * np.arange(2, 7), measured=np.zeros(5)))
+    np.testing.assert_array_equal(plane.told()["reference"], [[0, 0, 0], [20, 30, 40]])
     plane.choose({})
     assert plane.told() is None
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 from concurrent.futures import Future
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,10 +26,15 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.laboratory.watch import link as linking  # noqa: E402
 from hysteresis_ros.laboratory.watch import server  # noqa: E402
 from hysteresis_ros.laboratory.watch.link import AxisLink  # noqa: E402
 from hysteresis_ros.laboratory.watch.memory import Collector  # noqa: E402
 from hysteresis_ros.laboratory.watch.server import FILES  # noqa: E402
+from hysteresis_ros.nodes.remote.client import AbsentError  # noqa: E402
+
+#: Nodes of an actuator, in the order in which they are started.
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 
 
 def test_the_files_are_there_and_nothing_changes_by_get():
@@ -226,3 +232,64 @@ def test_samples_of_nodes_that_exchange_messages_are_put_together_by_their_stamp
     assert block.table[signals.MEASURED].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert np.isnan(block.table[signals.VOLTAGE]).tolist() == [False, True, False, False, False]
     assert collector.take().numbers.size == 0
+
+
+class Asked:
+    """A client of an axis whose nodes answer their services in turn; the last answer is repeated."""
+
+    def __init__(self, **answers):
+        self.answers, self.asked = answers, []
+
+    def full_name(self, name):
+        return f"/axis/{name}"
+
+    def ask(self, kind, name):
+        self.asked.append(name)
+        answers = self.answers.get(name.split("/")[2], [True])
+        return SimpleNamespace(success=answers.pop(0) if len(answers) > 1 else answers[0], message="not now")
+
+
+def linked(nodes=NODES, **answers):
+    """Return the link of a page to these nodes, without a graph."""
+    link = object.__new__(AxisLink)
+    link._client, link.values = Asked(**answers), {node: {"rate": 1.0} for node in nodes}
+    return link
+
+
+def test_an_axis_is_started_when_each_of_its_nodes_has_said_so(monkeypatch):
+    monkeypatch.setattr(linking, "AGAIN", 0.0)
+    link = linked(reversed(NODES))
+    assert link.start() == "started"
+    assert link._client.asked == [f"/axis/{node}/start" for node in NODES], "the plant first, the source last"
+    # a node that notices the start of the plant with its next sample is asked again
+    link = linked(motion_controller=[False, False, True])
+    assert link.start() == "started" and link._client.asked.count("/axis/motion_controller/start") == 3
+    monkeypatch.setattr(linking, "HEARS", 0.0)
+    for place, node in enumerate(NODES):
+        link = linked(**{node: [False]})
+        with pytest.raises(HysteresisError, match=f"{node} refuses to start: not now"):
+            link.start()
+        assert len(link._client.asked) == place + 1, "those after it stay as they are"
+    with pytest.raises(AbsentError, match="no axis to start"):
+        linked(()).start()
+
+
+def test_only_known_parameters_of_nodes_that_are_there_are_set():
+    for node, name, words in (
+        ("recorder", "rate", "no node recorder"),
+        ("plant_simulator", "speed", "no parameter speed"),
+    ):
+        with pytest.raises(HysteresisError, match=words):
+            linked().change(node, {name: "1"})
+
+
+@pytest.mark.parametrize("plant", [True, False])
+def test_a_stop_reaches_the_plant_or_else_every_other_node(plant):
+    link, published, called = linked(NODES if plant else NODES[1:]), [], []
+    link._stops = SimpleNamespace(publish=lambda message: published.append(message.data))
+    for name, ready in (("motion_controller", True), ("hysteresis_compensator", True), ("inchworm_sequencer", False)):
+        link.__dict__.setdefault("_triggers", {})[name] = SimpleNamespace(
+            service_is_ready=lambda ready=ready: ready, call_async=lambda request, name=name: called.append(name)
+        )
+    link.stop()
+    assert published == [True] and called == ([] if plant else ["motion_controller", "hysteresis_compensator"])
