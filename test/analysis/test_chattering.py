@@ -60,6 +60,15 @@ def test_a_jump_of_the_reference_is_not_chattering_but_what_goes_on_after_it_is(
     assert figures(reference, lasting)["chattering_m"] == pytest.approx(0.01e-6 * np.sqrt(0.5), rel=0.03)
 
 
+def test_ten_samples_after_a_jump_do_not_count():
+    reference = np.repeat([0.0, 1e-6], 500)
+    for place in (505, 509, 510, 520):
+        command = reference.copy()
+        command[place] += 1e-8  # uneven at this sample and at both beside it
+        counted = sum(sample > 510 for sample in (place - 1, place, place + 1))
+        assert (figures(reference, command)["chattering_m"] > 1e-12) is bool(counted), place
+
+
 def test_effort_of_a_ramp_and_a_triangle():
     ramp = 5.0 * np.arange(1001) / RATE
     found = figures(np.zeros(1001), np.zeros(1001), ramp)

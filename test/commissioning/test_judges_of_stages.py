@@ -19,8 +19,18 @@ from sitting_support import sitting
 
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound
+from hysteresis_ros.cli.commissioning.closed_loop import (
+    JUDGED_PERIODS,
+    UNJUDGED_PERIODS,
+    judged_samples,
+    learned_line,
+    not_learned,
+    scan_begin,
+    scan_period,
+)
 from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
 from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome
+from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Expected values of the new axis: 100 µm over 100 V, at 2 kHz.
@@ -110,3 +120,66 @@ def test_one_measurement_in_twenty_may_be_missing_no_more(missing):
     else:
         with pytest.raises(CommissioningError, match=rf"{missing / 10:.1f} % of 1000 samples have no measurement"):
             require_sound(recording, 1000)
+
+
+@pytest.mark.parametrize("kept", [940, 960])
+def test_a_run_that_was_cut_off_lacks_its_last_samples(kept):
+    recording = recorded(np.linspace(0.0, 10.0, kept))
+    if kept > 950:
+        assert len(require_sound(recording, 1000)) == kept
+    else:
+        with pytest.raises(CommissioningError, match="6.0 % of 1000 samples have no measurement"):
+            require_sound(recording, 1000)
+
+
+@pytest.mark.parametrize("share", [0.02, -0.01])
+def test_creep_is_that_of_a_decade_of_time_relative_to_the_step(situation, share):
+    """The law is that of the data sheets: the step times 1 + γ lg(t / 0.1 s)."""
+    voltage = volts.creeping_step(situation.plan, 0.0, RATE)
+    level = volts.creeping_level(situation.plan, 0.0)
+    begin = np.argmax(voltage >= level)
+    since = np.maximum((np.arange(voltage.size) - begin) / RATE, 0.0) + volts.CREEP_WAY
+    crept = recorded(voltage)
+    crept.signals["measured"] = crept["measured"] + np.where(
+        voltage >= level, GAIN * level * share * np.log10(since / 0.1), 0.0
+    )
+    # the step itself is the mean of its first tenth of a second, in which it creeps by 0.12 of a decade
+    expected = share / (1.0 + 0.12 * share)
+    assert volts.judge_creep(situation, crept).figures["creep_per_decade"] == pytest.approx(expected, rel=0.02)
+
+
+def test_the_amplifier_is_as_fast_as_its_slower_limit(situation):
+    def speed(**values):
+        return replace(situation.plan, **values).amplifier
+
+    charging = {"current": 0.1, "capacitance": 1e-5}
+    assert speed() == 0.0 and speed(slew_rate=2e3) == 2e3 and speed(**charging) == pytest.approx(1e4)
+    assert speed(slew_rate=2e3, **charging) == 2e3 and speed(slew_rate=2e4, **charging) == pytest.approx(1e4)
+
+
+@pytest.mark.parametrize("preview", [0, 7])
+def test_a_scan_is_judged_over_its_last_periods_as_late_as_its_preview(situation, preview):
+    given = {"feedforward__type": "static", "feedforward__preview": preview} if preview else {}
+    configuration = situation.configuration.override("motion_controller", **given)
+    found, period = judged_samples(situation, configuration), scan_period(situation)
+    settled = scan_begin(situation) + UNJUDGED_PERIODS * period
+    assert (found.start, found.stop) == (settled + preview, settled + JUDGED_PERIODS * period)
+
+
+def test_learning_omits_each_sample_for_its_first_reason():
+    """At 1 kHz: a limited command is known one sample later; limits and late samples still act after their end."""
+    given = LearningParameters.from_mapping({"shortfall": 1e-9, "late_recovery": 0.002, "recovery": 0.003})
+    command, skipped, seen = np.zeros(40), np.zeros(40), np.zeros(40)
+    applied = command.copy()
+    applied[[10, 11]] = 2e-9
+    skipped[30] = 1.0
+    seen[[14, 25]] = np.nan
+    signals = {"command": command, "applied": applied, "measured": seen, "skipped": skipped, "seen": seen}
+    found = {
+        reason: np.flatnonzero(samples).tolist() for reason, samples in not_learned(given, 1000.0, signals).items()
+    }
+    assert list(found.values()) == [[30], [31, 32], [11, 12], [13, 14, 15], [25]]
+    given = replace(given, period=0.01)
+    text = learned_line(given, 1000.0, signals, 0, 4)
+    assert text.startswith("of 4 periods, 1 were learned completely, 3 in part, 0 not at all; omitted: ")
+    assert "2.5 % of the samples because of late samples" in text and "5 % of the samples because of commands" in text

@@ -54,6 +54,15 @@ def test_no_stage_puts_out_more_than_its_own_voltages(tmp_path):
         assert (part.limits.minimum, part.limits.maximum) == pytest.approx((0.0, 40.0), abs=0.02)
 
 
+def test_limits_around_the_voltages_of_a_stage_end_at_the_plan(tmp_path):
+    situation = with_device(tmp_path)
+    situation.plan = replace(situation.plan, minimum=0.0, maximum=40.0)
+    situation.found["noise"] = Outcome(["quiet"], {"noise_rms_m": 3e-9, "sensor_zero_m": 0.0})
+    axis = situation.driven_axis("hysteresis", np.linspace(0.0, 40.0, 50))
+    for part in (axis.plant_simulator, axis.hysteresis_compensator):
+        assert part.limits.minimum >= 0.0 and part.limits.maximum <= 40.0
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-30.0, 120.0)])
 def test_a_multisine_whose_peaks_are_higher_than_asked_ends_at_the_range(tmp_path, monkeypatch, low, high):
     """The peak of a sum of sines depends on the phases; the voltage is limited to the range of the stack."""

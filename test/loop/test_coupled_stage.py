@@ -42,6 +42,7 @@ from hysteresis_ros.loop.plant import BEYOND_TRAVEL, PARTNER_LOST
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage
+from hysteresis_ros.loop.watch import RUNNING, STALE, STOPPED
 from hysteresis_ros.models.linear import LinearParameters
 
 
@@ -98,11 +99,14 @@ def single(dynamics: dict) -> Configuration:
     return alone.override("plant_simulator", **{f"dynamics__{name}": value for name, value in dynamics.items()})
 
 
-def impulse(preview: int, offset: int) -> dict:
-    """Return a feedforward whose only weight is that of r_x(k + offset) in y, besides that of the oldest reference."""
+def impulse(preview: int, offset: int, moved: int = 0) -> dict:
+    """Return a feedforward whose only weight is that of r(k + offset) of the moved axis in the other one.
+
+    Besides there is that of the oldest reference, so that nothing is added at rest.
+    """
     weights = np.zeros((2, 2, 2 * preview))
-    weights[1, 0, preview + offset] += 0.1
-    weights[1, 0, 0] -= 0.1
+    weights[1 - moved, moved, preview + offset] += 0.1
+    weights[1 - moved, moved, 0] -= 0.1
     given = fed(preview)
     given["stage"]["feedforward__weights"] = tuple(map(float, weights.ravel()))
     return given
@@ -127,26 +131,28 @@ def test_the_feedforward_of_a_stage_is_the_sum_over_the_references_of_all_axes()
         np.testing.assert_allclose(found[name]["command"], own + across, atol=1e-18)
 
 
-def test_an_axis_that_is_stopped_adds_nothing_to_the_others_and_returns_without_a_jump():
-    given = impulse(3, 2)
+@pytest.mark.parametrize(("moved", "other"), ["xy", "yx"])
+def test_an_axis_that_is_stopped_adds_nothing_to_the_others_and_returns_without_a_jump(moved, other):
+    given = impulse(3, 2, "xy".index(moved))
     values = {**LINEAR, "motion_controller": LINEAR["motion_controller"] | given["motion_controller"]}
     one = stage(**values, stage=given["stage"])
     moving = 20e-6 + 1e-6 * np.sin(0.05 * np.arange(800))
-    changes = {"x": [Change(300, "motion_controller", "stop"), Change(500, "motion_controller", "start")]}
-    command = one.run({"x": moving, "y": np.full(800, 20e-6)}, changes)["y"]["command"] - 20e-6
+    changes = {moved: [Change(300, "motion_controller", "stop"), Change(500, "motion_controller", "start")]}
+    command = one.run({moved: moving, other: np.full(800, 20e-6)}, changes)[other]["command"] - 20e-6
     assert np.max(np.abs(command[10:300])) > 1e-8
     assert np.max(np.abs(command[301:500])) == 0.0
     assert np.max(np.abs(command[510:])) > 1e-8
     assert np.max(np.abs(np.diff(command[302:]))) < 2e-8
 
 
-def test_after_a_reset_of_its_controller_the_references_of_an_axis_count_as_always_constant():
-    given = impulse(3, 2)
+@pytest.mark.parametrize(("moved", "other"), ["xy", "yx"])
+def test_after_a_reset_of_its_controller_the_references_of_an_axis_count_as_always_constant(moved, other):
+    given = impulse(3, 2, "xy".index(moved))
     values = {**LINEAR, "motion_controller": LINEAR["motion_controller"] | given["motion_controller"]}
     one = stage(**values, stage=given["stage"])
     moving = 20e-6 + 1e-6 * np.sin(0.05 * np.arange(800))
-    changes = {"x": [Change(300, "motion_controller", "reset")]}
-    command = one.run({"x": moving, "y": np.full(800, 20e-6)}, changes)["y"]["command"] - 20e-6
+    changes = {moved: [Change(300, "motion_controller", "reset")]}
+    command = one.run({moved: moving, other: np.full(800, 20e-6)}, changes)[other]["command"] - 20e-6
     assert np.min(np.abs(command[290:301])) > 1e-9
     assert abs(command[301]) < 1e-18, "the first reference is the only one that is known"
     assert np.max(np.abs(command[310:])) > 1e-8
@@ -457,6 +463,19 @@ def test_a_fault_of_one_axis_leaves_the_others_in_control():
     assert not found["x"]["controller_mode"].any()
     error = found["x"]["reference"] - found["x"]["displacement"]
     assert np.max(np.abs(error[500:])) < 0.5e-6
+
+
+@pytest.mark.parametrize("by_user", [False, True])
+def test_a_stage_that_was_stale_resumes_without_what_a_user_has_stopped(by_user):
+    parameters = StageParameters.from_configuration(configured(motion_controller={"measurement_timeout": 2e-3}))
+    one = Stage(parameters.with_faults("y", ("stale:0.02:0.01",)))
+    changes = {"x": [Change(100, "motion_controller", "stop")]} if by_user else None
+    found = one.run(one.default_setpoints(600), changes)
+    mode = found["x"]["controller_mode"]
+    # stale 2 ms after the last measurement of y, and x with it from the next sample on
+    np.testing.assert_array_equal(np.flatnonzero(found["y"]["controller_mode"] == STALE), np.arange(219, 300))
+    assert set(mode[230:300]) == {STOPPED} and set(mode[310:]) == {STOPPED if by_user else RUNNING}
+    assert set(found["y"]["controller_mode"][310:]) == {RUNNING}
 
 
 def test_a_change_of_one_axis_takes_effect_at_its_sample():

@@ -20,10 +20,23 @@ import hysteresis_ros as hr
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop import watch
-from hysteresis_ros.loop.quiet import CONTINUES, LEFT, Forecast, Quiet, parse_quiet
+from hysteresis_ros.loop.quiet import (
+    AVERAGED,
+    CONTINUES,
+    LEFT,
+    OWN_PARAMETERS,
+    OWN_STATES,
+    SEEN,
+    Forecast,
+    Quiet,
+    begin_quiet,
+    held_command,
+    parse_quiet,
+)
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import differences, mismatched, simulate
-from hysteresis_ros.models.creep import Creep, CreepParameters, LogarithmicCreepParameters
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.models.creep import Creep, CreepOperatorsParameters, CreepParameters, LogarithmicCreepParameters
 
 #: The stage at rest after a step of 20 um, with the noise of a good capacitive sensor (assumed: 3 nm RMS).
 STEP = {
@@ -171,6 +184,32 @@ def test_a_new_request_extends_the_hold_and_zero_ends_it():
     assert not np.any(simulate(given, duration=4.0, changes=asked)["controller_mode"] == watch.QUIET)
 
 
+def test_the_place_at_the_end_of_a_hold_is_that_of_the_last_measurements():
+    own_p, own = np.zeros(OWN_PARAMETERS), np.zeros(OWN_STATES)
+    own_p[AVERAGED] = 10.0
+    for _ in range(2):  # the second hold knows nothing of the first one
+        interpreted(begin_quiet)(own_p, own, 2000.0)
+        for number in range(1000):
+            interpreted(held_command)(own_p, own, np.nan if number % 7 == 3 else 1e-9 * number)
+        assert 0.0 < 999e-9 - own[SEEN] < 15e-9, "an average over ten samples of a drift of 1 nm a sample"
+        interpreted(begin_quiet)(own_p, own, 0.0)
+
+
+def test_a_stop_in_a_hold_lets_the_controller_start_anew():
+    one = axis("picma_stage", reference_generator={"waveform__type": "hold", "initial_setpoint": 5e-6})
+    own = one.controller.arrays.watch_x.own
+    for stop in ("stop", "halt"):
+        one.run(np.full(400, 5e-6))
+        asked = change("motion_controller", "quiet", duration=1.0)._replace(sample=one.sample)
+        one.run(np.full(100, 5e-6), changes=[asked])
+        assert own[CONTINUES] == 1.0
+        part = one.controller if stop == "stop" else one.plant
+        getattr(part, stop)()
+        one.run(np.full(5, 5e-6))
+        assert own[CONTINUES] == own[LEFT] == 0.0
+        part.start()
+
+
 def test_an_axis_without_a_quiet_hold_keeps_its_bits():
     plain = simulate(stage(), duration=4.0)
     asked, quiet = quiet_run(stage(), end=4.0)
@@ -274,6 +313,22 @@ def test_the_forecast_is_the_creep_of_the_model_at_rest():
     assert forecast.longest(1e-6) == np.inf and forecast.longest(0.0) == 0.0
     # the model itself has not moved
     assert model.step(20e-6) == pytest.approx(20e-6 * (1.0 + 0.015), rel=1e-3)
+
+
+@pytest.mark.parametrize("step", [20e-6, -20e-6])
+def test_the_forecast_ends_with_the_hold_and_has_no_sign(step):
+    slow = CreepOperatorsParameters(weights=(0.02,), time_constants=(2.0,))
+    model = Creep(CreepParameters(type="operators", operators=slow), 0.005)
+    model.step(step)
+    forecast = Forecast(model, 0.3)
+    # a single operator: 2 % of the step, times 1 - exp(-t / 2 s), for holds of a sample and for long ones
+    durations = np.array([0.005, 0.0075, 0.02, 0.7, 3.3, 50.0])
+    closed = 0.02 * abs(step) * (1.0 - np.exp(-durations / 2.0))
+    np.testing.assert_allclose([forecast.creep(one) for one in durations], closed, rtol=1e-2)
+    assert forecast.longest(0.3 * closed[3]) == pytest.approx(0.7, rel=0.03)
+    with pytest.raises(ParameterError, match="the displacement would drift by"):
+        forecast.require(0.7, 0.25 * closed[3])
+    forecast.require(0.7, 0.31 * closed[3])
 
 
 WRONG = {

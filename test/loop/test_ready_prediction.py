@@ -89,6 +89,41 @@ def test_a_trajectory_is_followed_before_the_move_after_it(model):
     assert math.isfinite(predictor.predict(12e-6, LENGTH, TOLERANCE, DWELL, QUIET))
 
 
+def test_moves_and_trajectories_that_interrupt_each_other_are_those_of_the_axis(model):
+    path = {"times": (0.01, 0.02), "positions": (3e-6, 8e-6), "velocities": (2e-4, 0.0), "accelerations": ()}
+    # the third one repeats the given setpoint, so the axis stays where the trajectory has brought it
+    moves = [(12e-6, 150, None), (8e-6, 700, path), (12e-6, 300, None), (4e-6, 90, None), (9e-6, 400, None)]
+    given, changes, begins = [], [], [0]
+    for setpoint, length, own in moves:
+        changes += [Change(begins[-1], SOURCE, "follow", path)] if own else []
+        given += [given[-1] if own else setpoint] * length
+        begins.append(len(given))
+    true = Axis(model).run(np.array(given), changes=changes)["displacement"]
+    predictor, before = Predictor(model), 0
+    for (setpoint, length, own), first in zip(moves, begins, strict=False):
+        predictor.predict(setpoint, before, TOLERANCE, DWELL, QUIET, own)
+        count = min(length, len(predictor.expected))
+        np.testing.assert_allclose(predictor.expected[:count], true[first : first + count], rtol=0, atol=1e-15)
+        for samples in (length // 3, length // 3, length // 2):
+            predictor.follow(samples)
+        before = length
+
+
+def test_an_error_of_the_model_far_from_the_setpoint_counts_little(model):
+    predictor, noise = Predictor(model), Noise(1e-9, 0.0)
+    found = []
+    for far in (0.0, 0.2):
+        predictor = Predictor(model)
+        predictor.predict(12e-6, 0, TOLERANCE, DWELL, QUIET)
+        expected, left = predictor.expected.copy(), predictor.expected - 12e-6
+        # a plant whose gain is larger by the expected deviation, and whose response is another one far away
+        gained = predictor._slopes[0] + expected
+        predictor.learn(gained + far * np.where(np.abs(left) > 1e-6, left, 0.0), noise)
+        found.append(predictor.deviations[0])
+    print(found)
+    assert found[0] == pytest.approx(1.0, abs=0.2) and found[1] == pytest.approx(found[0], abs=0.3)
+
+
 def test_noise_delays_the_prediction_and_a_tolerance_below_it_is_never_kept(model):
     predictor = Predictor(model)
     times = []

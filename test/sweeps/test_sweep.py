@@ -178,6 +178,29 @@ def test_errors_between_the_samples_are_those_of_the_closed_form():
         assert values == pytest.approx(place * (gain - 1.0), rel=1e-9)
 
 
+def test_the_offset_of_the_model_belongs_to_the_measurement_and_that_of_the_plant_to_the_error():
+    """2 µm are asked of a gain 1.2 times as large, with offsets of 0.3 µm of the plant and 0.1 µm of the model."""
+    stage = axis()
+    gain = replace(stage.plant_simulator.hysteresis.proportional, gain=1.2e-7)
+    plant = replace(
+        stage.plant_simulator,
+        hysteresis=replace(stage.plant_simulator.hysteresis, proportional=gain),
+        preload=replace(stage.plant_simulator.preload, A1=0.3e-6),
+    )
+    model = stage.motion_controller.model
+    control = replace(stage.motion_controller, model=replace(model, preload=replace(model.preload, A1=0.1e-6)))
+    offset = Axis(replace(stage, plant_simulator=plant, motion_controller=control))
+    found = judged(offset, offset.run(offset.default_setpoints(20)), ("rms_error_m", "max_error_m"))
+    assert found == pytest.approx([0.6e-6, 0.6e-6], rel=1e-9)
+
+
+def test_a_run_whose_reference_is_beyond_its_range_is_refused():
+    study, plan = asked(("hysteresis_compensator.limits.maximum=10,100",), runs=2)
+    found = sweep(study, plan)
+    # 10 V are 1 µm, and the setpoint is 2 µm
+    assert "out of range" in found.refused[0] and found.refused[1] == "" and np.isnan(found.metrics["rms_error_m"][0])
+
+
 @pytest.mark.parametrize("preview", [0, 3])
 def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview):
     """The voltage is held while the reference continues: r(t) − r_k grows from zero to a step within each sample."""
