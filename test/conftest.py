@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import os
+import pathlib
 
 import preloaded_support
 import pytest
@@ -24,14 +25,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
-#: Tests that start graphs of nodes: one after the other in one worker, because they need processor time.
+ROOT = pathlib.Path(__file__).parents[1]
+#: Tests that start graphs of nodes.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
 #: Tests that run loops in real time in the test's own process.
 CLOCKS = ("test/loop/", "test/hardware/", "test/commissioning/", "test/cli/")
-#: Tests in lockstep, or whose axis may miss any deadline: they may run in the other worker.
-BESIDE = (
-    *("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps"),
-    *("adapting_nodes", "live_changes_over_ros", "partners"),
+#: Graphs whose clock needs processor time: one after the other in one worker. The others are in lockstep, slow, or may
+#: miss any deadline, and run in the other workers.
+CLOCKED = (
+    *("realtime", "fused_axis", "external_plant", "demo", "inchworm_nodes", "scan_clock", "late_voltages", "driver"),
+    *("output_that_left", "order_in_real_time", "gcs_axis", "quiet_hold", "watch_page", "excite_command"),
+    *("trigger_topics", "epics", "playing_back", "diagnostics", "masters", "campaign", "claim", "parent"),
 )
 
 
@@ -60,13 +64,25 @@ def pytest_runtest_setup(item):
 
 
 def group_of(nodeid: str) -> str:
-    """Return the group of a test, whose tests share a worker: its file, or all tests of graphs in real time."""
+    """Return the group of a test, whose tests share a worker: its file, or all graphs whose clock needs a core."""
     file = nodeid.split("::", 1)[0]
-    return "graphs" if nodeid.startswith(GRAPHS) and not file.endswith(tuple(f"test_{n}.py" for n in BESIDE)) else file
+    return "clocked" if file.startswith(GRAPHS) and file.endswith(tuple(f"test_{n}.py" for n in CLOCKED)) else file
+
+
+def turns(groups: list[str]) -> list[str]:
+    """Return the groups in the order in which workers take them: graphs, which wait, in turns with computations."""
+    waiting = [group for group in groups if group.startswith(GRAPHS)]
+    waiting.sort(key=lambda file: -(ROOT / file).stat().st_size)  # the last one to end should not be a long one
+    computing = [group for group in groups if group != "clocked" and group not in waiting]
+    each, ordered = max(len(computing) // max(len(waiting), 1), 1), ["clocked"]
+    while waiting or computing:
+        ordered += [*waiting[:1], *computing[:each]]
+        del waiting[:1], computing[:each]
+    return ordered
 
 
 def pytest_collection_modifyitems(config, items):
-    """Let a worker begin with the graphs, which take longest; without workers the order is unchanged.
+    """Let a worker begin with the clocked graphs, which take longest; without workers the order is unchanged.
 
     A failed test over DDS is repeated, because on a busy machine two participants sometimes do not find each other for
     a minute. A failed test in real time is repeated once. A real fault fails again, and the summary counts every
@@ -76,7 +92,8 @@ def pytest_collection_modifyitems(config, items):
         if item.nodeid.startswith((*GRAPHS, *CLOCKS)):
             item.add_marker(pytest.mark.flaky(reruns=2 if item.nodeid.startswith(GRAPHS) else 1))
     if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: group_of(item.nodeid) != "graphs")
+        groups = turns(list(dict.fromkeys(group_of(item.nodeid) for item in items)))
+        items.sort(key=lambda item: groups.index(group_of(item.nodeid)))
 
 
 @pytest.hookimpl(optionalhook=True)
