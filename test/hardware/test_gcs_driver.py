@@ -34,7 +34,6 @@ from hysteresis_ros.laboratory.emulation.server import serving
 from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.parameters import PlantNodeParameters
 
-
 #: Time [s] after which an answer counts as lost, in tests that lose answers.
 LOST = 0.2
 

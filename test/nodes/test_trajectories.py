@@ -24,6 +24,7 @@ from builtin_interfaces.msg import Duration  # noqa: E402
 from nodes_support import SOON_AT_REST, Goal, StandIn, axis_parameters, compose, until  # noqa: E402
 from rclpy.action import CancelResponse  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
@@ -54,8 +55,9 @@ def trajectory(*points, joint="extender", velocities=()) -> JointTrajectory:
 class Axis:
     """A composed axis at 200 Hz in real time, and a publisher of trajectories."""
 
-    def __init__(self, inside, observer):
-        axis = axis_parameters(overrides=SLOW, sample_rate=200.0, time_mode="realtime")
+    def __init__(self, inside, observer, **source):
+        overrides = SLOW | {SOURCE: SLOW[SOURCE] | source}
+        axis = axis_parameters(overrides=overrides, sample_rate=200.0, time_mode="realtime")
         self.plant, *_, self.source = compose(inside, axis)
         self.said = observer.listen(String, f"/{SOURCE}/trajectory")
         self.sender = observer.talk(JointTrajectory, "/joint_trajectory")
@@ -97,6 +99,20 @@ def test_a_trajectory_is_followed_answered_when_arrived_and_its_end_is_the_setpo
     axis.setpoints.publish(Float64(data=2e-6))
     assert axis.hear(known, "5 replaced")
     until(lambda: axis.source.setpoint == 2e-6)
+
+
+def test_positions_on_a_trajectory_trigger_so_that_it_is_a_fly_scan(inside, observer):
+    heard = observer.listen(JointState, "/trigger_out")
+    axis = Axis(inside, observer, triggers__positions=(2.0e-6, 3.0e-6, 4.0e-6), triggers__direction="up")
+    until(lambda: axis.source.count_subscribers("/trigger_out"), what="a listener")
+    axis.send(trajectory((0.5, 5e-6)), "1 arrived")
+    until(lambda: len({message.position[1] for message in heard}) == 3, what="a trigger at each position")
+    axis.send(trajectory((0.5, 0.0)), "2 arrived")
+    # on a busy machine the axis may pass a position twice; number, position, direction
+    told = [tuple(message.position)[:3] for message in heard]
+    assert list(dict.fromkeys(position for _, position, _ in told)) == [2.0e-6, 3.0e-6, 4.0e-6]
+    assert [number for number, *_ in told] == list(range(1, len(told) + 1))
+    assert {direction for *_, direction in told} == {1.0}, "none on the way down"
 
 
 def test_what_is_refused_is_named_and_moves_nothing(axis):
