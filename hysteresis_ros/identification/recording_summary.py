@@ -77,6 +77,8 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
     Units: ``sample_time`` [s].
     """
     window = np.hanning(len(u))
+    # the window correlates neighbouring lines: a sum of them varies by this factor more than one of independent lines
+    correlated = len(u) * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
     U, Y = (np.fft.rfft(window * (values - values.mean()))[1:] for values in (u, y))
     power = np.abs(U) ** 2
     first = int(np.searchsorted(np.cumsum(power), FIRST_BAND * power.sum())) + 1
@@ -85,7 +87,9 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
         size = float(power[:end].sum())
         gain = float(np.real(Y[:end] @ np.conj(U[:end]))) / size
         left = np.abs(Y[:end] - gain * U[:end]) ** 2
-        found = SlowGain(gain, float(np.sqrt(0.5 * (power[:end] @ left))) / size, end / (len(u) * sample_time))
+        found = SlowGain(
+            gain, float(np.sqrt(0.5 * correlated * (power[:end] @ left))) / size, end / (len(u) * sample_time)
+        )
         if found.certain:
             break
     return found
