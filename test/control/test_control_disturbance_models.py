@@ -47,6 +47,19 @@ def test_disturbances_obey_their_models(parameters):
     assert seen == pytest.approx(0.5 + np.cos(2 * np.pi * 20 * t) + 0.7 * np.sin(2 * np.pi * 40 * t), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("kind", "quiet", "parts"), [(PERIODIC, "q_disturbance_periodic", [1, 2]), (RAMP, "q_disturbance_rate", [1])]
+)
+def test_a_part_of_a_disturbance_that_hardly_changes_is_hardly_corrected(parameters, model, kind, quiet, parts):
+    """Each part has a variance of its own; the constant is corrected nearly as before."""
+    usual, other = (
+        filter_gain(parameters(kind | changes).kalman, model, SAMPLE_TIME)[model.order :]
+        for changes in ({}, {f"kalman.{quiet}": 1e-12})
+    )
+    assert np.linalg.norm(other[parts]) < 1e-3 * np.linalg.norm(usual[parts])
+    assert 0.5 < other[0] / usual[0] < 2.0
+
+
 @pytest.mark.parametrize(("form", "feedthrough"), [("predictor", 0.0), ("predictor", 0.3), ("current", 0.0)], ids=str)
 @pytest.mark.parametrize("changes", [CONSTANT, RAMP, PERIODIC], ids=lambda c: c["kalman.disturbance"])
 def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, model, form, feedthrough, changes):

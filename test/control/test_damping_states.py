@@ -74,3 +74,16 @@ def test_other_gains_of_the_same_filter_do_not_move_an_axis_that_rests(kind, cha
     kept = other.x.copy()
     other.retune(controller(kind))
     np.testing.assert_array_equal(other.x, kept)
+
+
+@pytest.mark.parametrize("more", [True, False])
+def test_filters_of_the_same_kind_but_another_number_begin_at_rest(more):
+    """One notch and two, also in the other order: the law's output of 3 µm passes unchanged before and after."""
+    counts = ((1, 2) if more else (2, 1)) + (1,)
+    one = {count: {name: values[:count] for name, values in CHOSEN["notch"].items()} for count in (1, 2)}
+    between, rest = damping_block(controller("notch", **one[counts[0]]), T), np.full(20, 3e-6)
+    random = np.random.default_rng(5)
+    fed(between, np.concatenate([3e-6 + 1e-7 * random.standard_normal(40), rest]), np.zeros(60))
+    for count in counts[1:]:
+        between.retune(controller("notch", **one[count]))
+        np.testing.assert_allclose(fed(between, rest, rest), rest, rtol=1e-9)

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
+from hysteresis_ros.control.kalman import KalmanParameters, filter_gain
 from hysteresis_ros.control.laws.pid import PidParameters, design_pid, pid_state_space, pid_with_zeros
+from hysteresis_ros.control.sliding_gains import scaled
 from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
@@ -56,6 +58,21 @@ def test_zeros_stand_where_they_are_wanted():
 def test_q_sets_the_filter_and_offset_free_estimates_a_disturbance(parameters):
     found = design_gains(parameters(), "offset_free", T, q=0.5).parameters.kalman
     assert (found.gain, found.disturbance, found.q / found.r) == ("riccati", "constant", 0.5)
+
+
+def test_the_noise_of_a_filter_counts_in_units_of_that_of_the_measurement(parameters):
+    """q is a ratio of variances; a search that makes all noises of the process larger is one of a better sensor."""
+    quiet, loud = (parameters({"kalman.r": r}) for r in (1e-4, 4e-4))
+    for given in (quiet, loud):
+        found = design_gains(given, "offset_free", T, q=0.5).parameters.kalman
+        assert found.q / found.r == pytest.approx(0.5)
+    dynamics = quiet.model.dynamics.state_space
+    for Q in ((), (1e-3, 3e-3, 2e-3), (2e-3, 1e-3, 0.0, 1e-3, 4e-3, 0.0, 0.0, 0.0, 3e-3)):
+        for disturbance in ("none", "constant", "ramp"):
+            louder = KalmanParameters(Q=Q, r=0.04, disturbance=disturbance)
+            clear = KalmanParameters(Q=Q, r=0.01, disturbance=disturbance)
+            gain = filter_gain(scaled(louder, 2.0), dynamics, T)
+            np.testing.assert_allclose(gain, filter_gain(clear, dynamics, T), rtol=1e-6, err_msg=f"{Q} {disturbance}")
 
 
 def test_a_given_filter_stays_where_it_keeps_the_margins(parameters):

@@ -264,6 +264,22 @@ def test_learning_pauses_for_the_whole_answer_to_the_last_late_voltage(count):
     assert np.isnan(entries[:32]).all() and entries[32:] == [1e-8] * 9
 
 
+@pytest.mark.parametrize(("late_recovery", "paused"), [(-1.0, 20), (0.0, 0), (3 / RATE, 3)])
+def test_the_pause_after_a_late_voltage_may_be_its_own_and_none(late_recovery, paused):
+    block = learning(recovery=20 / RATE, late_recovery=late_recovery)
+    entries = [shown(block.p, block.x, 1e-8, 0.0, float(k == 0)) for k in range(30)]
+    assert np.isnan(entries[: 1 + paused]).all() and entries[1 + paused :] == [1e-8] * (29 - paused)
+
+
+def test_another_time_of_fading_counts_from_the_next_sample():
+    block = learning(error_filter=(0.5,), lead=1)
+    m, _ = followed(block, (0.0, 0.8), 4)
+    block.take(block.changed(block.parameters, 10 / RATE))
+    block.set_mode(FORGETTING)
+    fading, _ = followed(block, (0.0, 0.8), 1)
+    assert np.all(np.abs(fading[0, 10:]) == 0.0) and np.count_nonzero(fading[0, :9]) == 9
+
+
 def test_what_was_not_measured_is_weighed_by_its_part_of_the_filter():
     """The taps nearly cancel; a hole of 2 % of their weight changes little, and one of half of it a lot."""
     m, _ = followed(learning(error_filter=(0.5, -0.45, 0.02), lead=1), (0.0, 0.9), 5, bad={2 * N + 17})

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.designs.learning_filters import CHANGE, MARGIN, UNSEEN, Response, design_filters
+from hysteresis_ros.designs.learning import SETTLED, knocked, settling
+from hysteresis_ros.designs.learning_filters import CHANGE, MARGIN, UNSEEN, Response, contraction, design_filters
 
 POINTS = 2049
 ANGLES = np.linspace(0.0, np.pi, POINTS)
@@ -72,3 +73,25 @@ def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it
     assert np.max(sizes) == pytest.approx(found.contraction, rel=1e-9) and np.max(sizes) <= 1.0 - MARGIN
     middle, above = np.argmin(np.abs(place - 0.1)), np.argmin(np.abs(place - 0.25))
     assert found.bandwidth > 0.4 and abs(low_pass[middle]) < 0.9 and low_pass[above] == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("late", [1, 4])
+@pytest.mark.parametrize("pole", [0.5, 0.8, 0.97])
+def test_how_long_a_loop_answers_a_step_and_a_wrong_sample(pole, late):
+    """A lag of pole a after some samples: 1 − a^k of a step is there, and a^k of a pulse is left, k samples later."""
+    z = np.exp(1j * np.linspace(0.0, np.pi, 2**14 + 1))
+    lag = z**-late * (1.0 - pole) / (1.0 - pole / z)
+    loop = Response(lag, lag[np.newaxis], lag)
+    left = np.log(SETTLED) / np.log(pole)
+    # the step has settled in the sample in which less than 2 % are missing; the pulse is over one sample later
+    assert settling(loop) == late + np.ceil(left) - 1 and knocked(loop) == late + np.floor(left) + 1
+
+
+def test_with_a_smaller_gain_less_changes_and_without_any_nothing():
+    model = np.exp(-2j * ANGLES)
+    possible = np.array([0.8 * model, 1.3 * model])
+    low_pass, learned = design_filters("inversion", Response(model, possible), N).responses(ANGLES)
+    whole, half, none = (contraction(low_pass, learned, possible, gain) for gain in (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(none, 1.0, rtol=1e-12)
+    # the bound is convex in the gain
+    assert np.all(half <= 0.5 * (whole + none) + 1e-12)

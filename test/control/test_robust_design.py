@@ -100,6 +100,34 @@ def test_the_worst_of_plants_counts_and_delay_only_once():
     assert judge_worst(integral, [*plants, unstable], T).sensitivity_peak == np.inf
 
 
+def test_plants_that_are_only_later_have_the_delay_margin_of_the_model():
+    """A delay of the plant is already used when it is measured: the margin counts from the delay of the model."""
+    found = design_gains(parameters(LAG), "pid", 0.005).parameters
+    later = robustness(found, 0.005, Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.0, delay=0.8, draws=4))
+    assert len({round(one.late, 6) for one in later.plants}) > 4
+    margins = [one.delay_margin_samples for one in later.margins]
+    np.testing.assert_allclose(margins, margins[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.3])
+def test_a_search_knows_the_peak_of_a_loop_with_one_more_sample_of_delay(gain):
+    integral = StateSpace(np.eye(1), np.array([[1.0, -1.0]]), np.array([[gain]]), np.array([[gain, -gain]]))
+    prompt, late = (possible_plant(MODE, T, late=delay).plant for delay in (0.0, 1.0))
+    found = judge(integral, prompt, T)
+    assert found.late_sensitivity_peak == pytest.approx(judge(integral, late, T).sensitivity_peak, rel=1e-2)
+    assert found.late_sensitivity_peak > 1.01 * found.sensitivity_peak
+
+
+@pytest.mark.parametrize("slowness", [0.7, 1.4])
+def test_where_all_times_are_longer_the_delay_is_too(slowness):
+    """The response of the slower plant at f/slowness has the phase of the model at f; the sample of holding is kept."""
+    lag = LinearParameters(A=(np.exp(-0.05),), B=(1.0 - np.exp(-0.05),), C=(1.0,), sample_time=T, delay=6.0 * T)
+    prompt = LinearParameters(A=lag.A, B=lag.B, C=lag.C, sample_time=T)
+    z = np.exp(2j * np.pi * np.array([4.0, 9.0, 30.0]) * T)
+    late, plain = (possible_plant(one, T, slowness=slowness).plant.response(z)[:, 0, 0] for one in (lag, prompt))
+    np.testing.assert_allclose(np.angle(late / plain * z ** (6.0 * slowness)), 0.0, atol=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pid", "offset_free"])
 def test_robust_gains_meet_on_every_plant_what_others_miss_on_some(controller):

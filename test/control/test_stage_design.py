@@ -156,6 +156,31 @@ def test_the_table_of_a_stage_is_what_its_parts_are():
     assert "coupling at 10 Hz" in apart and apart != text
 
 
+@pytest.mark.parametrize("moved", [0, 1])
+def test_the_coupling_of_a_table_names_the_axis_that_moves_and_the_one_that_is_moved(moved):
+    """Cross-talk of 4 % from one axis into the other, and none the other way."""
+    given = load_configuration("xy_scanner").node("stage")
+    B, C = (np.reshape(given[f"structure.{name}"], shape) for name, shape in (("B", (4, 2)), ("C", (2, 4))))
+    own = np.repeat(np.eye(2, dtype=bool), 2, axis=1)
+    B, C = np.where(own.T, B, 0.0), np.where(own, C, 0.0)
+    C[moved] += 0.04 * C[1 - moved]
+    structure = {"structure__B": tuple(B.ravel().tolist()), "structure__C": tuple(C.ravel().tolist())}
+    lines = stage_lines(stage(structure=structure | {"decoupling": []}))
+    found = [line for line in lines if line.startswith("coupling at ")]
+    assert len(found) == 2 and all(line.endswith(f"% of {'xy'[1 - moved]} in {'xy'[moved]}") for line in found), found
+
+
+def test_a_correction_of_a_short_period_is_the_mean_over_the_long_one():
+    """x learns over a line and y over a frame: what y does to x in a frame does not repeat in each line."""
+    values = ("width=16um", "depth=8um", "lines=6", "flyback=2", "line_rate=20Hz", "slow=ramped")
+    crossed = stage("raster", values, structure={"decoupling": []})
+    found = design_stage_learning(crossed, LearningRequest("inversion"), {})
+    # the cross-talk of 4 % of the slow axis is centred over a frame, and up to 0.16 µm within a line
+    line = found.corrections["x"].correction
+    lone = design_stage_learning(stage("raster", values), LearningRequest("inversion"), {}).corrections["x"].correction
+    assert abs(np.mean(line) - np.mean(lone)) < 2e-8
+
+
 def test_the_steering_mirror_keeps_six_decibels_in_all_loops_at_once():
     parameters = StageParameters.from_configuration(load_configuration("steering_mirror"))
     together = disk_margins(stage_loop(parameters), 1.0 / 6400.0).together

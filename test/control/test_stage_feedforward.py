@@ -18,7 +18,7 @@ import pytest
 from plain_stage_support import PROPORTIONAL, SAMPLE_TIME, late_structure, stage
 
 from hysteresis_ros.configuration import load_configuration, parse_configuration
-from hysteresis_ros.control.feedforward import inverse_filter
+from hysteresis_ros.control.feedforward import designed_preview, inverse_filter
 from hysteresis_ros.designs.stage_feedforward import (
     GRID,
     VoltageSteps,
@@ -90,6 +90,21 @@ def test_a_zero_outside_the_unit_circle_needs_preview():
     parameters = replace(parameters, stage=replace(parameters.stage, decoupling=decoupling))
     left = [design_stage_feedforward(parameters, preview, 1000.0).after for preview in (12, 30, 50)]
     assert left[0] > 5.0 * left[1] and left[1] > 1.2 * left[2]
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_the_preview_is_that_of_the_axis_that_needs_most(late):
+    """The model of one axis contains four more samples of delay."""
+    parameters = stage(**OPEN)
+    axes = list(parameters.axes)
+    node = axes[late].motion_controller
+    dynamics = replace(
+        node.model.dynamics, delay=node.model.dynamics.delay + 4.0 * SAMPLE_TIME, sample_time=SAMPLE_TIME
+    )
+    axes[late] = replace(axes[late], motion_controller=replace(node, model=replace(node.model, dynamics=dynamics)))
+    needed = [designed_preview(axis.motion_controller.model.dynamics) for axis in axes]
+    assert needed[late] == needed[1 - late] + 4
+    assert design_stage_feedforward(replace(parameters, axes=tuple(axes)), band=1000.0).preview >= needed[late]
 
 
 def test_the_inverse_is_that_of_python_control():

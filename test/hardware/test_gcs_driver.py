@@ -102,6 +102,20 @@ def test_at_the_beginning_and_for_safety_it_does_not_jump(stand):
     device.close()
 
 
+def test_the_output_may_be_at_any_of_the_last_voltages_and_not_at_an_older_one(stand):
+    """An amplifier that stays at 0 V: as long as 0 V is one of the last four voltages, it may just be slow."""
+    device = stand.open(voltage_tolerance=1.0, check_period=0.001)
+    stand.controller.axes["1"].plant.advance = lambda: None
+    for voltage in (10.0, 20.0, 30.0):
+        device.write([voltage])
+        for _ in range(20):
+            device.read()
+    device.write([40.0])
+    with pytest.raises(DriverError, match="outputs 0 V, but 40 V are commanded"):
+        until(lambda: device.read() is None)
+    device.close()
+
+
 @pytest.fixture
 def driver(stand):
     """The driver itself, for tests of more than one sample."""
@@ -161,6 +175,7 @@ def test_each_axis_is_its_own(stand):
         ),
         ("", {"axis": "2"}, "has no axis '2', it has 1; give one of them as gcs.axis"),
         ("", {"position_unit": "mm"}, "measures axis 1 in UM, but gcs.position_unit is mm; make them equal"),
+        ("", {"position_unit": "nm"}, "measures axis 1 in UM, but gcs.position_unit is nm; make them equal"),
         ("", {"safe_voltage": 200.0}, r"range of -30 … 130 V, which does not contain gcs.safe_voltage = 200 V"),
         ("", {"channel": "4"}, r"does not answer 'VMI\? 4'"),
         ("WAV 1 X PNT 1 2 0 1\nWSL 1 1\nWGO 1 1", {}, r"is in motion \(#9\); end the program"),

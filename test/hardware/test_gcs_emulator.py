@@ -168,6 +168,33 @@ def test_in_millimetres_it_is_at_the_same_place():
     assert bench.number("TMX? 1") == pytest.approx(1e-3 * most)
 
 
+def test_in_millimetres_it_is_on_target_as_near_to_it_as_before():
+    """20 nm; on the way of 20 µm at 1 mm/s it is not there after a half."""
+    bench = Bench()
+    bench.ask("SVA 1 40")
+    bench.wait(0.3)
+    bench.ask("SPA 1 0x07000601 MM")
+    bench.ask("SVO 1 1")
+    bench.ask(f"MOV 1 {bench.number('POS? 1') + 0.02:.6f}")
+    bench.wait(0.01)
+    assert bench.ask("ONT? 1") == "1=0"
+    bench.wait(1.0)
+    assert bench.ask("ONT? 1") == "1=1" and bench.number("SPA? 1 0x07000900") == pytest.approx(2e-5)
+
+
+def test_each_recording_begins_with_the_first_point_whatever_was_recorded_before():
+    bench = Bench()
+    points = [float(number) for number in range(1, 13)]
+    bench.ask(f"WAV 1 X PNT 1 12 {' '.join(map(str, points))}")
+    for command in ("WSL 1 1", "WGC 1 1", "SPA 1 0x16000300 1", "DRC 1 1 16", "RTR 3"):
+        bench.ask(command)
+    for cycles in (40, 41, 42, 43):
+        bench.ask("WGO 1 1")
+        bench.wait((cycles + 0.5) * CYCLE)
+        found = [float(line) for line in bench.ask("DRR? 1 4").split(" \n")[-4:]]
+        assert bench.error() == 0 and found == points[::3], cycles
+
+
 def test_the_wave_generator_plays_what_was_defined_and_the_recorder_has_it():
     bench = Bench()
     for command in ("WAV 1 X SIN_P 200 40 10 200 0 100", "WSL 1 1", "WGC 1 2", "SPA 1 0x16000300 2", "RTR 2"):

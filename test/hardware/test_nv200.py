@@ -22,7 +22,7 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware import device as devices
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.nv200 import Nv200Parameters
+from hysteresis_ros.hardware.drivers.nv200 import Nv200Driver, Nv200Parameters
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, EmulatedPlant, assumed_stage
 from hysteresis_ros.laboratory.emulation.nv200 import SETTINGS, Amplifier, EmulatedAmplifierParameters, start
@@ -135,6 +135,118 @@ def test_without_the_makers_package_it_says_what_to_install(monkeypatch):
 def test_two_addresses_are_one_too_many():
     with pytest.raises(ParameterError, match="give either host or serial_port"):
         Nv200Parameters(host="a", serial_port="b").validated()
+
+
+# -- the driver in front of the amplifier, without link and package --------------------------------------------------
+
+
+class Made:
+    """What the maker's package gives: asynchronous calls, which here ask an amplifier without a link."""
+
+    def __init__(self):
+        self.line, self.pid, self.sent = Line(), self, []
+        self.units, self.status = ["µm", "V"], None
+
+    async def connect(self, configure):
+        self.line.now += 1.0
+
+    async def close(self):
+        pass
+
+    async def get_actuator_name(self):
+        return self.line.ask("desc").removeprefix("desc,")
+
+    async def has_position_sensor(self):
+        return True
+
+    async def get_position_unit(self):
+        return self.units[0]
+
+    async def get_voltage_unit(self):
+        return self.units[1]
+
+    async def get_voltage_range(self):
+        return self.line.number("avmin"), self.line.number("avmax")
+
+    async def read_int_value(self, name):
+        return int(self.line.number(name)) if self.status is None else self.status
+
+    async def set_closed_loop(self, closed):
+        await self.write(f"cl,{int(closed)}")
+
+    async def get_setpoint(self):
+        return self.line.number("set")
+
+    async def get_current_position(self):
+        return self.line.number("meas")
+
+    async def write(self, text):
+        self.sent.append(text)
+        return self.line.ask(text, CYCLE)
+
+
+@pytest.fixture
+def made(monkeypatch):
+    made = Made()
+    monkeypatch.setattr(devices.importlib.util, "find_spec", lambda name: True)
+    monkeypatch.setattr(Nv200Driver, "_made", lambda driver: made)
+    return made
+
+
+def in_front_of(made, **changes) -> Device:
+    given = {"host": "amplifier", "safe_time": 0.01, "check_period": 1e-3} | changes
+    return Device(DRIVERS["nv200"], Nv200Parameters(**given).validated(), 10.0)
+
+
+def test_it_takes_the_amplifier_from_whoever_had_it_and_goes_to_its_safe_voltage_in_steps(made):
+    """Before, the loop is closed and an analog input is the source of the setpoint."""
+    for line in ("cl,1", "modsrc,1", "set,40"):
+        made.line.ask(line, 0.2)
+    device = in_front_of(made, safe_voltage=10.0)
+    amplifier = made.line.amplifier
+    assert not amplifier.closed and amplifier.settings["modsrc"] == 0 and amplifier.voltage == 10.0
+    # the source is taken before anything is put out
+    assert made.sent.index("modsrc,0") < next(place for place, text in enumerate(made.sent) if text[:3] == "set")
+    device.write([60.0])
+    made.line.now += 0.3
+    assert device.read()[0] == pytest.approx(1e-6 * made.line.number("meas"), rel=1e-9) and device.read()[0] > 3e-5
+    made.line.ask("modsrc,2")
+    made.sent.clear()
+    device.make_safe()
+    way = [float(text[4:]) for text in made.sent if text.startswith("set,")]
+    assert way == pytest.approx([60.0 - 2.5 * step for step in range(1, 21)], abs=2e-3)
+    assert amplifier.settings["modsrc"] == 0
+    device.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        (1 << 2, "no actuator is connected"),
+        (1 | 1 << 10, "it is too hot"),
+        (1 | 1 << 11, "the actuator has an error"),
+        (1 | 1 << 12, "its hardware has an error"),
+        (1 | 1 << 3, "another program has closed its loop"),
+    ],
+)
+def test_each_bit_of_the_status_that_matters_stops_it_at_the_start_and_in_motion(made, status, said):
+    device = in_front_of(made)
+    device.write([20.0])
+    made.status = status
+    with pytest.raises(DriverError, match=f"cannot be read: NV200 at .* is not ready: {said}; remove the cause"):
+        until(lambda: device.read() is None)
+    with pytest.raises(DriverError, match=f"cannot be opened: NV200 at .* is not ready: {said}; remove the cause"):
+        in_front_of(made)
+    made.status = 1 | 1 << 2
+    device.read()
+    device.close()
+
+
+@pytest.mark.parametrize(("units", "said"), [(["mrad", "V"], "measures in mrad"), (["µm", "mV"], "outputs mV")])
+def test_an_amplifier_of_other_units_is_refused(made, units, said):
+    made.units = units
+    with pytest.raises(DriverError, match=f"{said}.*; an axis needs V and one of"):
+        in_front_of(made)
 
 
 # -- through the makers' package -------------------------------------------------------------------------------------

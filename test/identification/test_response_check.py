@@ -11,6 +11,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -28,11 +31,11 @@ from hysteresis_ros.control.uncertainty import (
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
-from hysteresis_ros.identification.response_check import check_response
+from hysteresis_ros.identification.response_check import check_response, measured_plant
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
-from hysteresis_ros.models.linear import LinearDynamics
+from hysteresis_ros.models.linear import LinearDynamics, StateSpace
 
 RATE = 2000.0
 STEP = 1.0 / RATE
@@ -115,6 +118,54 @@ def test_the_certain_crossover_shrinks_with_the_uncertainty():
     # M_s of 2 without uncertainty: an integrator and an exactly known lag
     peak = EXACT.borne_by(integral_controller(fastest[0], STEP), plant, STEP)
     assert 0.5 <= peak.nominal < 0.56
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_slow_movement_from_elsewhere_counts_by_its_mean_square(share):
+    """Noise of 10 … 30 Hz beside the response to a multisine up to 800 Hz, which moves a hundred times as fast."""
+    data = recording(LinearPart(hold=STEP), multisine(16000))
+    spectrum = np.fft.rfft(np.random.default_rng(3).standard_normal(len(data)))
+    frequency = np.fft.rfftfreq(len(data), STEP)
+    slow = np.fft.irfft(np.where((frequency > 10.0) & (frequency < 30.0), spectrum, 0.0), len(data))
+    moved = data.output + np.std(data.output) * np.sqrt(share / (1.0 - share)) * slow / np.std(slow)
+    found = check_response(chain(LinearPart(hold=STEP)), replace(data, output=moved), 1000)
+    # the spectrum is smooth over half an octave, and its slower part weighs more
+    assert 0.9 * share < found.foreign < 1.5 * share
+    told = [f"{100.0 * found.foreign:.0f} % of the movement (mean square)" in text for text in found.warnings]
+    assert any(told) == (share > 0.25)
+
+
+def test_a_line_of_the_voltage_is_no_ringing_however_wrong_the_model_is_there():
+    voltage = multisine(16000, 40) + 5.0 * np.sin(2.0 * np.pi * 300.0 * STEP * np.arange(16000))
+    found = check_response(chain(LinearPart(hold=STEP)), recording(LinearPart(lag=4e-3, hold=STEP), voltage), 1000)
+    assert found.ringing == ()
+
+
+def test_a_response_from_a_voltage_and_its_circles_are_scaled_together():
+    """0.1 µm/V with circles of 1 %, beside a model of unit gain that is right up to this gain."""
+    frequency = np.arange(1.0, 50.0)
+    model = 1.0 / (1.0 + 0.01j * frequency)
+    circles = SimpleNamespace(single=1e-7 * model, radius=lambda probability: 1e-9 * np.abs(model)[:, None, None])
+    found = measured_plant(
+        SimpleNamespace(response=SimpleNamespace(input_unit="V", frequency=frequency, **vars(circles))), model
+    )
+    np.testing.assert_allclose(found.response, model, rtol=1e-9)
+    np.testing.assert_allclose(found.uncertainty(model, STEP).relative, 0.01, rtol=1e-6)
+
+
+def test_displacement_that_passes_through_an_unknown_resonance_does_not_pass_through_the_model():
+    """L = -3 at a mode of the model that may not be there: where two thirds of the motion pass elsewhere, L is -1."""
+    plant = plant_state_space(LinearPart(modes=(Mode(280.0, 1e-4),), hold=STEP).dynamics(STEP))
+    z = np.exp(2j * np.pi * np.linspace(279.5, 280.5, 4001) * STEP)
+    peak = z[np.argmax(np.abs(plant.response(z)[:, 0, 0]))]
+    feedback = 3.0 / plant.response(peak[None])[0, 0, 0]
+    # two taps whose response at the peak is this number
+    now, then = np.linalg.solve([[1.0, peak.real], [0.0, -peak.imag]], [feedback.real, feedback.imag])
+    controller = StateSpace(np.zeros((1, 1)), np.array([[0.0, 1.0]]), np.array([[then]]), np.array([[0.0, now]]))
+    unknown = ResponseUncertainty(np.ones(1), np.zeros(1), 0.0)
+    found = unknown.borne_by(controller, plant, STEP)
+    assert found.nominal > 0.9 and found.distance < 0.0
+    assert EXACT.borne_by(controller, plant, STEP).distance == pytest.approx(found.nominal)
 
 
 @pytest.fixture(scope="module")

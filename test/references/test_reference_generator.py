@@ -177,6 +177,16 @@ def test_a_beginning_amid_a_run_stays_there_until_somebody_asks(limits, position
     assert np.ptp(g.simulate(np.full(1000, 2e-6))) > 3.9e-6
 
 
+@pytest.mark.parametrize(("beyond", "edge"), [(-3e-6, 0.0), (1.8e-5, 1.5e-5)])
+def test_an_axis_that_is_beyond_the_range_begins_at_its_edge(beyond, edge):
+    """It leaves for a setpoint at once, and does not first pass what is beyond the range."""
+    outside, inside = build(LIMITED), build(LIMITED)
+    outside.begin_at(beyond)
+    inside.begin_at(edge)
+    assert outside.setpoint == edge
+    np.testing.assert_array_equal(outside.simulate(np.full(500, 7e-6)), inside.simulate(np.full(500, 7e-6)))
+
+
 @pytest.mark.parametrize("limits", [{}, LIMITED])
 @pytest.mark.parametrize("stopped", [False, True])
 def test_a_start_after_it_goes_to_the_initial_setpoint_without_a_jump(limits, stopped):

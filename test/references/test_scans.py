@@ -305,6 +305,19 @@ def test_the_arms_of_a_spiral_are_as_far_apart_as_stated(law):
     assert np.max(np.hypot(u, v)) == pytest.approx(40e-6 + 5.0 / 16.0 * 0.5 * scan.gap, rel=1e-3)
 
 
+@pytest.mark.parametrize("law", ["cav", "clv"])
+def test_a_line_of_a_spiral_is_the_same_ring_outwards_and_inwards(law):
+    scan = scan_of("spiral", dict(diameter=80e-6, turns=12, law=law))
+    time = dense(scan, 20_000)
+    radius, clock = np.hypot(*scan.in_plane(scan.position(time))), scan.clock(time)
+    for line in range(11):  # the radius reverses in the last one
+        for way in (1, -1):
+            ring = radius[(clock.line == line) & (clock.direction == way)]
+            assert [ring.min(), ring.max()] == pytest.approx(
+                [line * scan.gap, (line + 1) * scan.gap], abs=0.02 * scan.gap
+            )
+
+
 @pytest.mark.parametrize("lines, width, depth", [(24, 80e-6, 80e-6), (31, 100e-6, 40e-6)])
 def test_the_gap_of_a_lissajous_scan_is_its_largest_empty_circle(lines, width, depth):
     scan = scan_of("lissajous", dict(width=width, depth=depth, lines=lines))
@@ -418,6 +431,16 @@ def test_a_path_of_a_file_goes_through_its_points(tmp_path, kind):
     slower = scan_of("file", dict(path=scan.path, frame_rate=0.5, **more))
     assert np.allclose(slower.position(time * 2.0 / scan.frame_time), expected, rtol=0.0, atol=1e-13)
     assert np.allclose(slower.peak(2), scan.peak(2) * (0.5 * scan.frame_time) ** 2)
+
+
+def test_a_path_that_closes_by_itself_closes_in_the_time_of_its_last_step(tmp_path):
+    """Twelve points of a circle, in steps that become three times as long: the return lasts as long as the last one."""
+    angles = 2.0 * np.pi * np.arange(12) / 12
+    time = np.append(0.0, np.cumsum(np.linspace(0.1, 0.3, 11)))
+    np.savez(tmp_path / "circle.npz", time=time, x=1e-5 * np.cos(angles), y=1e-5 * np.sin(angles))
+    scan = scan_of("file", dict(path=str(tmp_path / "circle.npz")))
+    assert scan.period == pytest.approx(time[-1] + 0.3, rel=1e-9)
+    np.testing.assert_allclose(scan.position(time), 1e-5 * np.array([np.cos(angles), np.sin(angles)]), atol=1e-12)
 
 
 def test_a_path_that_a_scan_wrote_is_that_scan(tmp_path):

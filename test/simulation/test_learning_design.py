@@ -86,6 +86,14 @@ def test_in_ten_periods_on_another_plant_the_error_falls_to_less_than_a_tenth(ki
     assert np.max(size[11:]) < 0.1 * size[1]
 
 
+def test_a_late_sample_stops_learning_for_a_shorter_time_than_a_saturated_command():
+    for name in ("stage700", "picma_stage"):
+        axis = single_axis(load_configuration(name))
+        request = LearningRequest("inversion", period=0.2, possible=replace(POSSIBLE, draws=1))
+        given = design_learning(axis, request).parameters
+        assert 0.0 < given.late_recovery <= given.recovery, name
+
+
 def refusal(*words) -> str:
     result = CliRunner().invoke(main, ["design", *map(str, words)])
     assert result.exit_code == 2, result.output
