@@ -131,6 +131,18 @@ def test_noise_and_spikes_and_nothing_at_all_keep_within_bounds():
     np.testing.assert_allclose(history[-1], 1.0, rtol=0.02)
 
 
+def test_what_is_forgotten_does_not_pull_the_factors_afterwards():
+    """The model is right: after forgetting, as before, nothing has to change."""
+    model = given()
+    compensator, adaptation = made(model)
+    voltages = triangle(6.0)
+    measured = measured_of(model, voltages)
+    before = run(compensator, adaptation, voltages[:1500], measured[:1500])
+    adaptation.forget()
+    after = run(compensator, adaptation, voltages[1500:], measured[1500:])
+    assert np.max(np.abs(before - 1.0)) < 0.01 and np.max(np.abs(after - 1.0)) < 0.01
+
+
 def test_a_sensor_of_the_wrong_sign_ends_at_the_bound():
     compensator, adaptation = made(given(), range=1.25)
     voltages = triangle(8.0)

@@ -115,6 +115,26 @@ def test_after_a_retune_the_new_gain_is_reached(kind):
     assert block.voltage == pytest.approx(120.0, abs=0.05 if kind == "picard_steps" else 1e-6)
 
 
+@pytest.mark.parametrize(("end", "command"), [("maximum", 1.0), ("minimum", -1.0)])
+def test_after_a_retune_all_of_a_wider_range_is_reached(end, command):
+    """A root search that kept its old ends would stop there."""
+    block = compensator("general")
+    steps(block, [3e-6] * 5)
+    block.retune(parameters("general", **{end: 200.0 * command}))
+    steps(block, np.full(200, 1e-3 * command))
+    assert block.voltage == 200.0 * command
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5, 1.0, 1.2])
+def test_one_picard_step_goes_by_its_rate(part):
+    """V = 2 V_r − R H(V_r): with H(V) = g V and R = part/g, (2 − part) V_r; R = 0 stands for 1/g."""
+    given = parameters("picard_steps")
+    model = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=GAIN))
+    inverse = replace(given.inverse, picard_steps=1, picard_rate=part / GAIN)
+    block = Compensator(replace(given, hysteresis=model, inverse=inverse), SAMPLE_TIME)
+    assert block.step(2e-6) == pytest.approx((2.0 - (part or 1.0)) * 2e-6 / GAIN, rel=1e-12)
+
+
 def test_refused_retune_changes_nothing():
     block = compensator()
     steps(block, triangle(50))

@@ -107,6 +107,23 @@ def test_a_ramp_of_disturbance_is_compensated_in_the_sample_in_which_it_acts(loo
     assert axis.controller.x[law.DISTURBANCE] == pytest.approx(rate * (samples - 1), rel=1e-6)
 
 
+@pytest.mark.parametrize("changes", [RAMP, PERIODIC], ids=["ramp", "periodic"])
+def test_behind_a_feedthrough_the_disturbance_of_the_previous_sample_is_measured(parameters, model, changes):
+    """y_k = C x_k + D (u + d)_(k-1): without noise the disturbance of the next sample is found exactly."""
+    through, count = 0.3, 4000
+    dynamics = LinearParameters(*(tuple(matrix.ravel()) for matrix in (model.A, model.B, model.C)), (through,))
+    observer = KalmanFilter(parameters(changes).kalman, SAMPLE_TIME, dynamics)
+    k = np.arange(count)
+    d = 1e-3 * k if changes is RAMP else np.cos(2.0 * np.pi * 20.0 * SAMPLE_TIME * k)
+    u = np.sin(0.01 * k)
+    x, before = np.zeros(model.order), (0.0, 0.0)
+    for now in range(count):
+        observer.step(before[0], float(model.C[0] @ x) + through * sum(before))
+        before = u[now], d[now]
+        x = model.A @ x + model.B[:, 0] * sum(before)
+    assert observer.x[kalman.OFFSET] == pytest.approx(d[-1], abs=1e-6 * np.max(np.abs(d)))
+
+
 @pytest.mark.parametrize("form", ["predictor", "current"])
 def test_a_periodic_disturbance_is_rejected_at_its_frequencies(loop, form):
     k = np.arange(6000)

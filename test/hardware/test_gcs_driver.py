@@ -156,6 +156,15 @@ def test_what_the_controller_cannot_play_is_refused(driver, voltages):
         driver.play(voltages, CYCLE)
 
 
+@pytest.mark.parametrize("missing", ["WAV", "WGO", "DRC", "DRR?"])
+def test_a_controller_without_generator_or_recorder_is_not_asked_to_play(stand, driver, missing):
+    driver._commands -= {missing}
+    stand.heard.clear()
+    with pytest.raises(DriverError, match=rf"does not know {re.escape(missing)}; send the voltages one by one"):
+        driver.play([10.0, 20.0], CYCLE)
+    assert not stand.heard
+
+
 @pytest.mark.parametrize("stand", ["E-727"], indirect=True)
 def test_each_axis_is_its_own(stand):
     device = stand.open(axis="3", identification="e-727")

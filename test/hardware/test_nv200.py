@@ -242,6 +242,16 @@ def test_each_bit_of_the_status_that_matters_stops_it_at_the_start_and_in_motion
     device.close()
 
 
+@pytest.mark.parametrize(("unit", "metres"), [("µm", 1e-6), ("μm", 1e-6), ("um", 1e-6), ("nm", 1e-9), ("mm", 1e-3)])
+def test_readings_are_metres_whatever_the_unit_of_the_sensor(made, unit, metres):
+    made.units[0] = unit
+    device = in_front_of(made)
+    device.write([50.0])
+    made.line.now += 0.3
+    assert device.read()[0] == pytest.approx(metres * made.line.number("meas"), rel=1e-9)
+    device.close()
+
+
 @pytest.mark.parametrize(("units", "said"), [(["mrad", "V"], "measures in mrad"), (["µm", "mV"], "outputs mV")])
 def test_an_amplifier_of_other_units_is_refused(made, units, said):
     made.units = units

@@ -77,6 +77,14 @@ def test_from_rest_it_is_monotone_and_arrives_when_stated(limit, start, target):
     assert np.all((y - target) * math.copysign(1.0, target - start) <= ROUNDING)
 
 
+@pytest.mark.parametrize("limit", [(1e-3, 0.0, 0.0), (1e-3, 0.1, 0.0), (1e-4, 1e-2, 1.0)])
+@pytest.mark.parametrize("target", [10.5e-6, 3e-6])
+def test_it_arrives_in_the_stated_sample_and_not_before(limit, target):
+    a = build(*limit)
+    y = a.simulate(np.full(rest(a), target))
+    assert np.flatnonzero(y == target)[0] + 1 == round(a.duration(target) / TS)
+
+
 def test_all_limits_zero_passes_setpoints_through():
     u = np.random.default_rng(1).uniform(0, STROKE, 100)
     assert np.array_equal(build(0, 0, 0).simulate(u), u)
