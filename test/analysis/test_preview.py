@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from hysteresis_ros.analysis.metrics import (  # noqa: E402
+    axes_figures,
     axis_settings,
     compute_metrics,  # noqa: E402
     judged_reference,
@@ -84,3 +85,15 @@ def test_missing_samples_do_not_shift_what_comes_after_them():
     expected = late(reference)
     expected[200 + PREVIEW : 203 + PREVIEW] = np.nan
     np.testing.assert_array_equal(judged, expected[kept])
+
+
+def test_all_axes_of_a_stage_count_from_where_the_last_one_has_begun_its_scan():
+    """The first motion of an axis, from where it rests into its scan, lasts until its first reversal."""
+    number = np.arange(3000)
+    axes = {}
+    for name, half in (("x", 100), ("y", 300)):
+        reference = 1e-6 * np.abs((number / half + 1.0) % 2.0 - 1.0) + 1e-6
+        error = np.where(number < half, 5e-7, np.where(number < 300, 5e-9, 1e-9))
+        axes[name] = Recording(number / 1e3, {"reference": reference, "displacement": reference - error})
+    for found in axes_figures(Recording.of_axes(axes, {})).values():
+        assert found["max_error_m"] == pytest.approx(1e-9, rel=1e-6) and found["samples"] == 2700

@@ -21,13 +21,18 @@ from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound
 from hysteresis_ros.cli.commissioning.closed_loop import (
     JUDGED_PERIODS,
+    STEP_HOLD,
+    STEP_WAY,
     UNJUDGED_PERIODS,
     judged_samples,
     learned_line,
     not_learned,
     scan_begin,
     scan_period,
+    scan_reference,
+    steps_reference,
 )
+from hysteresis_ros.cli.commissioning.fitting import MOVED, excited
 from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
 from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome
 from hysteresis_ros.control.learning import LearningParameters
@@ -183,3 +188,61 @@ def test_learning_omits_each_sample_for_its_first_reason():
     text = learned_line(given, 1000.0, signals, 0, 4)
     assert text.startswith("of 4 periods, 1 were learned completely, 3 in part, 0 not at all; omitted: ")
     assert "2.5 % of the samples because of late samples" in text and "5 % of the samples because of commands" in text
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-7, -3e-7])
+def test_a_drift_of_the_sensor_is_not_its_noise(situation, drift):
+    quiet = recorded(np.zeros(4000))
+    quiet.signals["measured"] = quiet["measured"] + drift * quiet.time
+    figures = judge_noise(situation, quiet).figures
+    assert figures["noise_rms_m"] == pytest.approx(NOISE, rel=0.1)
+    assert figures["drift_m_s"] == pytest.approx(drift, abs=5e-10)
+
+
+@pytest.mark.parametrize("part", [0.019, 0.021])
+def test_noise_of_two_percent_of_the_stroke_is_too_much(situation, part):
+    noisy = recorded(np.zeros(4000))
+    noisy.signals["measured"] = part * situation.plan.stroke * (-1.0) ** np.arange(4000)
+    if part < 0.02:
+        assert judge_noise(situation, noisy).figures["noise_rms_m"] == pytest.approx(part * 1e-4, rel=1e-6)
+    else:
+        with pytest.raises(CommissioningError, match="the sensor's noise at rest is"):
+            judge_noise(situation, noisy)
+
+
+def test_the_largest_slew_rate_of_all_movements_counts_as_excited(situation):
+    sizes = dict(zip(MOVED, (5.0, 80.0, 20.0, 1.0), strict=True))
+    for stage, size in sizes.items():
+        situation.folder.record(stage, recorded(np.concatenate([np.zeros(10), np.linspace(size, 0.0, 40)])))
+    assert excited(situation) == pytest.approx(80.0 * RATE)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 8e-6), (-8e-6, 0.0), (-2e-6, 8e-6), (2e-6, 8e-6)])
+def test_references_of_closed_loops_begin_at_rest_and_go_to_the_farther_end(situation, low, high):
+    configuration = situation.configuration.override("reference_generator", minimum=low, maximum=high)
+    situation.plan = replace(situation.plan, scan_stroke=3e-6)
+    rest, period = min(max(0.0, low), high), scan_period(situation)
+    far = high if high - rest >= rest - low else low
+    scan = scan_reference(situation, configuration)
+    first, count = scan_begin(situation), UNJUDGED_PERIODS + JUDGED_PERIODS
+    assert scan[0] == scan[-1] == rest and low - 1e-15 <= scan.min() and scan.max() <= high + 1e-15
+    triangles = scan[first : first + count * period].reshape(count, period)
+    # about the middle of the range, from peak to peak 3 µm, at a constant speed
+    np.testing.assert_allclose(triangles, triangles[:1].repeat(count, axis=0), atol=1e-18)
+    assert triangles.min() == pytest.approx(0.5 * (low + high) - 1.5e-6)
+    assert triangles.max() == pytest.approx(0.5 * (low + high) + 1.5e-6)
+    speed = np.diff(scan[first - 1 : first + count * period])
+    np.testing.assert_allclose(np.abs(speed), 6e-6 / period, rtol=1e-6)
+    steps = steps_reference(situation, configuration)
+    held, moved = round(STEP_HOLD * situation.rate), round(STEP_WAY * situation.rate)
+    ends = [3 * held - 1, *(3 * held + k * (held + moved) - 1 for k in (1, 2, 3))]
+    levels = rest + np.array([0.1, 0.2, 0.3, 0.2]) * (far - rest)
+    np.testing.assert_allclose(steps[ends], levels, atol=1e-18)
+    assert steps[0] == steps[-1] == rest and low <= steps.min() and steps.max() <= high
+
+
+def test_a_scan_that_is_larger_than_the_range_is_refused(situation):
+    configuration = situation.configuration.override("reference_generator", minimum=0.0, maximum=2e-6)
+    situation.plan = replace(situation.plan, scan_stroke=2.1e-6)
+    with pytest.raises(CommissioningError, match="but the stage reaches 2 µm"):
+        scan_reference(situation, configuration)

@@ -25,6 +25,7 @@ from hysteresis_ros.loop import fused, pacing
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.plant import HALTED
 from hysteresis_ros.loop.watch import HOLDING, STOPPED, TRIPPED
+from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.references import inchworm_layout as gait
 
 
@@ -43,7 +44,6 @@ def test_without_deadlines_it_makes_the_run_of_the_axis(name):
 
 def test_a_motor_that_learns_its_walk_makes_the_run_of_the_axis():
     walk = {"walk__continuous": True, "walk__learning": True, "walk__swing": 456.0, "gait__walking_speed": 1e-4}
-    walk |= {"walk__resonance": 635.0, "walk__clamp_lead": 2e-4, "walk__quick_clamps": True}
     loop, given = made_loop("inchworm_travel", samples=4000, inchworm_sequencer=walk)
     loop.start()
     assert loop.join()
@@ -344,3 +344,46 @@ def test_too_many_skipped_samples_trip_the_axis():
     run = axis(**HOLD).run(np.full(800, 4e-6), skipped=skipped)
     assert not run["tripped"][:450].any() and run["tripped"][460:].all()
     assert run["plant_voltage"][-1] < run["plant_voltage"][450]
+
+
+@pytest.mark.parametrize("rate", [3000.0, 990.0, 20e3, 7.0])
+def test_deadlines_do_not_drift_where_a_period_is_no_whole_number_of_nanoseconds(rate):
+    own = pacing_arrays(rate)
+    for sample in (0, 1, 3000, 10**6, 10**9):
+        own.state[pacing.SAMPLE] = sample
+        expected = 10**12 + round(sample * 1e9 / rate)
+        # a period is kept in whole femtoseconds
+        assert abs(int(interpreted(pacing.deadline_of)(own.state)) - expected) <= 1 + 5e-7 * sample
+
+
+def pacing_arrays(rate):
+    """Return the arrays of a loop at a rate [Hz] whose sample 0 is at 1000 s."""
+    own = fused.pace_arrays(axis("kim2009"), rate / 3000.0)
+    own.state[pacing.ORIGIN] = 10**12
+    return own
+
+
+def test_what_is_posted_several_times_between_two_samples_acts_once_each():
+    loop, _ = made_loop()
+    own, took, codes = loop._own, [], []
+    # pulses, starts and stops of several samples: each post contains everything so far
+    for pulses, setpoint, switch in (
+        (2, None, True),
+        (0, 3e-6, False),
+        (1, 4e-6, True),
+        (0, None, False),
+        (3, None, False),
+    ):
+        for _ in range(pulses):
+            loop.pulse()
+        if setpoint is not None:
+            loop.set(setpoint)
+        if switch:
+            loop._post({0: {pacing.POST_SWITCH: pacing.STOP_CONTROLLER}})
+        own.state[pacing.TAKEN] = own.state[pacing.POSTED]
+        interpreted(pacing.take_post)(own, 0, False)
+        took.append((own.column[0, signals.TRIGGER_IN, 0], own.column[0, signals.SETPOINT, 0]))
+        codes.append(int(own.column[0, own.row.shape[1], 0]))
+    assert [pulses for pulses, _ in took] == [2.0, 0.0, 1.0, 0.0, 3.0]
+    assert [setpoint for _, setpoint in took] == [0.0, 3e-6, 4e-6, 4e-6, 4e-6]
+    assert codes == [pacing.STOP_CONTROLLER, 0, pacing.STOP_CONTROLLER, 0, 0]

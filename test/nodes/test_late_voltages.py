@@ -12,9 +12,11 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import math
 import time
 from collections import deque
+from contextlib import nullcontext
 from functools import partial
 from types import SimpleNamespace
 
@@ -23,7 +25,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import SOON_AT_REST, Observer, axis_parameters, compose, diagnostics, until  # noqa: E402
-from std_msgs.msg import Float64  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
 
 from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
 from hysteresis_ros.nodes.plant_runners import (  # noqa: E402
@@ -362,3 +364,112 @@ def test_a_plant_in_lockstep_is_never_further_ahead_of_its_recorder_than_the_lea
         assert found == begins
     runner.node.parameters.wait_for_recorder, runner._acknowledged = False, -1
     assert not runner._recorder_behind()
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_run_of_a_given_length_awaits_every_node_and_its_recorder(recorded):
+    complete = 4 if recorded else 3  # readers of joint_states
+    for readers, publishers, acknowledged in itertools.product((complete - 1, complete), (0, 1), (-1, 0)):
+        runner, voltage = pretended_runner(readers=lambda n=readers: n, count_publishers=lambda _, n=publishers: n)
+        voltage.full_name, runner._acknowledged = "/voltage", acknowledged
+        present = acknowledged >= 0 or not recorded
+        assert runner.is_awaited(recorded) is (readers == complete and publishers == 1 and present)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("failure", ["", "unplugged"])
+def test_only_an_open_loop_starts_again_by_itself_after_late_voltages(closed, before, failure):
+    started, moved = [], []
+    runner, _ = pretended_runner(loop_complete=lambda: closed, finish=lambda: moved.append("finished"))
+    runner._look_for_losses = lambda: None
+    runner._ended = False
+    part, node = runner.node.part, runner.node
+    part.tripped, part.failure, part.start = True, failure, lambda: started.append(1)
+    node.parameters.samples = 100
+    node.stamps = SimpleNamespace(are_off_clock=False, go_on=moved.append)
+    node.sample = 99
+    runner.go_to_next(before, behind=False)
+    assert bool(started) is (not closed and not before and not failure)
+    assert not moved and not runner._ended
+    node.sample = 100
+    runner.go_to_next(before, behind=True)
+    assert moved == [100, "finished"] and runner._ended
+
+
+def presence(runner, text):
+    runner._on_presence(String(data=text))
+
+
+def with_partners(**state):
+    """Return a pretended runner whose node reports what it loses."""
+    lost = []
+    runner, voltage = pretended_runner(active=True, running=True, lock=nullcontext(), **state)
+    runner.node.kind = "plant_simulator"
+    runner.node.lose = lambda name: lost.append(name) or setattr(runner.node.part, "lost", name)
+    runner.node.warn = lambda *_, **__: None
+    runner._lost = {}
+    return runner, voltage, lost
+
+
+def test_nodes_that_announce_their_stop_and_return_are_not_lost_and_voltages_are_counted_anew():
+    runner, voltage, lost = with_partners()
+    presence(runner, "gone motion_controller")
+    assert runner._gone == {"motion_controller"} and runner._is_open and not runner._settling
+    presence(runner, "gone recorder")
+    assert runner._gone == {"motion_controller"}, "only a node that closes the loop opens it"
+    runner._settling, voltage.first = 0, -100.0
+    presence(runner, "here motion_controller")
+    assert not runner._gone and runner._coming == runner._known == {"motion_controller"} and not runner._is_open
+    assert runner._settling == SETTLED and voltage.first > 0.0, "its silence counts from now on"
+    presence(runner, "gone plant_simulator")
+    assert not runner._gone and not lost
+
+
+@pytest.mark.parametrize("state", ["lost", "heard"])
+def test_a_loss_that_another_node_reports_stops_an_axis_that_runs(state):
+    for active, running, reporter, tripped in itertools.product(
+        (True, False), (True, False), ("motion_controller", "plant_simulator"), (True, False)
+    ):
+        runner, _, lost = with_partners()
+        runner.node.active, runner.node.running, runner.node.part.tripped = active, running, tripped
+        presence(runner, f"{state} plant_simulator {reporter} hysteresis_compensator")
+        heard = active and running and reporter != "plant_simulator"
+        # repeated for a plant that was restarted and may have missed the first message
+        assert lost == (["hysteresis_compensator"] if heard and (state == "lost" or not tripped) else [])
+        assert runner._lost == ({reporter: "hysteresis_compensator"} if heard and state == "lost" else {})
+        runner.node.inputs = []
+        assert runner.missing_partners() == ("hysteresis_compensator" if runner._lost else "")
+        presence(runner, f"here {reporter}")
+        assert reporter == "plant_simulator" or not runner._lost
+
+
+@pytest.mark.parametrize("why", ["", "other topic", "first voltage", "announced", "coming", "stopped", "lost before"])
+def test_voltages_of_another_process_are_those_of_a_lost_node_unless_it_has_announced_its_stop(why):
+    runner, voltage, lost = with_partners()
+    voltage.full_name = "/voltage"
+    voltage.count = 0 if why == "first voltage" else 20
+    runner._gone = {voltage.partner} if why == "announced" else set()
+    runner._coming = {voltage.partner} if why == "coming" else set()
+    runner.node.running = why != "stopped"
+    runner.node.part.lost = "motion_controller" if why == "lost before" else ""
+    runner.replaced("/command" if why == "other topic" else "/voltage", "")
+    assert lost == ([] if why else ["hysteresis_compensator"])
+
+
+@pytest.mark.parametrize("why", ["", "voltages come", "announced", "leaving", "reported", "lost before"])
+def test_voltages_that_stop_unannounced_stop_the_axis_once(why):
+    runner, voltage, lost = with_partners()
+    repeated = []
+    runner._awake_time = SimpleNamespace(look=lambda now: 1000.0)
+    runner._heard, voltage.received, voltage.first = {"voltage": 0.0}, 100.0, 0.0
+    part, node = runner.node.part, runner.node
+    part.silent, part.lose = why != "voltages come", repeated.append
+    runner._gone = {"motion_controller"} if why == "announced" else set()
+    node.leaving = why == "leaving"
+    runner._lost = {"motion_controller": "hysteresis_compensator"} if why == "reported" else {}
+    part.lost = "motion_controller" if why == "lost before" else ""
+    runner._look_for_losses()
+    assert lost == ([] if why else ["hysteresis_compensator"])
+    # late voltages since then are no other reason
+    assert repeated == {"": ["hysteresis_compensator"], "lost before": ["motion_controller"]}.get(why, [])

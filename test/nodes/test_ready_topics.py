@@ -293,10 +293,31 @@ def test_an_axis_that_has_not_rested_is_not_metered_and_one_that_has_is():
     table[signals.MEASURED] = [NOISE * (-1.0) ** number for number in range(600)]
     monitor.ready.look_at_all(0, np.array(table))
     assert isinstance(monitor.ready.noise, Noise) and monitor.ready.noise.sensor > 0.0
-    skipped = Monitor()
-    table[signals.SKIPPED] = [1.0] * 600
-    skipped.ready.look_at_all(0, np.array(table))
-    assert skipped.ready.noise is None
+    # neither in skipped samples nor while the axis is stopped, in blocks or sample by sample
+    for why in ("SKIPPED", "TRIPPED"):
+        blocks, single = Monitor(), Monitor()
+        given = np.array(table)
+        given[getattr(signals, why)] = 1.0
+        blocks.ready.look_at_all(0, given)
+        for number in range(600):
+            single.samples(table[signals.MEASURED][number], setpoint=0.0, **{why: 1.0})
+        assert blocks.ready.noise is None and single.ready.noise is None
+
+
+@pytest.mark.parametrize("foreseen", [True, False])
+def test_a_move_that_is_replaced_is_learned_and_followed_as_far_as_it_went(foreseen):
+    monitor, followed = Monitor(), []
+    monitor.ready._predictor.follow = followed.append
+    if not foreseen:
+        monitor.ready._predictor.predict = lambda *_: math.inf
+    monitor.ready.begin(0.0, 5e-6)
+    monitor.work()
+    for number in range(7):
+        monitor.samples(1e-6 * number)
+    monitor.ready.begin(5e-6, 6e-6)
+    monitor.work()
+    assert [len(one) for one in monitor.learned] == ([7] if foreseen else [])
+    assert followed == ([7] if foreseen else [])
 
 
 def test_the_predictor_rests_before_a_move_after_every_motion_that_it_has_not_foreseen():

@@ -47,6 +47,14 @@ def test_a_slow_drift_and_a_motion_of_the_reference_are_no_noise():
     assert moving.count == 0 and math.isnan(moving.sensor)
 
 
+@pytest.mark.parametrize(("moved", "error"), [(0.5, 1.2), (0.5, 1.0), (0.5, 0.6), (0.0, 0.0)])
+def test_what_the_model_of_the_loop_does_not_explain_is_a_motion(moved, error):
+    """Of a variance σ² the model explains (error · σ)², of which (moved · σ)² is the displacement's."""
+    found = meter(np.zeros(20_000)).noise(moved, error)
+    expected = SENSOR * math.sqrt(moved**2 + max(1.0 - error**2, 0.0))
+    assert found.displacement == pytest.approx(expected, rel=0.05, abs=0.3 * SENSOR if error == 1.0 else 0.0)
+
+
 def answers(error, tolerance=5e-9, dwell=0.01, noise=Noise(0.0, 0.0)):  # noqa: B008
     """Return the readiness after errors [m], and whether it was ready at each of them."""
     readiness = Readiness(tolerance, dwell, noise, STEP)

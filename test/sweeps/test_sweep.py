@@ -36,7 +36,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.laboratory.sweeps.plan import DEVIATIONS, make_plan, parse_variations, varied
 from hysteresis_ros.laboratory.sweeps.plan import settings as settings_of
-from hysteresis_ros.laboratory.sweeps.study import Study, judged
+from hysteresis_ros.laboratory.sweeps.study import Study, _unless_it_jumps, judged
 from hysteresis_ros.laboratory.sweeps.summary import Summary, interval, parse_bound, sensitivity
 from hysteresis_ros.laboratory.sweeps.sweep import SUFFIX, load, sweep
 from hysteresis_ros.loop.axis import Axis
@@ -215,6 +215,14 @@ def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview
     assert found == pytest.approx([rms, step, (399 - preview) * step], rel=1e-6)
 
 
+def test_a_ramp_that_begins_and_ends_within_the_run_has_no_jump():
+    ramp = np.clip(np.arange(20.0) - 5.0, 0.0, 8.0)
+    steps, jump = np.diff(ramp), np.where(np.arange(19) == 15, 4.0, 0.0)
+    np.testing.assert_array_equal(_unless_it_jumps(steps, 8.0), steps)
+    np.testing.assert_array_equal(_unless_it_jumps(steps + jump, 12.0), steps)
+    np.testing.assert_array_equal(_unless_it_jumps(-steps - jump, 12.0), -steps)
+
+
 def test_a_jump_is_no_ramp():
     """A jump cannot be followed before it occurs: the error begins at the instant of its sample."""
     stage = axis()
@@ -327,6 +335,15 @@ def test_the_yield_is_that_of_the_distribution():
     assert summed.results.metrics["max_error_m"][summed.worst("max_error_m")] == max(
         summed.results.metrics["max_error_m"]
     )
+
+
+def test_a_sensitivity_takes_as_many_of_the_runs_as_its_points_allow():
+    """Saltelli's points of two parameters: four for each of a power of two; Morris' trajectories have three points."""
+    variations = parse_variations(PRODUCT, axis())
+    for runs in range(16, 300):
+        sobol, morris = (make_plan(variations, runs, 1, design).runs for design in ("sobol", "morris"))
+        assert sobol % 4 == 0 and (sobol // 4).bit_count() == 1 and sobol <= runs < 2 * sobol
+        assert morris % 3 == 0 and morris <= runs < morris + 3
 
 
 @pytest.mark.slow
