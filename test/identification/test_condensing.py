@@ -19,7 +19,7 @@ import scipy.signal
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.linear_systems import LinearPart
-from hysteresis_ros.identification.preprocessing import FEWEST_REDUCED, MOST_SAMPLES, reduced
+from hysteresis_ros.identification.preprocessing import FEWEST_REDUCED, MOST_SAMPLES, coarser, condense, reduced
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.workflow import identify, validate
 
@@ -95,6 +95,19 @@ def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
     found.save(tmp_path / "axis.yaml")
     whole = validate(tmp_path / "axis.yaml", read_data(data, Columns(all_samples=True)), inverse=False)
     assert whole.figures["rmse_m"] == pytest.approx(1e-8, rel=0.1)
+
+
+def test_what_is_far_off_is_in_no_coarser_sample_that_counts():
+    voltage = sine()[:24_000]
+    far = np.random.default_rng(1).choice(24_000, 60, replace=False)
+    displacement, good = 1e-7 * voltage, np.ones(24_000, dtype=bool)
+    displacement[far] += 1e-3
+    good[far] = False
+    fine = condense(voltage, displacement, 1.0 / RATE, 0, kept=good, enough=24_000)
+    for data in (fine, coarser(fine, 3000)):
+        beside = data.counted(data.displacement) - 1e-7 * data.counted(data.voltage)
+        assert np.max(np.abs(beside)) < 1e-9 and len(beside) > 0.8 * len(data.voltage)
+    assert len(data.voltage) < 0.5 * len(fine.voltage)
 
 
 def test_skip_counts_samples_of_the_recording():

@@ -12,11 +12,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hysteresis_ros.identification.hammerstein import PARTS, STRETCHES_OF_A_PART, held_out, survivor
+from hysteresis_ros.identification.dynamics import (
+    CONTINUED,
+    SCREENED,
+    ModalStructure,
+    _best_variants,
+    _variants,
+)
+from hysteresis_ros.identification.hammerstein import (
+    PARTS,
+    STRETCHES_OF_A_PART,
+    PartTrial,
+    _less_certain,
+    held_out,
+    survivor,
+)
 
 COUNT = 20 * PARTS * STRETCHES_OF_A_PART
 #: Part to which each sample belongs: segments are assigned in turn.
@@ -82,6 +97,48 @@ def test_errors_are_those_on_samples_that_the_fit_had_not_seen():
     flexible = Fit(SIMPLE.errors, seen=0.1)
     np.testing.assert_allclose(np.abs(held_out(flexible)), 1.0, rtol=1e-12)
     assert survivor([SIMPLE, flexible])[0] is SIMPLE
+
+
+def test_outliers_stay_left_out_and_every_other_sample_is_held_out_once():
+    kept, seen = np.arange(COUNT) % 7 != 3, []
+
+    class Noted(Fit):
+        def refitted(self, data):
+            seen.append(data.kept)
+            return super().refitted(data)
+
+    assert len(held_out(Noted(SIMPLE.errors, data=Data(kept, np.zeros(COUNT))))) == np.count_nonzero(kept)
+    assert len(seen) == PARTS and not any(np.any(one & ~kept) for one in seen)
+    np.testing.assert_array_equal(np.sum(~np.array(seen), axis=0)[kept], 1)
+
+
+def test_a_lag_alone_is_uncertain_by_what_it_differs_from_that_beside_a_delay():
+    """3 ms by the fit and 4 ms to the other explanation are 5 ms; what only one of them has stays as it is."""
+    alone = PartTrial({"lag": 10e-3}, np.zeros(3), {"lag": 3e-3, "creep_rate": 0.01}, True)
+    both = PartTrial({"lag": 6e-3, "delay": 4e-3, "creep_rate": 0.5}, np.zeros(3), None, True)
+    assert _less_certain(alone, both).deviations == pytest.approx({"lag": 5e-3, "creep_rate": 0.01})
+
+
+@pytest.mark.parametrize("gained", [1.0, 20.0])
+def test_structures_of_the_dynamics_are_ordered_by_what_their_parameters_are_worth(gained):
+    """Each parameter lowers the cost by less or by more than ln N = 6.9, which it must be worth."""
+    fits = []
+
+    def fit(structure, starts, evaluations=None):
+        fits.append(evaluations)
+        return SimpleNamespace(structure=structure, response=structure, values=starts[0])
+
+    known = {"unpack": lambda structure, values: (1e-3, 1e-3, [(100.0, 0.05)]), "T": 1e-3}
+    search = SimpleNamespace(
+        **known, fit=fit, cost=lambda structure: -gained * structure.numbers, spectra=SimpleNamespace(samples=1000)
+    )
+    trial = SimpleNamespace(structure=ModalStructure(True, True, 1), values=None)
+    found = [one.structure.numbers for one in _best_variants(search, trial, ("lag", "delay"), True)]
+    numbers = sorted(structure.numbers for structure, _ in _variants(search, trial, ("lag", "delay"), True))
+    best = numbers[: len(found)] if gained < np.log(1000.0) else numbers[::-1][: len(found)]
+    assert found == best
+    # all are tried for a few evaluations, and the best of them completely
+    assert len(fits) == len(numbers) + CONTINUED and fits.count(SCREENED) == len(numbers)
 
 
 def test_by_chance_a_structure_that_is_no_better_is_taken_as_often_as_the_two_rules_allow():

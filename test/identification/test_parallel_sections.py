@@ -15,6 +15,10 @@ import scipy.signal
 
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.parallel_sections import Section, filtered
+from hysteresis_ros.identification.plant_model import simulate_chain
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 
 SECTIONS = [Section(0.3), Section(0.2, 0.1, a1=-0.9), Section(0.05, 0.1, -0.02, -1.6, 0.8), Section(0.0, 0.0, 0.4)]
 STEP = 1e-3
@@ -68,3 +72,19 @@ def test_a_movement_that_is_linear_between_the_samples_is_late_by_the_delay(mode
 def test_a_settled_part_starts_at_rest_under_the_first_sample():
     part = LinearPart(lag=4e-3, creep_rate=0.02, settled=True)
     np.testing.assert_allclose(part.apply(np.full(50, 3.0), STEP), 3.0 * part.settled_gain, rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.2, 1.3])
+@pytest.mark.parametrize("lag", [0.0, 0.1, 0.4, 3.0])
+def test_under_a_held_voltage_the_blocks_of_the_nodes_are_as_late_as_the_filters(lag, delay):
+    """A sample is measured before its voltage acts, however short lag and delay are beside it."""
+    part = LinearPart(lag=lag * STEP, delay=delay * STEP, hold=STEP)
+    if not lag + delay:
+        assert not part.synchronous(STEP)
+        return
+    gain = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=1e-7))
+    voltage = 50.0 + walk(1)[:, 0]
+    same = part.synchronous(STEP)
+    moved = simulate_chain(gain, CreepParameters(), part.dynamics(STEP), voltage, STEP, synchronous=same)
+    late = np.convolve(1e-7 * voltage, part.impulse(voltage.size, STEP))[: voltage.size]
+    np.testing.assert_allclose(moved, late, atol=2e-9)
