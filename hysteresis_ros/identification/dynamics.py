@@ -63,6 +63,11 @@ from hysteresis_ros.recordings.loops import turning_points
 LENGTHS = 8
 #: Number of folds. Segments are dealt to them in turn, so that no fold alone has what happens at one time.
 FOLDS = 4
+#: A sweep passes each frequency once: where one fold has this fraction of the input's power, and nothing remains to
+#: predict it from, the folds take turns from block to block of this number of frequencies (the window correlates lines
+#: up to two apart). Only real content counts, LEAST_POWER of the power of the fold within BAND of the frequency.
+SWEPT, BLOCK = 0.8, 4
+LEAST_POWER, BAND = 1e-3, 0.1
 #: Neighbouring frequencies are combined within this fraction of the frequency.
 RESOLUTION = 2e-3
 #: The noise is assumed smooth over this fraction of an octave on both sides, and over at least this number of
@@ -138,7 +143,19 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
         cross[fold] += np.add.reduceat(Y * turned * np.conj(W), edges)
     frequencies = np.add.reduceat(place.astype(float), edges) / np.diff(np.append(edges, place.size))
     lines = frequencies / (length * sample_time)
+    turns = np.where(_swept(lines, input_), np.arange(lines.size) // BLOCK, 0)
+    folds = (np.arange(FOLDS)[:, None] - turns) % FOLDS
+    input_, output, cross = (np.take_along_axis(values, folds, axis=0) for values in (input_, output, cross))
     return SegmentSpectra(lines, input_, output, cross, float(w.size), len(starts), sample_time)
+
+
+def _swept(frequencies, power) -> np.ndarray:
+    """Return where one fold has nearly all power of the input, and real content, shape (n,) of bool."""
+    most = np.argmax(power, axis=0)
+    total = np.pad(np.cumsum(power, axis=1), ((0, 0), (1, 0)))
+    low, high = (np.searchsorted(frequencies, frequencies * (1.0 + side)) for side in (-BAND, BAND))
+    near = total[most, high] - total[most, low]
+    return (power.max(axis=0) > SWEPT * power.sum(axis=0)) & (near > LEAST_POWER * total[most, -1])
 
 
 #: Largest number of modes of a structure.
@@ -671,9 +688,9 @@ FAST_SAMPLES = 12000
 SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
 #: Up to this harmonic of the drive, the loops themselves have power. A resonance there counts only if the voltage has
-#: this fraction of its power within this fraction of the resonance frequency, in one of the segments of the spectra;
+#: LEAST_POWER of its power within BAND of the resonance frequency, in one of the segments of the spectra;
 #: a segment holds at least this number of cycles.
-HARMONICS, LEAST_POWER, BAND, CYCLES = 10, 1e-3, 0.1, 4.0
+HARMONICS, CYCLES = 10, 4.0
 #: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
 

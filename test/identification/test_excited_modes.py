@@ -57,6 +57,19 @@ def test_a_chirp_in_the_last_tenth_shows_its_mode_behind_a_hysteresis(size, nois
     assert modes[0].frequency == pytest.approx(180.0, rel=3e-3) and modes[0].damping == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.parametrize(("share", "frequency", "size", "noise"), [(0.03, 180.0, 3.0, 5e-9), (0.1, 350.0, 2.0, 2e-8)])
+def test_a_mode_that_a_chirp_passes_once_is_found(share, frequency, size, noise):
+    # one segment has nearly all content at the mode; held out as a whole, it would leave nothing to predict it from
+    plant = ForeignPlant(RATE, hysteresis=0.3, modes=((frequency, 0.02, 1.0),), noise=noise)
+    voltage = loops_then_chirp(size, share=share)
+    spectra = segment_spectra(1.2e-7 * voltage, plant.record(voltage), 1.0 / RATE, late=1)
+    (mode,) = choose_dynamics(spectra).part.modes
+    assert mode.frequency == pytest.approx(frequency, rel=4e-3)
+    near = np.abs(spectra.frequencies / frequency - 1.0) < 0.1
+    power = spectra.input[:, near].sum(axis=1)
+    assert np.all(power > 0.05 * power.sum())
+
+
 def test_what_happens_in_a_quarter_of_the_recording_belongs_to_several_folds():
     voltage = loops_then_chirp(3.0, share=0.25)
     spectra = segment_spectra(1.2e-7 * voltage, 1.2e-7 * voltage, 1.0 / RATE)
