@@ -124,6 +124,29 @@ def test_an_error_of_the_model_far_from_the_setpoint_counts_little(model):
     assert found[0] == pytest.approx(1.0, abs=0.2) and found[1] == pytest.approx(found[0], abs=0.3)
 
 
+def test_a_plant_that_has_changed_is_learned_anew(model):
+    """Each move counts 2 % less than the next one: 60 moves outweigh the 150 before them by 35 to 14."""
+    predictor, noise = Predictor(model), Noise(1e-9, 0.0)
+    predictor.predict(12e-6, 0, TOLERANCE, DWELL, QUIET)
+    nominal, gained = predictor._traces[0].copy(), predictor._slopes[0].copy()
+    for deviation, moves in ((1.0, 150), (-1.0, 60)):
+        for _ in range(moves):
+            predictor.learn(nominal + deviation * gained, noise)
+    assert predictor.deviations[0] == pytest.approx((14.2 - 35.1) / (14.2 + 35.1), abs=0.1)
+
+
+def test_the_prediction_under_noise_is_the_median_of_many_runs(model):
+    predictor, size = Predictor(model), 1e-9
+    predictor.rest_at(2e-6)
+    predicted = predictor.predict(12e-6, 2000, TOLERANCE, DWELL, Noise(3e-9, size))
+    trace, mean = predictor.resting.trace / predictor.resting.displacement, predictor.expected - 12e-6
+    times = [
+        entry(mean + size * np.roll(trace, -97 * k)[: len(mean)], TOLERANCE, round(DWELL * 20e3)) for k in range(80)
+    ]
+    low, high = np.quantile(times, (0.3, 0.7)) / 20e3
+    assert low <= predicted <= high and high > low
+
+
 def test_noise_delays_the_prediction_and_a_tolerance_below_it_is_never_kept(model):
     predictor = Predictor(model)
     times = []

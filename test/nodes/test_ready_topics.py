@@ -450,7 +450,7 @@ class Answering:
         return condition()
 
     def ask(self, kind, name, request):
-        self.request = {one.name: one.value.double_value for one in request.parameters}
+        self.name, self.request = name, {one.name: one.value.double_value for one in request.parameters}
         for entry in self.entries:
             self.heard(String(data=json.dumps(entry)))
         result = SimpleNamespace(successful=True, reason=json.dumps(self.answer))
@@ -490,3 +490,15 @@ def test_a_move_is_reported_by_its_own_entries(monkeypatch, capsys, entries, cod
         move(Answering(OTHER), 5e-6, None, None)
     assert move(Answering([], {"move": None, "deadband": 1e-8}), 5e-6, None, None) == 0
     assert "within ready.deadband = 10 nm" in capsys.readouterr().out
+
+
+def test_a_zero_is_sent_and_what_is_not_given_is_not(monkeypatch, capsys):
+    """A setpoint of 0, a dwell time of 0, and a quiet hold of 0 s, which ends one."""
+    monkeypatch.setattr(commands, "_source", lambda client: "/left/reference_generator")
+    monkeypatch.setattr(commands, "_require_active", lambda client, source: None)
+    moved, held = Answering([FORESEEN, READY]), Answering([], {})
+    assert move(moved, 0.0, None, 0.0) == 0 and moved.request == {"setpoint": 0.0, "dwell": 0.0}
+    held.find = lambda name: f"/left/{name}"
+    for given, sent in (((0.0, None), {"duration": 0.0}), ((2.0, 1e-9), {"duration": 2.0, "tolerance": 1e-9})):
+        commands.quiet(held, *given)
+        assert held.request == sent and held.name == "/left/motion_controller/quiet"

@@ -59,6 +59,13 @@ def test_samples_that_never_came_are_counted_as_lost_and_are_no_error():
     # numbers that restart belong to another run
     assert not memory.add(block(2, measured=[0.0]))
     assert memory.lost == 3
+    # both counts are those of the whole run
+    assert memory.add(block(20, measured=[1e-6] * 4, skipped=[1.0, 0.0, 0.0, 0.0])) and memory.add(
+        block(24, measured=[0.0])
+    )
+    assert memory.lost == 5 and memory.skipped == 3
+    memory.restart(1000.0)
+    assert memory.lost == memory.skipped == 0
 
 
 def test_the_error_is_the_root_of_its_mean_square_and_its_largest():

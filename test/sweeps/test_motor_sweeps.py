@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from sweep_support import axis
@@ -18,8 +20,9 @@ from sweep_support import axis
 from hysteresis_ros.analysis.inchworm import inchworm_figures
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.laboratory.sweeps import study
 from hysteresis_ros.laboratory.sweeps.plan import parse_variations, varied
-from hysteresis_ros.laboratory.sweeps.study import Study, require_metrics
+from hysteresis_ros.laboratory.sweeps.study import NOT_ARRIVED, Study, require_metrics
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
 
@@ -61,3 +64,19 @@ def test_metrics_are_those_of_the_kind_of_axis():
         require_metrics(["rms_error_m"], motor())
     with pytest.raises(ConfigurationError, match="not_arrived: unknown metric of an actuator"):
         require_metrics(["not_arrived"], axis())
+
+
+@pytest.mark.parametrize("missed", [False, True])
+def test_the_worst_move_counts_and_the_slowest_walk(monkeypatch, missed):
+    names = ("final_error_rms_m", "final_error_max_m", "time_s", "overshoot_m", "walking_speed_m_s", NOT_ARRIVED)
+    tables = [(3e-9, 9e-9, 0.5, 1e-9, 2e-6), (5e-9, 6e-9, 0.2, 4e-9, 7e-6), (1e-9, 2e-9, 0.1, 2e-9, None)]
+    moves = [dict(zip(names, values, strict=False), setpoint_m=1e-6, outcome="arrived") for values in tables]
+    moves[2]["outcome"] = "not arrived" if missed else "arrived"
+    # a motion without a setpoint is no move
+    moves.append(dict.fromkeys(names, 1.0) | {"setpoint_m": None, "outcome": "stopped"})
+    monkeypatch.setattr(study, "inchworm_run", lambda recording, settings: None)
+    monkeypatch.setattr(study, "figures_of", lambda run, recording: {"moves": moves, "run": {}})
+    time = np.arange(3.0)
+    found = study.judged_motor({"time": time, "measured": time}, None, names)
+    arrivals = [math.nan] * 3 if missed else [5e-9, 9e-9, 0.5]
+    np.testing.assert_array_equal(found, [*arrivals, 4e-9, 2e-6, float(missed)])
