@@ -317,7 +317,8 @@ def tune(
         if not judge(*tuning.loop(own, sample_time), sample_time=sample_time).meets(required):
             return np.inf
         try:
-            axis.controller.install(controller_block(candidate, sample_time))
+            # the loop subtracts the preload's offset before the law
+            axis.controller.install(controller_block(candidate.without_preload, sample_time))
         except ParameterError:
             return np.inf
         axis.reset()

@@ -33,6 +33,7 @@ from hysteresis_ros.loop.parameters import part
 from hysteresis_ros.loop.reach import reachable_displacements, single_axis
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models import linear_algebra
+from hysteresis_ros.models.actuator import PreloadParameters
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PICMA = ROOT / "config" / "picma_stage.yaml"
@@ -68,6 +69,14 @@ def test_tuning_never_looks_at_the_plant():
     other = picma(sensor__noise=1e-7, creep__type="none", dynamics__A=[0.9], limits__maximum=3.0)
     same = tune(other, "pid", "ise", **options)
     assert same.gains == one.gains and same.after == one.after
+
+
+def test_a_preload_moves_the_zero_of_the_sensor_and_is_no_error_of_the_tuned_loop():
+    axis, options = picma(), {"duration": 0.5, "iterations": 2, "start": PidParameters(Kp=0.3, Ki=20.0)}
+    node, preload = axis.motion_controller, PreloadParameters(force=3.0, A1=-0.5e-6, B1=-0.5e-6)
+    loaded = replace(axis, motion_controller=replace(node, model=replace(node.model, preload=preload)))
+    assert preload.offset == pytest.approx(-2e-6)
+    assert tune(loaded, "pid", "iae", **options).before == pytest.approx(tune(axis, "pid", "iae", **options).before)
 
 
 def test_believed_axis_has_the_compensators_model_as_plant():
