@@ -32,6 +32,7 @@ from hysteresis_ros.identification.hammerstein import (
     held_out,
     survivor,
 )
+from hysteresis_ros.identification.workflow import BEHIND, PRIOR_MODEL, _behind
 
 COUNT = 20 * PARTS * STRETCHES_OF_A_PART
 #: Part to which each sample belongs: segments are assigned in turn.
@@ -139,6 +140,12 @@ def test_structures_of_the_dynamics_are_ordered_by_what_their_parameters_are_wor
     assert found == best
     # all are tried for a few evaluations, and the best of them completely
     assert len(fits) == len(numbers) + CONTINUED and fits.count(SCREENED) == len(numbers)
+
+
+def test_models_that_are_far_behind_are_stopped_but_not_the_one_that_others_are_compared_with():
+    firsts = {"preisach": 1.0, PRIOR_MODEL: 1.05 * BEHIND, "duhem": 1.05 * BEHIND, "bouc_wen": 0.95 * BEHIND}
+    assert [name for name in (*firsts, "not tried yet") if _behind(name, firsts)] == ["duhem"]
+    assert not _behind("duhem", {})
 
 
 def test_by_chance_a_structure_that_is_no_better_is_taken_as_often_as_the_two_rules_allow():
