@@ -131,3 +131,17 @@ def test_the_figures_of_known_latenesses():
     assert found.max == 0.05 and (found.missed, found.samples) == (7, 1000)
     assert found.cost == pytest.approx(7e-7) and found.highest_cost == pytest.approx(9e-6)
     assert not any(ring.lateness(fused.pace_arrays(axis())))
+
+
+def test_a_reader_of_an_axis_that_has_run_before_stops_before_the_sample_it_is_told():
+    before = axis()
+    before.run(before.default_setpoints(40))
+    loop = FusedLoop(before, np.inf, 60)
+    run(loop)
+    taken = [loop._reader.take(until) for until in (30, 55, 90, None)]
+    assert [(one.first, one.table.shape[1], one.lost) for one in taken] == [
+        (40, 0, 0),
+        (40, 15, 0),
+        (55, 35, 0),
+        (90, 10, 0),
+    ]
