@@ -32,6 +32,8 @@ from hysteresis_ros.identification.hammerstein import (
     held_out,
     survivor,
 )
+from hysteresis_ros.identification.preprocessing import remanent_voltage
+from hysteresis_ros.identification.separation import _PastTrials
 from hysteresis_ros.identification.workflow import BEHIND, PRIOR_MODEL, _behind
 
 COUNT = 20 * PARTS * STRETCHES_OF_A_PART
@@ -146,6 +148,23 @@ def test_models_that_are_far_behind_are_stopped_but_not_the_one_that_others_are_
     firsts = {"preisach": 1.0, PRIOR_MODEL: 1.05 * BEHIND, "duhem": 1.05 * BEHIND, "bouc_wen": 0.95 * BEHIND}
     assert [name for name in (*firsts, "not tried yet") if _behind(name, firsts)] == ["duhem"]
     assert not _behind("duhem", {})
+
+
+@pytest.mark.parametrize(
+    ("before", "bipolar"), [(-50.0, True), (-85.0, True), (62.0, True), (62.0, False), (130.0, False)]
+)
+def test_the_voltage_that_left_an_actuator_remanent_is_found_on_both_sides_of_a_bipolar_one(before, bipolar):
+    found, cost = remanent_voltage(lambda voltage: abs(voltage - before), 100.0, bipolar)
+    assert found == pytest.approx(before, abs=2.0) and cost < 2.0
+    assert remanent_voltage(lambda voltage: abs(voltage + 50.0), 100.0, False)[0] > 0.0
+
+
+@pytest.mark.parametrize(("first", "rest", "there"), [(3.0, 1.0, True), (14.0, 10.0, True), (20.0, 10.0, False)])
+def test_a_start_at_rest_may_be_a_little_worse_than_the_others_or_below_a_hundredth_of_the_stroke(first, rest, there):
+    """RMS errors of the beginning and of the remaining samples, in thousandths of the stroke."""
+    trials = _PastTrials(SimpleNamespace(stroke=1.0), None)
+    trials.error = lambda: 1e-3 * np.where(np.arange(400) < 100, first, rest)
+    assert trials.at_rest(100) == there
 
 
 def test_by_chance_a_structure_that_is_no_better_is_taken_as_often_as_the_two_rules_allow():
