@@ -183,8 +183,8 @@ def _pages(axes):
     """Return the pages of axes; import the server only when pages are requested."""
     from hysteresis_ros.registry import resolved
 
-    options = resolved("hysteresis_ros.laboratory.watch.serving:PageOptions")()
-    return resolved("hysteresis_ros.laboratory.watch.serving:Pages")([axis.namespace for axis in axes], options)
+    options = resolved("hysteresis_ros.laboratory.watch.server_process:PageOptions")()
+    return resolved("hysteresis_ros.laboratory.watch.server_process:Pages")([axis.namespace for axis in axes], options)
 
 
 def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | None:

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hysteresis_ros.identification.linear_systems import LinearPart, Mode
-from hysteresis_ros.identification.parallel_sections import Section, filtered
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode, Section, filtered
 from hysteresis_ros.identification.plant_model import simulate_chain
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters

@@ -23,7 +23,7 @@ from record_support import SETTINGS
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.laboratory.epics import serving
+from hysteresis_ros.laboratory.epics import server_process
 from hysteresis_ros.laboratory.epics.record import (
     MISSED,
     SILENT,
@@ -285,7 +285,7 @@ def test_wrong_options_are_one_line_and_exit_code_2(words, said):
 
 
 def test_without_caproto_it_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(serving.importlib.util, "find_spec", lambda name: None if name == "caproto" else True)
+    monkeypatch.setattr(server_process.importlib.util, "find_spec", lambda name: None if name == "caproto" else True)
     result = CliRunner().invoke(main, ["ioc", "kim2009", "--attach"])
     assert result.exit_code == 2 and 'pip install "hysteresis_ros[epics]"' in result.output
 
@@ -293,12 +293,12 @@ def test_without_caproto_it_says_what_to_install(monkeypatch):
 def test_it_listens_on_this_machine_only_unless_told_otherwise(monkeypatch):
     monkeypatch.delenv("EPICS_CAS_INTF_ADDR_LIST", raising=False)
     monkeypatch.delenv("EPICS_CAS_AUTO_BEACON_ADDR_LIST", raising=False)
-    assert serving.interfaces(None) == ["127.0.0.1"]
-    assert serving.interfaces("10.0.0.1,10.0.0.2") == ["10.0.0.1", "10.0.0.2"]
-    assert serving.server_environment(["127.0.0.1"], 5070)["EPICS_CAS_AUTO_BEACON_ADDR_LIST"] == "NO"
-    assert "EPICS_CAS_AUTO_BEACON_ADDR_LIST" not in serving.server_environment(["10.0.0.1"], None)
+    assert server_process.interfaces(None) == ["127.0.0.1"]
+    assert server_process.interfaces("10.0.0.1,10.0.0.2") == ["10.0.0.1", "10.0.0.2"]
+    assert server_process.server_environment(["127.0.0.1"], 5070)["EPICS_CAS_AUTO_BEACON_ADDR_LIST"] == "NO"
+    assert "EPICS_CAS_AUTO_BEACON_ADDR_LIST" not in server_process.server_environment(["10.0.0.1"], None)
     monkeypatch.setenv("EPICS_CAS_INTF_ADDR_LIST", "10.0.0.3")
-    assert serving.interfaces(None) == ["10.0.0.3"]
+    assert server_process.interfaces(None) == ["10.0.0.3"]
     with pytest.raises(ConfigurationError):
         RecordOptions("x:", "um", 99, 1.0)
 

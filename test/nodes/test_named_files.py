@@ -22,7 +22,7 @@ from nodes_support import axis_parameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from hysteresis_ros.hardware.registry import DRIVERS  # noqa: E402
-from hysteresis_ros.laboratory.epics.serving import interfaces  # noqa: E402
+from hysteresis_ros.laboratory.epics.server_process import interfaces  # noqa: E402
 from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # noqa: E402
 from hysteresis_ros.nodes import parameters as places  # noqa: E402
 from hysteresis_ros.nodes.domain import LOCALHOST_ONLY, RANGE, stay_on_this_machine  # noqa: E402

@@ -28,10 +28,12 @@ from hysteresis_ros.laboratory.watch.access import (  # noqa: E402
 )
 from hysteresis_ros.laboratory.watch.memory import (  # noqa: E402
     PART_PATIENCE,
+    PLANE_POINTS,
+    PLANE_WINDOW,
     Collector,
     Memory,  # noqa: E402
+    Plane,
 )
-from hysteresis_ros.laboratory.watch.plane import POINTS, WINDOW, Plane  # noqa: E402
 from hysteresis_ros.nodes.samples import Block  # noqa: E402
 
 NODES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
@@ -192,6 +194,6 @@ def test_a_long_path_is_thinned_and_keeps_its_largest_error():
         plane.add("/y", block(first, reference=np.zeros(1000), measured=np.zeros(1000)))
     told = plane.told()
     # at 1 kHz: the last seconds, in whole blocks
-    kept = round(1000 * WINDOW) + 1000
-    assert POINTS / 2 <= len(told["error"]) <= POINTS and told["rms"] == pytest.approx(7.0 / np.sqrt(kept))
+    kept = round(1000 * PLANE_WINDOW) + 1000
+    assert PLANE_POINTS / 2 <= len(told["error"]) <= PLANE_POINTS and told["rms"] == pytest.approx(7.0 / np.sqrt(kept))
     assert max(told["error"]) == told["largest"] == 7.0

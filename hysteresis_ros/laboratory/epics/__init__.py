@@ -9,6 +9,6 @@
 
 """``hysteresis ioc``: an axis as an EPICS motor record.
 
-``record`` is the record itself, ``link`` its ROS node, ``server`` the Channel Access server; ``serving`` starts the
-process.
+``record`` is the record itself, ``link`` its ROS node, ``server`` the Channel Access server; ``server_process`` starts
+its process.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The process of ``hysteresis ioc``; its argument is the JSON of :mod:`hysteresis_ros.laboratory.epics.serving`."""
+"""Process of ``hysteresis ioc``; its argument is the JSON of :mod:`hysteresis_ros.laboratory.epics.server_process`."""
 
 from __future__ import annotations
 

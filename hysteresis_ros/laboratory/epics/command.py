@@ -53,7 +53,7 @@ def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, i
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.laboratory.epics.record import RecordOptions, at_rest, motor_settings
-    from hysteresis_ros.laboratory.epics.serving import interfaces, serve
+    from hysteresis_ros.laboratory.epics.server_process import interfaces, serve
     from hysteresis_ros.loop.parameters import in_time
     from hysteresis_ros.loop.reach import axes
 

@@ -9,6 +9,6 @@
 
 """``hysteresis watch``: a web page that shows an axis while it runs, and tunes it.
 
-``serving`` starts the process, ``server`` serves the page (folder page/), and ``link`` is its node in the ROS graph.
-``memory`` stores the samples, ``views`` makes the frames for a page, and ``access`` checks requests.
+``server_process`` starts the process, ``server`` serves the page (folder page/), and ``link`` is its node in the ROS
+graph. ``memory`` stores the samples, ``views`` makes the frames for a page, and ``access`` checks requests.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The server process of a page; its argument is the JSON of :mod:`hysteresis_ros.laboratory.watch.serving`."""
+"""The server process of a page; its argument is the JSON of :mod:`hysteresis_ros.laboratory.watch.server_process`."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def watch(config, namespace, port, bind, folder):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.errors import ConfigurationError
-    from hysteresis_ros.laboratory.watch.serving import PageOptions, Pages
+    from hysteresis_ros.laboratory.watch.server_process import PageOptions, Pages
     from hysteresis_ros.loop.parameters import in_time
     from hysteresis_ros.loop.reach import axes
     from hysteresis_ros.loop.stage_parameters import StageParameters

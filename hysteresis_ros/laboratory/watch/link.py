@@ -35,8 +35,7 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.laboratory.watch.access import SERVICES
-from hysteresis_ros.laboratory.watch.memory import Collector, Memory, motor_facts
-from hysteresis_ros.laboratory.watch.plane import Plane
+from hysteresis_ros.laboratory.watch.memory import Collector, Memory, Plane, motor_facts
 from hysteresis_ros.laboratory.watch.views import axis_of, limits_of, table_of
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos, sensor_qos, setpoint_qos
