@@ -82,7 +82,7 @@ class MissingExtraError(HysteresisError):
     """A library of an optional extra is not installed."""
 
     def __init__(self, library: str, extra: str = "report", purpose: str = "plots and reports need it"):
-        """Name the library, what needs it, and how to install it."""
+        """Name the library, the feature that needs it, and how to install it."""
         super().__init__(f'{library} is not installed; {purpose}: pip install "hysteresis_ros[{extra}]"')
 
 
@@ -91,6 +91,6 @@ class LoopError(HysteresisError):
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message, ``; did you mean …?`` with the nearest known name; empty when none is similar."""
+    """Return the end of a message, ``; did you mean …?`` with the nearest known name; empty if no name is similar."""
     close = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {close[0]}?" if close else ""

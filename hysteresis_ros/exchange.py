@@ -127,7 +127,7 @@ def from_control(system: Any, sample_time: float | None = None, *, keep_gain: bo
     sample_time : float, optional
         Sample time [s]; required if the system does not state it.
     keep_gain : bool
-        Keep the DC gain. By default it is set to one, because the hysteresis in front of the dynamics contains the
+        Keep the DC gain. By default it is set to 1, because the hysteresis in front of the dynamics contains the
         gain.
 
     Returns
@@ -248,7 +248,7 @@ def sampled_dynamics(source: Any, node: str, namespace: str | None) -> tuple[Sta
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Return A, B, C, D and the sample time: None if the system is continuous, True if it is discrete without one."""
+    """Return A, B, C, D and the sample time: None for a continuous system, True for a discrete system without it."""
     home = type(system).__module__.partition(".")[0]
     if home == "control":
         import control

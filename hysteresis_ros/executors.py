@@ -267,7 +267,7 @@ def cluster(address: str) -> Iterator[Cluster]:
         raise HysteresisError(f"--scheduler {EXTRA}") from None
 
     class Connected(Client):
-        """A client that closes at once when the scheduler has not answered."""
+        """A client whose close() does not wait for a scheduler that has not answered."""
 
         def __del__(self):
             pass

@@ -119,7 +119,7 @@ SIGNALS = (
         "scan_edges",
         "1",
         SOURCE,
-        "what begins at this sample of a scan, sum of 1: a frame, 2: a line, 4: a pixel",
+        "edges of a scan: a frame (1), a line (2) or a pixel (4) begins at this sample; their sum",
         _at(SOURCE, MOTOR_SOURCE, name="scan_edges"),
     ),
     Signal(
@@ -253,7 +253,7 @@ SIGNALS = (
 
 
 class Edge(enum.IntFlag):
-    """What begins at a sample of a scan: the bits of ``scan_edges``."""
+    """Bits of ``scan_edges``: a frame, a line or a pixel of a scan begins at this sample."""
 
     FRAME = 1
     LINE = 2

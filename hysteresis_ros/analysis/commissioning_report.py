@@ -76,7 +76,7 @@ def picture_figure(picture: Picture):
 
 
 class Found(Protocol):
-    """Findings of a step, as the page shows them."""
+    """Results of a step, as the page shows them."""
 
     lines: list[str]
     figures: dict

@@ -43,7 +43,7 @@ from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """Settings of the axis that the figures of merit depend on."""
+    """Settings of the axis on which the figures of merit depend."""
 
     #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant if the compensator has none [V].
     voltage_minimum: float | None = None

@@ -327,7 +327,7 @@ def _running(reference) -> list[Part]:
 
 
 def _with_hold(reference, start: int) -> int:
-    """Return the start of a part that includes the end of the hold before it."""
+    """Return the start of a part; the part includes the end of the hold before it."""
     held = next((hold for hold in find_holds(reference) if hold.start <= start <= hold.stop), None)
     return start if held is None else max(min(start, held.stop) - HOLD_SAMPLES, held.start)
 
@@ -419,7 +419,7 @@ def _joined(parts: list[Part]) -> list[Part]:
 
 
 def part_figures(part: Part, time, reference, displacement, stroke: float) -> dict:
-    """Return the figures of a part, the number of its steps, and its whole periods.
+    """Return the figures of merit of a part, the number of its steps, and the number of its whole periods.
 
     The figures of a scan are over its whole periods, if it has any.
     """
@@ -462,7 +462,7 @@ EXCESS, COMPARED = 0.1, 0.1
 
 
 def disturbed(skipped, error) -> np.ndarray:
-    """Return which samples are disturbed: skipped ones, and those that follow until the effect has decayed.
+    """Return which samples are disturbed: the skipped samples, and the following samples until the effect has decayed.
 
     Both have shape (N,): a flag for each sample, and its error [m], which is NaN if it does not count, for example
     without a measurement. All spans after skipped samples have the same length n, the shortest of 1, 2, 4, … samples
@@ -521,7 +521,7 @@ def within(recording: Recording, first: float, last: float) -> Recording:
 def period_ends(recording: Recording) -> np.ndarray:
     """Return the times at which whole periods of the reference end, the latest first, shape (P + 1,) [s].
 
-    They are those of the longest repeating part of the run, counted from the first sample; empty without one.
+    They belong to the longest periodic part of the run, counted from the first sample; empty if no part is periodic.
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
     finite = np.flatnonzero(np.isfinite(reference))

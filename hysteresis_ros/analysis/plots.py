@@ -119,7 +119,7 @@ class Line:
     x: np.ndarray  #: x, y: shape (N,); In the units of the chart; NaN breaks the line.
     y: np.ndarray
     width: float = 1.2  #: [points]
-    dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: a solid line.
+    dash: tuple[float, ...] = ()  #: Lengths of dashes and gaps; empty: solid line.
     #: shape (N,); Time of each point of a path [s], by which the page selects a part of it.
     key: np.ndarray | None = None
     dots: bool = False  #: Draw single points in place of a line.

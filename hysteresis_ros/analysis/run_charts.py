@@ -103,7 +103,7 @@ def judged(recording: Recording) -> Judged:
 
 
 def largest_error(run: Judged) -> float:
-    """Return the largest error that counts [m]; 0 without one."""
+    """Return the largest error that counts [m]; 0 if no error counts."""
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 

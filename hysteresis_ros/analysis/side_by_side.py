@@ -139,7 +139,7 @@ def _laid_over(name: str, charts: list[tuple[str, str, Chart]]) -> Chart:
 
 
 def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
-    """Return the references of the runs, without repeating equal ones."""
+    """Return the distinct references of the runs."""
     found: list[Line] = []
     for label, _, chart in charts:
         for line in chart.lines:

@@ -104,7 +104,7 @@ def format_table(figures: dict) -> str:
 
 
 def format_parts(figures: dict, name: str = "") -> list[str]:
-    """Return the parts of a run as aligned lines for a terminal, each after the name of the run if it has one."""
+    """Return the parts of a run as aligned lines for a terminal, preceded by the name of the run, if any."""
     rows = part_rows(figures)
     wide = max((len(row["part"]) for row in rows), default=0), max((len(row["span"]) for row in rows), default=0)
     before = f"{name}: " if name else ""

@@ -158,7 +158,7 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
 
 
 def _given(choices, plan):
-    """Return a plan with what the command line says of the scan."""
+    """Return a plan with the scan options of the command line."""
     from hysteresis_ros.cli.commissioning.new_file import parsed
 
     asked = {"scan_stroke": (choices["scan_stroke"], "m"), "scan_frequency": (choices["scan_frequency"], "Hz")}

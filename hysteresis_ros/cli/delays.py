@@ -9,7 +9,7 @@
 
 """Settings of this machine that delay a loop: the state of each setting, its cost, and the command that changes it.
 
-The cost is measured with the fused loop at :data:`RATE`, at which a short run can show it.
+The cost is measured with the fused loop at :data:`RATE`, a rate at which a short run shows it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hysteresis_ros.loop.pacing import Lateness
 RATE, SECONDS = 3e3, 0.5
 #: Rate [Hz] and duration [s] of the run that uses a core all the time; it is longer than the period of the throttling.
 WHOLE_RATE, WHOLE_SECONDS = 1e4, 1.5
-#: Largest number of cores that are measured one by one.
+#: Largest number of cores for individual measurements.
 MOST_CORES = 4
 #: Folder with the settings of the processors, and folder with the other files of the system.
 PROCESSORS, PROC = pathlib.Path("/sys/devices/system/cpu"), pathlib.Path("/proc")

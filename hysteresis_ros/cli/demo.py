@@ -199,7 +199,7 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
 
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
-    """Return the number of samples of a recorded run, and its differences from the twin (empty when equal)."""
+    """Return the number of samples of a recorded run, and its differences from the offline twin (empty when equal)."""
     from hysteresis_ros.cli.recording import unlike
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.loop.reach import single_axis

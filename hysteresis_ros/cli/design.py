@@ -270,7 +270,7 @@ def _with_feedforward(text: str, source: str, preview: int | None, band: float |
 
 
 def _design_stage_feedforward(configuration, output: str | None, options: dict) -> None:
-    """Design the feedforward of a stage for its present controllers, and write it."""
+    """Design the feedforward of a stage for its present controllers, and write it to the parameter file."""
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
 
@@ -291,7 +291,7 @@ def _design_stage_feedforward(configuration, output: str | None, options: dict) 
 
 
 def _learn_together(configuration, request, runs, output: str) -> None:
-    """Learn corrections of all axes of a stage from recorded runs, and write them and the file that applies them."""
+    """Learn corrections for all axes of a stage from recorded runs; write them and the file that applies them."""
     from hysteresis_ros.control.learning import write_learned
     from hysteresis_ros.designs.trials import coupled_learning_file, learned_from, trial_lines
     from hysteresis_ros.errors import ConfigurationError

@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _leave_at_once() -> NoReturn:
-    """Exit at once with the exit code of Ctrl-C; in a normal exit Python could end itself by the signal instead."""
+    """Exit immediately with the exit code of Ctrl-C; in a normal exit the signal could end Python first."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(INTERRUPTED)

@@ -97,8 +97,8 @@ def excite(
     the chirp. With --reference, amplitudes may be in volts (60V), or in metres at the gain of the compensator's model
     (5um).
 
-    A stage is excited as a whole, in one recording: with multisine all axes at once by orthogonal multisines, with the
-    other recipes one axis after the other.
+    A stage is excited as a whole, in one recording: multisine excites all axes together with orthogonal multisines, the
+    other recipes excite one axis after the other.
     """
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
@@ -184,7 +184,7 @@ def excite(
 
 
 def _excite_stage(configuration, asked, record, offline: bool, processes) -> None:
-    """Excite a stage, in its nodes or without them, and record it."""
+    """Excite a stage through its nodes or offline, and record it."""
     from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.designs.stage_excitation import excited_stage
     from hysteresis_ros.loop.stage_simulation import simulate_stage

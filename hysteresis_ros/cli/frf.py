@@ -56,7 +56,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
 @click.option("--duration", metavar="TIME", help="Length of the whole excitation, instead of --period.")
 @click.option("--periods", type=int, default=4, show_default=True, help="Number of averaged periods (blocks).")
 @click.option(
-    "--settle", type=int, default=1, show_default=True, help="Number of discarded periods before the averaged ones."
+    "--settle", type=int, default=1, show_default=True, help="Number of discarded periods before the averaged periods."
 )
 @click.option(
     "--realisations", type=int, default=4, show_default=True, help="Realisations of the random phases of a multisine."

@@ -281,7 +281,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = (), units: tuple[str,
     """Return figures as lines ``name value``; the names in ``first`` come first, lists of texts last.
 
     If the name of a figure ends in its unit, the value is shown with a readable unit: ``rmse_m`` of 2.148e-7 is shown
-    as ``rmse  0.2148 µm``. ``units`` are further units that names may end in.
+    as ``rmse  0.2148 µm``. ``units`` are further units with which names may end.
     """
     from hysteresis_ros.units import ending, readable
 

@@ -209,7 +209,7 @@ def _overridden(configuration, rate, factor, force, plant):
 
 
 def _check_together(found, verify: bool, record: str | None, factor: float | None) -> None:
-    """Refuse options that are invalid in the time modes of the axes, or warn about them."""
+    """Refuse options that are invalid in the time modes of the axes; warn about options without effect."""
     modes = {axis.plant_simulator.time_mode for axis in found}
     if verify and not (record and modes <= {"lockstep", "fused"}):
         raise click.UsageError(

@@ -12,8 +12,8 @@
 A new law first processes the last samples of the run, as if it had run in parallel with its predecessor. An observer
 that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
 share the observer and its state. The integrated states of the new law are set so that the command continues from the
-present one; if this is impossible, they are set to zero. The hand-over after the controller fades out the remaining
-difference.
+present one; if this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
+difference decay.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: not 0: the next output must equal the last one; 2.0: in addition, x[BIAS] already contains the lasting
+#: x[ARMED]: not 0: the next output must equal the last output; 2.0: in addition, x[BIAS] already contains the constant
 #: part.
 ARMED = 2
 #: x[QUICK]: additional bias, which is halved in each sample.
@@ -162,7 +162,7 @@ class HandoverParameters(Parameters):
         0.05,
         unit="s",
         low=0.0,
-        description="Time constant with which the difference between old and new command fades out; 0: at once",
+        description="Time constant with which the difference between old and new command decays; 0: immediately",
     )
 
 
@@ -188,7 +188,7 @@ class Handover(Block):
 
 
 def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
-    """Make the next output of ``block`` equal its last one, and fade from it to the input.
+    """Make the next output of ``block`` equal to its last output, and let the difference from the input decay.
 
     Used after a change of controller type or gains, after a stale measurement, and at a start after a stop.
 
@@ -198,8 +198,8 @@ def arm(block: Handover, last: float | None = None, lasting: float | None = None
     last : float, optional
         Value to continue from, when another output (a safe one) was sent since the block's last output.
     lasting : float, optional
-        Mean recent difference between the output and the new input. Only this part fades with the time constant. The
-        deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly fading
+        Mean recent difference between the output and the new input. Only this part decays with the time constant. The
+        deviation of the present sample from it is mostly noise and is halved in each sample, because a slowly decaying
         bias from noise would disturb the feedback.
     """
     if last is not None:
@@ -236,7 +236,8 @@ class ControllerParameters(Parameters):
         0.05,
         unit="s",
         low=0.0,
-        description="Time constant with which the command fades to that of a new controller or new gains; 0: at once",
+        description="Time constant with which the command moves to that of a new controller or new gains; "
+        "0: immediately",
     )
     learning: LearningParameters = group(LearningParameters)
 
@@ -333,7 +334,7 @@ def damping_block(parameters: ControllerParameters, sample_time: float) -> Dampi
 
 
 def prepare_controllers() -> None:
-    """Compile the kernels of all controllers, so that any of them can take over within a sample."""
+    """Compile the kernels of all controllers, so that a change of controller takes effect within a sample."""
     if COMPILED:
         for law in LAWS.values():
             law.block.kernel.compile(signature("scalar", "array", "array", "scalar", "scalar").args)
@@ -403,7 +404,7 @@ class History:
         self.x = np.zeros(1 + ENTRY * SAMPLES)
 
     def reset(self) -> None:
-        """Clear the history, because the next sample does not follow the last one."""
+        """Clear the history, because there is a gap before the next sample."""
         self.x[ENTRIES] = 0.0
 
     @property

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Coupled loops: interaction by a static gain, its decoupling, and the margins of several loops at once.
+"""Coupled loops: interaction by a static gain, its decoupling, and the margins of several loops together.
 
 Loops are square, with n commands and n measurements. The loop transfer L is cut at the commands: plant, then
 controllers, with negative feedback, so that S = (I + L)⁻¹.
@@ -103,7 +103,7 @@ def relative_gain_array(gain) -> np.ndarray:
     """Return the relative gain array Λ = G ∘ (G⁻¹)ᵀ of Bristol [1]_.
 
     Λ_ij is the gain from input j to output i with all other loops open, divided by the same gain with all other loops
-    closed and ideal. Rows and columns add up to one. Pairs with entries near one interact little; the gain of a pair
+    closed and ideal. Rows and columns each sum to 1. Pairs with entries near one interact little; the gain of a pair
     with a negative entry changes its sign when the other loops open.
 
     Parameters
@@ -148,7 +148,7 @@ def singular_values(response) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Disk margin of a loop, or of all loops at once."""
+    """Disk margin of a loop, or of all loops together."""
 
     alpha: float  #: Size α of the disk; 0: unstable.
     frequency: float  #: Frequency at which the margin is reached [Hz]; NaN for an unstable loop.
@@ -178,17 +178,17 @@ class DiskMargins:
     """Disk margins of coupled loops, the result of :func:`disk_margins`."""
 
     loops: tuple[DiskMargin, ...]  #: Margin of each loop alone, with the other loops closed and unchanged.
-    together: DiskMargin  #: Margin for independent changes in all loops at once.
+    together: DiskMargin  #: Margin for independent simultaneous changes in all loops.
 
 
 def disk_margins(loop: StateSpace, sample_time: float, skew: float = 0.0) -> DiskMargins:
-    """Return the disk margins of coupled loops, for each loop alone and for all at once.
+    """Return the disk margins of coupled loops, for each loop alone and for all loops together.
 
     Each loop is multiplied by its own complex factor
 
         f = (1 + (1 - σ)/2 δ) / (1 - (1 + σ)/2 δ),  abs(δ) < α,
 
-    which is any change of gain and phase within a disk around one. The margin is the largest α for which the loops stay
+    which is any change of gain and phase within a disk around 1. The margin is the largest α for which the loops stay
     stable [1]_: 1/α is the largest value over all frequencies of abs(S_ii + (σ - 1)/2) for a loop by itself, and of the
     structured singular value of S + (σ - 1)/2 I for independent factors in all loops. The latter is bounded from above
     by the largest singular value of D (…) D⁻¹, minimised over diagonal D, which is exact for up to three loops; for

@@ -174,7 +174,7 @@ def notch(zeros: np.ndarray) -> Notch:
 
 #: Fraction of the largest response below which a response h is a rounding error and counts as zero.
 SMALLEST_ANSWER = 1e-11
-#: Distance from the unit circle below which zeros count as on it.
+#: Zeros nearer to the unit circle than this distance count as zeros on it.
 CIRCLE_MARGIN = 1e-6
 #: Error of the command, as a fraction of the reference's span, at which a preview is long enough.
 GOOD_ENOUGH = 1e-3
@@ -284,7 +284,13 @@ def _matrices_degree(dynamics: LinearParameters) -> int:
     size = np.abs(answers)
     if not size.max() > 0.0:
         raise ParameterError(
-            [Problem("model.dynamics.C", dynamics.C, "the input must reach the output; give other matrices")]
+            [
+                Problem(
+                    "model.dynamics.C",
+                    dynamics.C,
+                    "the transfer function from input to output must not be zero; give other matrices",
+                )
+            ]
         )
     return int(np.argmax(size > SMALLEST_ANSWER * size.max())) + 1
 
@@ -343,7 +349,7 @@ def _answers(inner, drive, out, factor) -> np.ndarray:
 
 
 def _beyond(matrix, sizes, edge: float) -> np.ndarray:
-    """Return the projection, shape (n, n), on the modes larger than an edge, along the smaller ones.
+    """Return the projection, shape (n, n), onto the modes with modulus above an edge, along the other modes.
 
     It follows from the matrix sign function of (M + ρ)(M - ρ)⁻¹, computed by Newton's iteration. The radius ρ lies
     between the larger and the smaller modes.
@@ -445,7 +451,7 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
 
 
 def _reach(parts: _Parts, part: float) -> int:
-    """Return the preview [samples] that a fraction of a sample or left-out zeros need beyond the relative degree."""
+    """Return the preview [samples] beyond the relative degree that a fractional delay or omitted zeros require."""
     return len(_advance(part)) // 2 + (0 if parts.left_out is None else parts.left_out.reach)
 
 
@@ -461,7 +467,7 @@ def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: in
 def inversion_error(dynamics: LinearParameters, preview: int) -> float:
     """Return the largest error of the command at this preview, as a fraction of the span of the reference.
 
-    It is the sum of the magnitudes of the truncated weights, Σ |w_i|: a bound for every reference with a span of one.
+    It is the sum of the magnitudes of the truncated weights, Σ |w_i|: a bound for every reference with a span of 1.
     It is 0 when no zero is outside the unit circle.
 
     Raises
@@ -498,7 +504,7 @@ def designed_preview(dynamics: LinearParameters) -> int:
     if preview > LONGEST_PREVIEW:
         remedy = (
             f"needs {preview} samples of preview, more than {LONGEST_PREVIEW}: model.dynamics has zeros next to the "
-            "unit circle, at frequencies too low to be left out; use static or none"
+            "unit circle, at frequencies that are too low to omit them; use static or none"
         )
         raise ParameterError([Problem("feedforward.type", "inverse_dynamics", remedy)])
     return preview
@@ -526,7 +532,7 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
 
 
 # Parameter array: a head, the weights of the references (as many as the ring has entries), the weights that drive the
-# causal part, then its A (n·n, row by row), B, C and its steady state for a reference of one (n each).
+# causal part, then its A (n·n, row by row), B, C and its steady state for a reference of 1 (n each).
 PREVIEW = 0
 ORDER = 1
 FIRST = 2  # index of the first weight relative to the oldest reference in the ring

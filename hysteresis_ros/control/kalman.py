@@ -13,7 +13,7 @@ All signals are in the model's own units. At sample k the filter receives the in
 the measurement y_k = C x_k + D u_(k-1). With d̂_k the estimated disturbance of the input in sample k:
 
 predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1)) + L ε_(k-1)        (y_k acts from sample k + 1)
-current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1))    (y_k acts at once)
+current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1))    (y_k acts in this sample)
 
 where ε is the innovation, measured minus predicted output. Kim, Kim & Park 2009, eqs 13-15, print the predictor form
 and call it current.
@@ -67,7 +67,7 @@ def input_matrix(p, first):
 
 @kernel
 def rest_state(p, first):
-    """Return the index in ``p`` of N_x, the steady state of the model for an output of one."""
+    """Return the index in ``p`` of N_x, the steady state of the model for an output of 1."""
     return input_matrix(p, first) + 3 * int(p[first + ORDER])
 
 

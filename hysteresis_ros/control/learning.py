@@ -76,7 +76,7 @@ class LearningParameters(Parameters):
     robustness_filter: tuple[float, ...] = parameter(
         (),
         read_only=True,
-        description="taps of the zero-phase filter Q: the middle one, then those on either side",
+        description="taps of the zero-phase filter Q: the middle tap, then the taps on either side",
     )
     gain: float = parameter(
         1.0, low=0.0, high=1.0, description="initial learning gain, the fraction of the update applied per period"
@@ -180,7 +180,7 @@ def period_samples(period: float, sample_rate: float, name: str = "learning.peri
 
 #: First key of a file of a learned correction.
 KIND = "learned_correction"
-#: Maximum number of values of a file besides the two arrays.
+#: Maximum number of values of a file, not counting the two arrays.
 HEAD = 20
 
 
@@ -290,7 +290,8 @@ def read_learned(path) -> Learned:
     return Learned(period, sample_time, *arrays)
 
 
-# Parameters; then the error filter from its furthest lead on, and the robustness filter from its middle on.
+# Parameters; then the taps of the error filter, from the largest lead on, and those of the robustness filter, from the
+# middle tap on.
 PERIOD = 0  # N [samples]
 LEAD = 1  # lead of the first tap of the error filter [samples]
 TAPS = 2  # number of taps of the error filter
@@ -306,7 +307,7 @@ FADE = 9  # fraction of the correction that fades in or out per sample
 MISSING = 10  # weight of the error filter that may fall on unusable samples
 FILTERS = 13
 
-# State; then three rings, as long as the filters reach back: correction, error, reference [m].
+# State; then three ring buffers as long as the filters: correction, error, reference [m].
 MODE = 0
 SAMPLES = 1  # samples since the beginning
 LEARNED = 2  # samples since learning began

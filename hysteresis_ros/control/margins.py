@@ -181,7 +181,7 @@ class Margins:
     delay_margin : float
         Tolerated additional delay [s].
     gain_crossovers, phase_crossovers : ndarray
-        Frequencies at which the loop transfer function has gain one, and those at which it has phase −180 degrees [Hz].
+        Frequencies at which the loop transfer function has gain 1, and those at which it has phase −180 degrees [Hz].
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float

@@ -12,10 +12,10 @@
 Two numbers determine the speed of such a loop: the pole that sets the bandwidth from the reference, and the bandwidth
 of the Kalman filter. A faster filter rejects disturbances faster, but reduces the margins. A search varies both numbers
 on grids that become finer around the best point. Among the points that meet the requirements, the best one has the
-largest product of bandwidth and rejection. Bandwidth beyond that of the feedback does not count, because tracking then
-depends on the accuracy of the model. If no point meets the requirements, the closest point is returned, and its margins
-show which requirements it does not meet. The equations of hyperplane and feedback gain are in :mod:`.state_feedback`,
-those of the laws in ``laws/``.
+largest product of bandwidth and rejection. Bandwidth above that of the feedback gives no better result, because
+tracking then depends on the accuracy of the model. If no point meets the requirements, the closest point is returned,
+and its margins show which requirements it does not meet. The equations of hyperplane and feedback gain are in
+:mod:`.state_feedback`, those of the laws in ``laws/``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FASTEST_POLE = 0.25
 HALVINGS = 12
 #: Range of the ratio of the disturbance's change per sample to the noise that the filter assumes, as powers of 2.
 SLOWEST_FILTER, FASTEST_FILTER = -12, 14
-#: Penalty on bandwidth beyond that of the feedback.
+#: Penalty on bandwidth above that of the feedback.
 IN_VAIN = 0.05
 #: Steps of the grids (of exponents of two), from coarse to fine.
 STEPS = (2.0, 1.0, 0.5)
@@ -248,7 +248,7 @@ def lq_surface(given, dynamics):
 
 
 def _kalman(given, disturbance: str, q: float | None):
-    """Return the filter: a given gain is kept if it fits and no q is requested."""
+    """Return the filter; a given gain is kept if its size matches the model and no q is requested."""
     if given.gain == "given" and disturbance == given.disturbance and q is None:
         return given
     noise = given.q if q is None else q * given.r

@@ -11,11 +11,11 @@
 
 With the target state x* and the distance x_e = x̂ - x* from it, s = S x_e and Λ = S B:
 
-rest point     x* = N_x r, u* = N_u r: the model's rest point at the reference
+rest point x* = N_x r, u* = N_u r: the model's equilibrium at the reference
 trajectory     x*⁺ = A x* + B u_ff, u* = u_ff: the model's state with the feedforward ``inverse_dynamics``
 
 The trajectory starts at rest on the reference. With a static feedforward the rest point remains the target: the
-feedforward's command is that of the rest point, and the trajectory under it would contain the ringing of the model.
+feedforward gives the command of the rest point, and the model's response to it would ring.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class SlidingModeParameters(Parameters):
         "target",
         choices=("target", "integral"),
         read_only=True,
-        description="target: follow the reference through the rest point at it; integral: add an integral of the error",
+        description="target: follow the model's equilibrium at the reference; integral: add an integral of the error",
     )
     hyperplane: str = parameter(
         "lq",
@@ -103,7 +103,7 @@ class SlidingModeParameters(Parameters):
         low=-1.0,
         high=1.0,
         description="integral_sliding_mode: s(k+1) = rejection_pole s(k), determines how fast disturbances "
-        "are rejected that the filter does not estimate; 0: at once, nearer to 1: more smoothly",
+        "are rejected that the filter does not estimate; 0: within one sample, nearer to 1: more smoothly",
     )
     eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part against the magnitude of s / (S B)")
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
@@ -290,7 +290,7 @@ def switching_function(p, x, reference, measured):
 
 @kernel
 def widens(p, x, applied, change):
-    """Return whether the command is saturated and ``change`` would move it further beyond the limits."""
+    """Return whether the command is saturated and ``change`` would increase the saturation."""
     excess = x[COMMAND] - applied
     return abs(excess) > p[THRESHOLD] * x[LARGEST] and change * (excess / p[INPUT_SCALE]) > 0.0
 

@@ -49,7 +49,7 @@ def refuse(name: str, value, remedy: str) -> NoReturn:
 
 
 def _equilibrated(matrix):
-    """Scale rows, then columns, to length one: the numerical rank must not depend on units."""
+    """Scale rows, then columns, to length 1: the numerical rank must not depend on units."""
     for axis in (1, 0):
         length = np.linalg.norm(matrix, axis=axis, keepdims=True)
         matrix = matrix / np.where(length > 0.0, length, 1.0)
@@ -282,7 +282,7 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
         refuse(
             "sliding_mode.lq_state_weight",
             given,
-            "must weigh every mode that does not decay; one of them has no weight",
+            "must give every mode that does not decay a weight; one has weight 0",
         )
     P = _riccati(A, B, state_weight, input_weight, "sliding_mode.lq_state_weight", given)
     S = product(B.T, P)[0]

@@ -10,7 +10,7 @@
 """Uncertainty of the plant in a design: parameters, or a frequency response, that differ from the model's.
 
 A design uses linear dynamics, because the compensator inverts hysteresis and creep. Residual hysteresis, whose slope
-depends on amplitude and history, acts on a loop like a deviation of the gain, and is represented by one.
+depends on amplitude and history, acts on a loop like a gain deviation, and is represented as a gain deviation.
 
 With a plant P (1 + Δ), |Δ| ≤ l at each frequency, a loop stays stable as long as l |T| < 1. The distance of its loop
 transfer function from −1 is at least |1 + L| − l |L|; the inverse of this bound is the worst sensitivity [1]_.
@@ -18,7 +18,7 @@ transfer function from −1 is at least |1 + L| − l |L|; the inverse of this b
 Above the highest known frequency not even the magnitude of the plant's response is known. There a resonance with the
 damping ratio :data:`DAMPING` is assumed at the worst frequency. It adds a/(2 DAMPING) times the static response, which
 the loop multiplies by the feedback gain |C|. The fraction a of the displacement that passes through the resonance is
-one, but less just above the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), which the
+1, but less just above the known range: a resonance at f changes the response at f' < f by a/((f/f')² − 1), which the
 measurement would have shown.
 
 References
@@ -40,7 +40,7 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.linear import LinearParameters, StateSpace
 from hysteresis_ros.models.linear_algebra import product, rounded, solve
 
-#: Largest relative deviation of gain, slope or times; below one, so that no sign changes.
+#: Largest relative deviation of gain, slope or times; below 1, so that no sign changes.
 LARGEST = 0.5
 #: Number of corners: plants with gain and slope, times, and delay each at an end of its range.
 CORNERS = 8
@@ -112,7 +112,7 @@ class PossiblePlant:
     description: str = "the model"
 
     def closed(self, closing: Callable[[StateSpace], StateSpace]) -> PossiblePlant:
-        """Return the plant with an inner loop around it.
+        """Return the plant with its inner loop closed.
 
         Parameters
         ----------
@@ -267,7 +267,7 @@ def drawn_plants(
 
 
 #: Damping ratio of the resonance that is assumed above the known range, and its height relative to the static response.
-#: Bare stacks, and metal flexures without glue, have damping ratios down to this one.
+#: Bare stacks, and metal flexures without glue, have damping ratios down to this value.
 DAMPING = 0.003
 UNKNOWN = 1.0 / (2.0 * DAMPING)
 #: A resonance that carries the whole displacement, at a frequency below this factor times the known range, would change
@@ -408,7 +408,7 @@ class ResponseUncertainty:
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:
-    """Return an integrator whose loop would cross gain one at a frequency with a plant of gain one.
+    """Return an integrator whose loop with a plant of gain 1 has its crossover at a frequency [Hz].
 
     Parameters
     ----------

@@ -7,14 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Design of a damping filter for a model: the one that permits the fastest outer loop, and its performance.
+"""Design of a damping filter for a model: the filter that permits the fastest outer loop, and its performance.
 
 For every filter a PID is designed on the damped model. The zeros of the PID cancel the slowest poles, as in the design
 of ``pid``, and its largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g,
 |1 + g X| ≥ 1/M_s at one frequency is a quadratic inequality in g. The worst result on several plants counts: on the
 model, and on plants with lower and higher resonances. The inner loop alone, and the loop of both feedbacks cut at the
 plant, must also have M_s ≤ 2 and, if possible, tolerate one more sample of delay. Filters are tried on a grid that is
-refined around the best one; the result has four digits.
+refined around the best filter; the result has four digits.
 
 References
 ----------
@@ -119,7 +119,7 @@ def design_damping(
 
 
 class _Search:
-    """The plants on a grid of frequencies, and the search on them."""
+    """Responses of the plants on a grid of frequencies, and the search for a filter on them."""
 
     def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force):
         self.force = force
@@ -200,7 +200,7 @@ class _Search:
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that tolerates this additional delay [samples]; None if no damping does."""
+        """Return the best damping that tolerates this additional delay [samples]; None if there is none."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)

@@ -255,7 +255,7 @@ class AxisResponse:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Columns at the lines besides the plant's response, by names that contain their units."""
+        """Columns at the frequency lines in addition to the plant's response, by names that contain their units."""
         found = {}
         if self.loop is not None:
             responses = {"loop": self.loop.loop, "sensitivity": self.loop.sensitivity}

@@ -156,7 +156,7 @@ def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robu
 
 
 def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
-    """Return the plants, each with the damping of the parameters around it."""
+    """Return the plants, each with the inner damping loop of the parameters closed."""
     dynamics = parameters.model.dynamics
     around = closing(parameters.damping, dynamics, sample_time, parameters.model.force)
     drawn = drawn_plants(dynamics, sample_time, uncertainty, acting=parameters.damping.source == FORCE)

@@ -36,7 +36,7 @@ from hysteresis_ros.models.actuator import PreloadParameters
 #: Default set of possible plants: 5 % uncertainty, 3 % more for all times because of the identification, residual
 #: hysteresis after the inverse, and a fraction of a sample of delay.
 POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
-#: Largest correction, and the part of the command cut by saturation above which learning pauses, as fractions of the
+#: Largest correction, and the part of the command lost to saturation above which learning pauses, as fractions of the
 #: stroke.
 MAXIMUM, SHORTFALL = 0.1, 5e-3
 #: Learning gain, number of periods after which it falls as 1/n, and its lower limit.
@@ -69,8 +69,7 @@ class LearningRequest:
     possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters must contract.
 
 
-#: Command-line options that a design of the learning takes, besides those of the ranges; and options that only learning
-#: has.
+#: Command-line options of a design of the learning, without those of the ranges; and options that only learning has.
 TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
 
 
@@ -153,7 +152,7 @@ class MeasuredPlant:
 def closed_loop(
     node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> Response:
-    """Return the closed loop from reference to displacement on the model and on possible plants.
+    """Return the closed loop from reference to displacement, for the model and for possible plants.
 
     The responses of feedforward, law and other blocks of the loop to an impulse of the reference and of the measurement
     are u_r and u_d. On another plant P' the closed loop is T' = P' u_r / (1 − u_d (P' − P)).

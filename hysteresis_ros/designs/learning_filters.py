@@ -41,7 +41,7 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.linear_algebra import rounded
 
-#: Required distance of the contraction from one.
+#: Required distance of the contraction factor below 1.
 MARGIN = 0.1
 #: ε: uncertainty of the closed loop, relative to its DC gain (assumed).
 UNSEEN = 0.15
@@ -51,7 +51,8 @@ HALF = 64
 HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
 #: Width of the roll-off of Q as a fraction of the bandwidth, and its minimum as a fraction of the sample rate.
 FALL, LEAST_FALL = 0.15, 0.02
-#: Target distance of the contraction from one in the notches of Q, larger because truncation of the filters reduces it.
+#: Target distance of the contraction factor below 1 in the notches of Q, larger because truncation of the filters
+#: reduces it.
 DIP = 0.15
 #: Iterations of Lawson.
 ITERATIONS = 60
@@ -79,7 +80,7 @@ class Filters:
     kind: str  #: Design.
     error: np.ndarray  #: Taps of G, from the largest lead on.
     lead: int  #: Lead of the first tap [samples].
-    robustness: np.ndarray  #: Taps of Q: the middle one, then those on either side (symmetric).
+    robustness: np.ndarray  #: Taps of Q: the middle tap, then the taps on either side (symmetric).
     bandwidth: float  #: Frequency at which Q has fallen by 3 dB, as a fraction of the sample rate.
     contraction: float  #: Largest |Q − G T_p| over all frequencies and plants.
     nominal: float  #: The same for the model alone.
@@ -149,7 +150,7 @@ def low_pass(cutoff: float, points: int) -> np.ndarray:
 
 
 def symmetric_taps(response, half: int) -> np.ndarray:
-    """Return the taps of a real response, with a DC gain of one: the middle one, then those on either side."""
+    """Return the taps of a real response, with a DC gain of 1: the middle tap, then the taps on either side."""
     taps = np.fft.irfft(response)[: half + 1]
     return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitation of a stage: all axes at once with orthogonal multisines, or one axis after the other, in one run.
+"""Excitation of a stage: all axes together with orthogonal multisines, or one axis after the other, in one run.
 
 The stage runs in open loop, without inverses and without its decoupling, so that each axis drives its own actuator.
 Orthogonal multisines come in groups of as many realisations as there are axes; each realisation has periods to settle,
@@ -52,11 +52,12 @@ class StageExcitation:
     frequency: float | None = None  #: Line spacing of the multisine, frequency of the cycles of other recipes [Hz].
     realisations: int | None = None  #: Realisations of the multisine; by default three for each axis.
     periods: int = 2  #: Number of evaluated periods of each realisation.
-    settle: int = 1  #: Number of periods to settle before them.
+    settle: int = 1  #: Number of periods before the evaluated periods, for settling.
     one_by_one: bool = False  #: Whether the multisines excite one axis after the other.
     duration: float | None = None  #: Duration of the recipe of each axis [s].
     seed: int = 1
-    #: Voltages of the axes before and after it [V]; by default 0 V, or the end of the range that is nearest to it.
+    #: Voltages of the axes before and after the excitation [V]; by default 0 V, or the end of the range that is nearest
+    #: to it.
     rests: tuple[float, ...] | None = None
 
     def rest(self, place: int, limits: LimitsParameters) -> float:
@@ -75,7 +76,7 @@ class ExcitedStage:
 
 
 def excited_stage(configuration: Configuration, asked: StageExcitation, path) -> ExcitedStage:
-    """Return the stage that plays an excitation, whose samples are written beside ``path``."""
+    """Return the stage that outputs an excitation; its samples are written to a file next to ``path``."""
     parameters = StageParameters.from_configuration(configuration)
     rate = parameters.sample_rate
     if asked.name != MULTISINE and (asked.one_by_one or asked.realisations is not None):
@@ -87,7 +88,7 @@ def excited_stage(configuration: Configuration, asked: StageExcitation, path) ->
 def played_stage(
     configuration: Configuration, voltages: np.ndarray, path, ranges: Sequence[tuple[float, float]] | None = None
 ) -> StageParameters:
-    """Return the stage that outputs voltages [V], shape (N, n), whose samples are written beside ``path``.
+    """Return the stage that outputs voltages [V], shape (N, n); they are written to a file next to ``path``.
 
     Plants and compensators are limited to ``ranges`` [V], by default those of the configuration.
     """
@@ -112,7 +113,7 @@ def played_stage(
 
 
 def scoped(configuration: Configuration, changed: Configuration, namespace: str) -> list[tuple[str, dict]]:
-    """Return what a changed configuration adds, for the nodes of the axis in a namespace; the rest for all axes."""
+    """Return the parameters that a changed configuration adds, for the nodes of one axis or for all axes."""
     added = changed.entries[len(configuration.entries) :]
     return [(namespace + pattern.removeprefix("/**") if pattern != "/**" else pattern, own) for pattern, own in added]
 

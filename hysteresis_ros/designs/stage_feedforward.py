@@ -10,12 +10,13 @@
 """Dynamic decoupling: the feedforward of a stage, by stable inversion of the model of all axes with preview.
 
 G is the response from the outputs of the control laws to the displacements, of all axes, with actuators, dampings and
-decoupling; F are the inverses of the models of the single axes. What the stage needs beyond F is
+decoupling; F are the inverses of the models of the single axes. The feedforward that the stage needs in addition to F
+is
 
     X = G⁻¹ - F.
 
 On the unit circle G⁻¹ is bounded also where G has zeros outside it: its impulse response then extends into the future,
-and preview replaces what a causal inverse cannot have. X becomes a finite impulse response of N samples in both
+and preview makes the non-causal inverse possible. X becomes a finite impulse response of N samples in both
 directions by weighted least squares. Up to the band the weight is (band / f)², because references contain less at high
 frequencies; beyond the band X is kept small, because the model is not known there. The weights add up to 0 exactly: at
 rest the matrix ``decoupling`` decouples.
@@ -50,7 +51,7 @@ from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.units import readable
 
 #: Default band, as a fraction of the sample rate; near half of it the model of a stage is seldom known. If no preview
-#: is long enough for it, it becomes narrower by this factor, at most so many times.
+#: is long enough for the band, the band is reduced by this factor, at most this number of times.
 BAND, NARROWER, STEPS = 0.1, 0.8, 10
 #: Coupling that may remain up to the band, for which a design looks for a preview in these steps.
 REMAINING, STEP = 1e-3, 2
@@ -86,8 +87,8 @@ def design_stage_feedforward(
     """Design the feedforward of a stage up to a band [Hz]; its controllers stay.
 
     The preview is the shortest with which the coupling of the model is at most 0.1 % up to the band, which is by
-    default a tenth of the sample rate, or less if no preview is long enough for it. A ConfigurationError says what
-    prevents it.
+    default a tenth of the sample rate, or less if no preview is long enough for it. A ConfigurationError states the
+    reason if this is impossible.
     """
     rate = parameters.sample_rate
     limits = [BAND * rate * NARROWER**step for step in range(STEPS)] if band is None else [band]
@@ -202,7 +203,7 @@ def finite_response(wanted: np.ndarray, preview: int, band: float) -> np.ndarray
     return np.ascontiguousarray(found.T.reshape(*wanted.shape[1:], len(shifts)))
 
 
-#: A setpoint counts as reached from this fraction of the move on.
+#: A setpoint counts as reached after this fraction of the move.
 REACHED = 0.98
 
 
@@ -218,7 +219,7 @@ class VoltageSteps:
 
 
 def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
-    """Return what a step of each axis to its farthest setpoint needs, and what the waveforms of the stage need."""
+    """Return the voltage changes of a step of each axis to its farthest setpoint, and of the waveforms."""
     rate, found = parameters.sample_rate, []
     settled = round(SETTLING * rate)  # the first motion is that from 0 V to the initial setpoint
     free = replace(parameters, axes=tuple(unlimited(axis) for axis in parameters.axes))
@@ -248,7 +249,7 @@ def voltage_steps(parameters: StageParameters) -> list[VoltageSteps]:
 
 
 def _largest(parameters: StageParameters, run, first: int, what: str) -> VoltageSteps:
-    """Return the largest change of a voltage from a sample on, of the actuator that has least to spare."""
+    """Return the change of a voltage from a sample on that is the largest fraction of its range."""
     rows = []
     for name, axis in zip(parameters.names, parameters.axes, strict=True):
         limits = axis.hysteresis_compensator.limits
@@ -299,7 +300,7 @@ def voltage_step_rows(steps: list[VoltageSteps]) -> list[tuple[str, str]]:
 
 
 def without_stage_feedforward(configuration: Configuration) -> Configuration:
-    """Return the configuration of a stage without the part of the feedforward that acts across axes."""
+    """Return the configuration of a stage without the cross-axis part of the feedforward."""
     if not StageParameters.from_configuration(configuration).stage.feedforward.weights:
         return configuration
     text = feedforward_text(configuration, {}, str(configuration.stage), STAGE, "")

@@ -200,7 +200,7 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     loops : tuple of Identified or None
         Hysteresis of each actuator; None without loops.
     held_out : HeldOut or None
-        What was held out, and the prediction of the file.
+        Held-out data, and the prediction of the written file.
     designs : dict
         Designed controllers by the names of the axes.
     figures : dict
@@ -428,12 +428,12 @@ def _without_periods(reading: StageReading) -> ResponseMatrix:
     shortest = min(len(u) for u, _ in reading.runs)
     u, y = (np.array([run[place][:shortest] for run in reading.runs]) for place in (0, 1))
     found = local_polynomial_response(u, y, reading.sample_time)
-    # neighbouring lines share their windows, so only some of them are kept
+    # the windows of neighbouring lines overlap, so only some of them are kept
     return found.at(np.arange(len(found.condition)) % max(len(found.condition) // MOST_LINES, 1) == 0)
 
 
 def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: StageRequest):
-    """Return the plant with the hysteresis before the structure, and the held-out errors of its linear part."""
+    """Return the plant with hysteresis in front of the linear structure, and the held-out errors of its linear part."""
     orders = ORDERS if request.order is None else (request.order,)
     model, delay = _linear(found.response, judged, orders, STRUCTURE_ENOUGH, request.progress)
     held = None if judged is None else _held_errors(model, delay, judged[0])
@@ -876,7 +876,7 @@ def _figures(responses, plant: _Plant, held, noise, names, data) -> dict:
 
 
 def _held_out(parameters: StageParameters, data: StructureData, held_out: int) -> HeldOut:
-    """Return what was held out of the highest level, and what the stage as written predicts, without the means."""
+    """Return the held-out data of the highest level and the prediction of the written stage, without the means."""
     chosen = np.concatenate([level[len(level) - held_out :] for level in data.levels])
     u, y = data.u[chosen[-1]], data.y[chosen[-1]]
     # all repetitions but the last are the run-in

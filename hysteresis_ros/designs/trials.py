@@ -14,7 +14,7 @@ errors against the undelayed path have the amplitudes E_j = c - T M_j, with the 
 displacements. Neither c nor T is known exactly. Both are estimated at each harmonic from the model and from all runs:
 
 - *The model's uncertainty* gives mean and covariance of T before any run: over plants whose gains, modes and delays
-  differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` stands for effects that
+  differ from those of the model, independently for each actuator and each mode. :data:`UNSEEN` represents effects that
   no model describes.
 - *Each run* is a measurement of c - T M_j. Its noise is known from the differences between the periods of the run. A
   linear minimum-variance estimate combines both (a Kalman filter with a constant state).
@@ -60,8 +60,8 @@ from hysteresis_ros.recordings.dataset import Recording
 UNSEEN = 0.05
 #: Assumed fraction of an error that does not follow c - T M, because hysteresis is not linear.
 NONLINEAR = 0.1
-#: An error is learned from this square on, in variances of its noise; noise alone exceeds it in less than 2 % of the
-#: cases.
+#: An error is learned if its square exceeds this multiple of the variance of its noise; noise alone exceeds it in less
+#: than 2 % of the cases.
 SIGNIFICANT = 4.0
 #: Number of harmonics on either side over which the noise of the runs is averaged.
 SMOOTHED = 15
@@ -71,7 +71,7 @@ FEWEST = 3
 HIGHEST = 0.45
 #: Magnitude of a pole below which it is a mere delay, and distance within which poles count as equal.
 DELAYING, EQUAL = 0.02, 1e-8
-#: Number of angles that are computed at once.
+#: Number of angles that are computed together.
 BLOCK = 4096
 
 
@@ -351,7 +351,7 @@ class CoupledLearning:
 
 
 def applied(parameters: StageParameters) -> np.ndarray:
-    """Return the corrections that the axes of a stage have from their files, shape (n, N) [m]; 0 without one."""
+    """Return the corrections in the files of the axes of a stage, shape (n, N) [m]; 0 for an axis without a file."""
     paths = scanned_paths(parameters)
     found = np.zeros_like(paths)
     for place, axis in enumerate(parameters.axes):

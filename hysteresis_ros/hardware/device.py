@@ -140,7 +140,7 @@ class Device:
             self._driver.write(voltages)
 
     def output_clock(self, edges: Edge) -> None:
-        """Output what begins at this sample of a scan.
+        """Output the scan edges of this sample: the frames, lines and pixels that begin.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class Device:
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
-        """Make the device safe in the background, with repeated attempts until it is safe; other calls wait meanwhile.
+        """Make the device safe in the background and repeat this until it is safe; other calls wait for it.
 
         Parameters
         ----------

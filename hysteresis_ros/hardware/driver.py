@@ -189,7 +189,7 @@ class Driver(ABC):
         """
 
     def output_clock(self, edges: Edge) -> None:
-        """Output what begins at this sample of a scan, for instance as pulses of three digital lines; optional.
+        """Output the scan edges (frames, lines, pixels) of this sample, e.g. as pulses of three lines; optional.
 
         It is called after :meth:`write` of the same sample, and only for a device with ``clock`` in its capabilities
         and with ``scan_clock`` in the parameters of the plant's node. In nodes that exchange messages it is called when
@@ -295,7 +295,7 @@ class EmulatedDevice:
     Parameters
     ----------
     parameters : type of Parameters
-        Options of the command besides the plant and its faults.
+        Options of the command in addition to the plant and its faults.
     start : callable
         ``start(parameters, bench)``, with a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`, returns a context
         manager with the running device, a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.

@@ -303,7 +303,7 @@ class SharedLibrary(Driver):
         self._check(self._library.hysteresis_write(self._device, self._voltages))
 
     def output_clock(self, edges: Edge) -> None:
-        """Output what begins at this sample of a scan.
+        """Output the scan edges of this sample: the frames, lines and pixels that begin.
 
         Parameters
         ----------

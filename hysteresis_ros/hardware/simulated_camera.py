@@ -93,7 +93,7 @@ class Scene:
         self._grain = self._make_grain()
 
     def _make_grain(self) -> np.ndarray | None:
-        """Return the grain of the body, from its edge on: wider than the frame, and smooth over two pixels."""
+        """Return the grain of the body behind its edge: wider than the frame, and smooth over two pixels."""
         given = self.parameters
         if not given.texture:
             return None

@@ -134,7 +134,7 @@ def identify_bouc_wen_static(
 
 
 class _Normalised:
-    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element on it."""
+    """A recording scaled by its ranges (h by the range of the displacement), and the error of the element for it."""
 
     def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
         n, self.free_offset, self.first = exponent, free_offset, len(history)
@@ -218,7 +218,7 @@ SHORT_PART = 6000
 LARGEST_ERROR = 10.0
 #: Number of periods after which a periodic start has settled.
 SETTLING = 1
-#: Starts agree when the residuals are at most this factor above the best one; the search ends after two that agree.
+#: Two starts agree if their residuals exceed the smallest by at most this factor; then the search ends.
 AGREEING = 1.01
 MOST_EVALUATIONS = 60
 #: … provided that the residual is below this fraction of the stroke.

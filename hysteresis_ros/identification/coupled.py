@@ -135,7 +135,7 @@ class StructureData:
         return replace(self, u=self.u[chosen], y=self.y[chosen])
 
     def averaged(self, run_in: int) -> Experiments:
-        """Return one period, averaged over all periods; a run-in that repeats its end precedes it."""
+        """Return one period, averaged over all periods, preceded by a run-in that repeats its end."""
         R, _, m = self.u.shape
         u, y = (part.reshape(R, -1, self.period, part.shape[2]).mean(axis=1) for part in (self.u, self.y))
         before = np.tile(u, (1, -(-run_in // self.period), 1))[:, -run_in:] if run_in else u[:, :0]
@@ -254,8 +254,8 @@ class StructureEstimator:
     plays : int
         Plays of each hysteresis; 0: linear dynamics alone.
     hystereses : int
-        Number of hystereses of each actuator. The search starts with the motion of the structure as the input of the
-        first one, and with the voltage as the input of the others.
+        Number of hystereses of each actuator. The search begins with the motion of the structure as the input of
+        the first hysteresis and with the voltage as the input of the others.
     held_out : int
         Number of realisations of each level that are not fitted: they choose the order and end the search.
     run_in : int, optional

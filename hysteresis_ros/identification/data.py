@@ -100,12 +100,12 @@ def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
 GRID_TOLERANCE = 0.1
 #: A range below this fraction of the mean level counts as constant.
 CONSTANT = 1e-12
-#: Number of consecutive equal samples at the extreme from which on they may be clipped.
+#: Smallest number of consecutive equal samples at an extreme that may be clipping.
 CLIPPED_RUN = 3
-#: Smallest ratio of the length of a clipped run to that of its neighbours; the top of a coarsely quantised sine has a
-#: ratio of 5.5.
+#: Smallest ratio of the length of a clipped sequence to that of its neighbours; the top of a coarsely quantised sine
+#: has a ratio of 5.5.
 CLIPPED_POPULATION = 8.0
-#: Drift over the whole data, as a fraction of the stroke, above which there is a warning.
+#: Drift over the whole data above which there is a warning, as a fraction of the stroke.
 DRIFT_SHARE = 0.01
 
 

@@ -61,14 +61,14 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Ratio of the length of the recording to that of a segment; segments overlap by half.
 LENGTHS = 8
-#: Number of folds. Segments are dealt to them in turn, so that no fold alone has what happens at one time.
+#: Number of folds. Segments are assigned to the folds in turn, so that an event does not fall into a single fold.
 FOLDS = 4
 #: A sweep passes each frequency once: where one fold has this fraction of the input's power, and nothing remains to
 #: predict it from, the folds take turns from block to block of this number of frequencies (the window correlates lines
 #: up to two apart). Only real content counts, LEAST_POWER of the power of the fold within BAND of the frequency.
 SWEPT, BLOCK = 0.8, 4
 LEAST_POWER, BAND = 1e-3, 0.1
-#: Neighbouring frequencies are combined within this fraction of the frequency.
+#: Frequencies closer together than this fraction of the frequency are combined.
 RESOLUTION = 2e-3
 #: The noise is assumed smooth over this fraction of an octave on both sides, and over at least this number of
 #: frequencies.
@@ -206,7 +206,7 @@ def _backward(frequencies: bytes, sample_time: float) -> np.ndarray:
 
 
 def _shifted(frequencies, sample_time: float, delay: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return 1/z, 1/z of the next sample after the whole samples of a delay, and the remaining part of a sample."""
+    """Return 1/z, 1/z to the power of the whole samples of a delay plus 1, and the remaining fraction of a sample."""
     back = _backward(np.asarray(frequencies, dtype=float).tobytes(), sample_time)
     whole = int(np.floor(delay / sample_time + 1e-9))
     return back, back ** (whole + 1) if whole else back, max(delay / sample_time - whole, 0.0)
@@ -769,7 +769,7 @@ class TurnSearch:
         cycles = 0.5 * max(len(turning_points(v)) - 1, 1)
         if frequency > HARMONICS * cycles / (len(v) * self.sample_time):
             return True
-        # a window over the whole recording would remove what happens at its ends
+        # a window over the whole recording would suppress the samples at its ends
         length = int(len(v) / max(1.0, min(float(LENGTHS), cycles / CYCLES)))
         # four lines of the spectrum within the band
         length = min(max(length, math.ceil(2.0 / (BAND * frequency * self.sample_time))), len(v))

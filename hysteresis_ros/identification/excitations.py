@@ -270,7 +270,7 @@ def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Pl
 
 
 def orthogonal_multisines(inputs: int, period: int, lines, realisations: int, seed: int = 1) -> np.ndarray:
-    """Return periods of multisines for all inputs at once, shape (realisations, period, inputs), with peak 1.
+    """Return periods of simultaneous multisines for all inputs, shape (realisations, period, inputs), with peak 1.
 
     Realisations come in groups of ``inputs``. Within a group the phases of input i in realisation r are those of the
     group plus 2π i r/inputs, so that the spectra of all inputs at a line are an orthogonal matrix; each group has

@@ -317,7 +317,7 @@ class ResponseMatrix:
 
     response: FrequencyResponse  #: Response, shape (F, q, m), with the variances of its entries.
     #: shape (F, q, q), complex; covariance of the noise in the output spectrum of a realisation, averaged over its
-    #: periods [m²]; None with one period.
+    #: periods [m²]; None if there is only one period.
     noise: np.ndarray | None
     #: shape (F, q, q), complex; covariance of noise and nonlinear distortion together; None with m realisations.
     total: np.ndarray | None

@@ -47,8 +47,8 @@ from hysteresis_ros.models.hysteresis.generalised_play import (
 from hysteresis_ros.recordings.loops import turning_points
 
 PLAYS = 12
-#: Searched parameters besides the weights, for each freedom; upper limit of the rate, relative to the time between
-#: reversals.
+#: Searched parameters in addition to the weights, for each kind of freedom; upper limit of the rate, relative to the
+#: time between reversals.
 FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
 LONGEST_RATE = 0.1
 #: Initial value and range of the common bend of both envelopes, and of their difference.

@@ -73,7 +73,7 @@ class HammersteinFit(PlantModel):
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the optimiser reached its limit of evaluations, and this is the best point found.
     skipped: int = 0  #: First samples of the recording that the fit omits.
-    drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
+    drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
     structure: Any = None  #: Chosen structure, for a repeated fit.
 
@@ -134,7 +134,7 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
 
 
 def _less_certain(found: PartTrial, both: PartTrial) -> PartTrial:
-    """Return a trial of a lag or a delay alone, less certain by what it differs from that in a trial of both."""
+    """Return a trial of a lag or a delay alone; its uncertainty includes its difference from a trial of both."""
     deviations = dict(found.deviations or {})
     for name in ("lag", "delay"):
         if name in deviations and name in both.values:
@@ -369,7 +369,7 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Th
 
 
 def invalid(fit) -> HysteresisError | None:
-    """Return why the parameters of a fit make no valid model; None if they do."""
+    """Return why the parameters of a fit are no valid model; None if they are valid."""
     try:
         hysteresis_block(fit.parameters(), fit.data.sample_time)
     except (IdentificationError, ParameterError) as error:

@@ -14,7 +14,7 @@ signal) or band-limited between its samples (a multisine below the Nyquist frequ
 
 *Linear part* of a Hammerstein model (:class:`LinearPart`): creep, a first-order lag, modes, and a delay. The
 displacement is assumed linear between samples, which distinguishes lags shorter than a sample; dynamics identified for
-the held voltage itself (``hold``) are exact for it. The filters act on all columns of regressors at once
+the held voltage itself (``hold``) are exact for it. The filters act on all columns of regressors together
 (:func:`filtered`), by recursion over the samples: a fifth of the time of a convolution by FFT, because a sample of all
 columns stays in the cache. This makes joint fits of hysteresis and dynamics fast. :func:`undo` is their inverse.
 """
@@ -442,7 +442,7 @@ class LinearPart:
     delay: float = 0.0  #: Dead time [s].
     creep_rate: float = 0.0  #: γ of the logarithmic law, per decade.
     longest_time: float = 100.0  #: Time up to which the creep law holds [s].
-    #: True: creep had settled under the first sample; false: everything was at rest at zero before it.
+    #: True: creep had settled at the first sample; false: the system was at rest at zero before it.
     settled: bool = False
     modes: tuple[Mode, ...] = ()  #: Modes; the remaining displacement passes through the lag.
     #: Sample time of the held voltage [s] for which lag, modes and delay were identified; they then describe the stage
@@ -669,7 +669,7 @@ def _held_mode(mode: Mode, sample_time: float, early: float) -> Section:
 
 
 class Known(NamedTuple):
-    """A known linear part for the fit of a hysteresis."""
+    """The linear part of a fit of a hysteresis, when it is already known."""
 
     part: LinearPart
     parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched nevertheless.

@@ -39,7 +39,7 @@ from hysteresis_ros.identification.frequency_response import (
 
 #: Degree of the polynomials, and degrees of freedom of the covariance beyond the number of outputs.
 DEGREE, FREEDOM = 2, 10
-#: Number of lines whose equations are solved at once.
+#: Number of frequency lines whose equations are solved together.
 CHUNK = 512
 
 

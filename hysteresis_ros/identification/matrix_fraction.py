@@ -10,7 +10,7 @@
 """Frequency response → matrix-fraction description → state space of lowest order (K4), without iteration.
 
 The left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is linear in its
-coefficients once multiplied by Q, so that one linear least-squares solution fits them to all lines at once. Its degree
+coefficients once multiplied by Q, so that one linear least-squares solution fits them to all lines together. Its degree
 is higher than necessary, so its realisation has pole-zero pairs that nearly cancel; a truncation of the balanced
 realisation removes them within a tolerance.
 
@@ -233,7 +233,7 @@ def _degrees(shape, degree, maximum_order, feedthrough):
 
 
 def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
-    """Return the part of ``model`` with the poles inside the unit circle, and the removed poles.
+    """Return the stable part of ``model`` (poles inside the unit circle), and the removed poles.
 
     The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
     stable part keeps its contribution to the response.
@@ -319,7 +319,7 @@ def _deviation(data):
 
 
 def _gramian(A, B):
-    # the direct method solves n² equations at once and is ill-conditioned near the unit circle
+    # the direct method solves n² simultaneous equations and is ill-conditioned near the unit circle
     return scipy.linalg.solve_discrete_lyapunov(A, B @ B.T, method="bilinear")
 
 

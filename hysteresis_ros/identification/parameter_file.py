@@ -260,7 +260,7 @@ def example_text(model: HysteresisModel) -> str:
 
 
 def model_warnings(result: Identification) -> tuple[str, ...]:
-    """Return the warnings about the parameters themselves (outside the valid class), as their blocks state them."""
+    """Return the warnings of the blocks about their own parameters, for example outside the valid class."""
     chain = result.chain
     return (*chain.hysteresis.chosen.warnings(), *chain.creep.warnings(), *chain.dynamics.warnings())
 

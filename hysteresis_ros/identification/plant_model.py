@@ -39,7 +39,7 @@ class Request:
     stage: str | None  #: Dynamics of higher order, in place of these parts.
     options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
-    skip: int | None  #: Number of first samples that the error omits; None: all until the past is erased.
+    skip: int | None  #: First samples that the error omits; None: those that earlier voltages affect.
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]  #: ``progress(number, text)``.
@@ -78,7 +78,7 @@ class PlantModel:
     #: Whether a displacement belongs to the voltage of the same sample (quasi-static sweeps); an axis measures before
     #: the voltage acts.
     synchronous: bool = False
-    #: Identified voltages [V] before the recording, from rest at 0 V; :meth:`simulate` begins with them.
+    #: Identified voltage history [V] before the recording, from rest at 0 V; :meth:`simulate` begins with it.
     history: tuple[float, ...] = ()
     initial: str = "zero"  #: Initial state: ``zero``, ``periodic`` or ``estimate``.
     intersample: str = "zoh"  #: Input between samples: ``zoh``, ``linear`` or ``bandlimited``.
@@ -88,7 +88,7 @@ class PlantModel:
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
     #: SI units of input and output, which the parameters call V and m.
     units: tuple[str, str] = ("V", "m")
-    #: Range of the input [V] outside which the output stays level, if the recording shows one.
+    #: Range of the input [V] outside which the output is constant, if the recording shows such a saturation.
     saturation: tuple[float, float] | None = None
 
     @property
@@ -133,15 +133,15 @@ class Identification:
     #: The model; its hysteresis is zero at rest at 0 V, or at the remanent displacement of the recording's beginning.
     chain: PlantModel
     fitted: int  #: Number of fitted parameters.
-    #: Figures of the fit besides the parameters, names with units (``lag_s``).
+    #: Figures of the fit other than the parameters, names with units (``lag_s``).
     numbers: dict[str, float] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, by parameter.
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     converged: bool = True  #: False: the fit did not converge; this is the best point found.
-    skipped: int | None = None  #: Number of first samples that the fit omits; None: all until the past is erased.
-    start: str = ""  #: Sentence about the assumed past of the recording.
-    drift: float = 0.0  #: Drift of the output that the voltage does not explain [m/s]; not part of the model.
+    skipped: int | None = None  #: First samples that the fit omits; None: those that earlier voltages affect.
+    start: str = ""  #: Sentence about the assumed voltage history before the recording.
+    drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
     #: shape (K, n); Names and values of the parameters after each iteration of the best run.
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 

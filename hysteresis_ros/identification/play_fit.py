@@ -90,7 +90,7 @@ class PlayFit(ABC):
         return self._finish(search, search.run(self.kept, before.found.values, self.base))
 
     def behind(self, part):
-        """Compute the weights for a known linear part, with the initial shape."""
+        """Compute the weights for the initial shape and a known linear part."""
         self.part, self.shape = part, {name: start for name, start, *_ in self.extra}
         self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
         return self

@@ -18,7 +18,7 @@ quadratics of the peak voltage V_max. Two conditions make the branches continuou
 With these conditions nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2
 and C_f2 as linear functions of V_max; C_r1 and C_f1 follow. For a given voltage, the output of the model is linear in
 its coefficients, also in minor loops, because branches change with the voltage only. The nine numbers are therefore
-fitted to all samples at once by linear least squares, which works with any excitation. The paper rates a model by its
+fitted to all samples together by linear least squares, which works with any excitation. The paper rates a model by its
 largest error. Lawson's reweighting therefore moves the weights towards the largest residuals if the residual comes from
 the shape of the loops and not from noise. This halves the largest error when the loops do not have the shape of the
 model.

@@ -13,8 +13,8 @@
    Gaps are bridged or avoided (:func:`uninterrupted`), or the samples are interpolated (:func:`resample`). Missing
    samples at the ends are omitted, and the data is checked. For long data, :func:`reduced` selects the interval that
    shows most of the loops, and averages neighbouring samples as long as the removed frequencies contain only noise.
-2. The past: samples are omitted until the voltage has been near both ends of its range (:func:`wiped_out`), or the
-   voltage that left the actuator remanent is identified (:func:`remanent_voltage`).
+2. Voltage history before the recording: samples are omitted until the voltage has been near both ends of its range
+   (:func:`wiped_out`), or the voltage that left the actuator remanent is identified (:func:`remanent_voltage`).
 3. :func:`condense`, for each fit of plays: averages of blocks as coarse as the loops allow. Models with a law for each
    branch use :func:`split_branches` instead.
 4. :func:`repeated`, around each fit: outliers and drift are found in its residual and removed, and the fit is repeated.
@@ -399,7 +399,7 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
 
 
 def inliers(error, first: int) -> np.ndarray:
-    """Return which samples are not outliers, shape (N,) of bool; those before ``first`` never are.
+    """Return which samples are not outliers, shape (N,) of bool; samples before ``first`` are never outliers.
 
     Outliers are single samples and short intervals; longer deviations come from the structure of the model.
     """
@@ -469,7 +469,7 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
     Units: ``predicted`` [m], ``drift`` [m/s].
     """
     clipped = clipped_samples(data.output, data.input)
-    if clipped.any():  # what the sensor did not show is put where the model expects it
+    if clipped.any():  # the prediction replaces clipped samples
         data = replace(
             data, output=np.where(clipped, predicted + np.median((data.output - predicted)[~clipped]), data.output)
         )
@@ -491,7 +491,8 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
 LARGEST_STEP = 0.02
 #: … and only as far as necessary for this number of samples.
 ENOUGH_SAMPLES = 6000
-#: The past is erased when the input has come this close to both ends, as a fraction of its range; the fit starts there.
+#: The memory of earlier inputs is erased when the input has come this close to both ends (fraction of its range); the
+#: fit starts there.
 WIPED_OUT = 0.05
 
 #: Swings above this fraction of the range count as equal.
@@ -510,8 +511,8 @@ class Condensed:
     first: int  #: First sample whose residual counts.
     factor: int  #: Number of averaged samples of the recording.
     kept: np.ndarray  #: shape (N - first,); Which of the counted samples are not outliers.
-    remembers: bool = False  #: Whether the past before the recording affects the counted samples.
-    drifts: bool = False  #: Whether the displacement may contain a linear drift besides a constant.
+    remembers: bool = False  #: Whether the voltage history before the recording affects the counted samples.
+    drifts: bool = False  #: Whether the displacement may contain a linear drift in addition to a constant.
     #: Voltages [V] before the first sample, from rest at 0 V, which determine the memory of the hysteresis.
     history: tuple[float, ...] = ()
 
@@ -560,7 +561,7 @@ class Condensed:
 def plays(voltage, play_radii, start=None) -> np.ndarray:
     """Return the outputs of the play operators, shape (N, m), all initially centred at 0 V.
 
-    Without Numba, all samples between two reversals are processed at once: there a play is a running maximum (minimum)
+    Without Numba, all samples between two reversals are processed together: there a play is a running maximum (minimum)
     of V - r (V + r).
 
     Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
@@ -651,7 +652,7 @@ def coarser(data: Condensed, enough: int) -> Condensed:
 
 
 def wiped_out(voltage) -> int | None:
-    """Return the sample from which the past no longer matters, if a cycle follows it; otherwise None.
+    """Return the sample from which earlier voltages no longer matter, if a cycle follows it; otherwise None.
 
     A voltage that has been at both ends of its range has moved every play operator that the recording moves. Afterwards
     it must fall and rise by half of the range; less would show only one branch.
@@ -668,7 +669,7 @@ def wiped_out(voltage) -> int | None:
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return the number of samples until the voltage has been near both ends of its range, which erases the past."""
+    """Return the number of samples until the voltage has been near both ends of its range, which erases the memory."""
     return condense(data.input, data.output, data.sample_time).skipped
 
 

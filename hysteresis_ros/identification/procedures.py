@@ -9,7 +9,7 @@
 
 """One procedure per model, from checked data and a request to a chain of blocks.
 
-Models of plays are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
+Play-type models are fitted together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
 model that declares ``guess`` and ``free``) are fitted to data from which lag, delay and creep are removed. A gain with
 dynamics and the Bouc-Wen oscillator are fitted to the recording itself.
 
@@ -70,7 +70,7 @@ from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.units import readable, shown_unit
 
-#: Number of widths of the density in trials of the past.
+#: Number of widths of the density in trials of the history before the recording.
 TRIED_WIDTHS = 10
 #: Number of samples for the computation of the ambiguity.
 COARSE_SAMPLES = 2000
@@ -403,7 +403,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
             constant = float(np.mean((y - stage.gain * part.apply(u, step))[skip:]))
             return identified(data, request, FittedHysteresis(gain(stage.gain), 2), part, False, constant)
     if request.stage:
-        # only an initial value: with dynamics after it, a line through the samples does not give the gain
+        # only an initial value: with dynamics behind the gain, a line through the samples does not give it
         return _with_stage(data, request, FittedHysteresis(gain(data.stroke / float(np.ptp(u))), 1))
     slope, constant = map(float, np.polyfit(u[skip:], y[skip:], 1))
     _refuse_gain(slope)

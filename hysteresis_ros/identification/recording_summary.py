@@ -145,7 +145,7 @@ def butterfly(u, y) -> float | None:
 
 
 def level_ends(loop: MeanLoop, stroke: float) -> tuple[tuple[float, bool] | None, ...]:
-    """Return, for the lower and the upper end of the range, from where on the output is level and whether abruptly."""
+    """Return, for both ends of the range, where the output becomes constant and whether abruptly."""
     found: list[tuple[float, bool] | None] = []
     middle = float(np.nanmax(loop.middle) - np.nanmin(loop.middle)) / loop.levels.size
     for order in (slice(None), slice(None, None, -1)):

@@ -224,7 +224,7 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
 
 
 def _foreign(spectra: SegmentSpectra, output) -> float:
-    """Return the part of the output's power without linear response; 0 if the spectra contain too little of it."""
+    """Return the fraction of the output's power without linear response; 0 if the spectra contain too little of it."""
     # the spectra are of differences
     undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
     power = np.abs(np.fft.rfft(output - output.mean())) ** 2
@@ -236,7 +236,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return the frequencies at which the spectrum of the residual has peaks and that of the input has none."""
+    """Return the frequencies at which the spectrum of the residual has peaks that the spectrum of the input lacks."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]

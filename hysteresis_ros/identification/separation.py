@@ -7,12 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Separation of a hysteresis from the past of the recording, and from lag, creep, drift and outliers.
+"""Separation of a hysteresis from the history before the recording, and from lag, creep, drift and outliers.
 
 A hysteresis has memory, and a recording does not show the voltage before it. If the voltage reaches both ends of its
-range and a cycle follows, the past is erased, and the earlier samples are omitted. Otherwise the whole recording
-counts, and three pasts are tried: rest at 0 V; a periodic input; a larger voltage that has left the actuator remanent.
-The memory of a remanent past depends on the model, so it is searched with the model.
+range and a cycle follows, the memory of the history is erased, and the earlier samples are omitted. Otherwise the whole
+recording counts, and three histories are tried: rest at 0 V; a periodic input; a larger voltage that has left the
+actuator remanent. The memory that a remanent history leaves depends on the model, so it is searched with the model.
 
 Models without lag and creep are fitted to data from which these are removed (:func:`separated`).
 """
@@ -47,7 +47,7 @@ from hysteresis_ros.units import readable
 #: Numbers of plays and dead zones of the trials, and of samples of their reduced data.
 TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
-#: Fraction of the samples, possibly outliers, that the comparison of pasts omits.
+#: Fraction of the samples, possibly outliers, that the comparison of histories omits.
 TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
@@ -112,9 +112,9 @@ def find_start(
 
 
 def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
-    """Choose between the pasts when the memory lasts too long to omit the affected samples."""
+    """Choose between the histories when the memory lasts too long to omit the affected samples."""
     rest = _trimmed(trials.error())
-    found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other past fits better"))]
+    found = [(rest, Start("zero", 0, (), "at rest at 0 V before the recording: no other history fits better"))]
     if _closed(data):
         note = "the input was periodic before: the recording ends where it begins, and this fits better than rest"
         periodic = Start("periodic", 0, (), note)
@@ -126,7 +126,7 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
 
 
 def remanence(voltage: float) -> str:
-    """Return a description of a remanent past.
+    """Return a description of a remanent history.
 
     Units: ``voltage`` [V].
     """
@@ -134,24 +134,24 @@ def remanence(voltage: float) -> str:
 
 
 class _PastTrials:
-    """Fits to a coarse recording under different pasts, each with its own lag."""
+    """Fits to a coarse recording under different histories before it, each with its own lag."""
 
     def __init__(self, data: IdentificationData, structure):
         self.data, self.structure = data, structure
 
     def condensed(self, start: Start) -> Condensed:
-        """Return the condensed recording with a given past."""
+        """Return the condensed recording after a given history."""
         v, y, skip = start.signals(self.data)
         return condense(v, y, self.data.sample_time, skip, history=start.history, enough=COARSE)
 
     def error(self, start: Start = Start("zero", 0), part=None) -> np.ndarray:
-        """Return the residual [m] of the samples with this past, shape (N,) or slightly shorter."""
+        """Return the residual [m] of the samples after this history, shape (N,) or slightly shorter."""
         condensed = self.condensed(start)
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
 
     def at_rest(self, first: int) -> bool:
-        """Whether rest at 0 V explains the samples before ``first`` about as well as those after it."""
+        """Whether rest at 0 V explains the samples before ``first`` about as well as the samples after it."""
         error = self.error()
         return first == 0 or _trimmed(error[:first]) <= max(
             AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
@@ -163,7 +163,7 @@ class _PastTrials:
         largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
         bipolar = float(np.min(voltage)) < -BIPOLAR * largest
         found = largest, 0.0
-        for _ in range(2):  # the lag is fitted for the best past, then the past again
+        for _ in range(2):  # the lag is fitted for the best history, then the history again
             lag = _lag(self.condensed(_after(found[0], first)))
             found = remanent_voltage(
                 lambda before, lag=lag: _trimmed(self.error(_after(before, first), lag)), largest, bipolar
@@ -182,7 +182,7 @@ def _lag(condensed: Condensed) -> LinearPart:
 
 
 def _trimmed(error) -> float:
-    """Return the root mean square of errors, without the largest ones, in their unit."""
+    """Return the root mean square of errors, without the largest errors, in their unit."""
     size = np.sort(np.abs(error))
     return float(np.sqrt(np.mean(size[: max(1, int((1.0 - TRIMMED) * len(size)))] ** 2)))
 
@@ -235,7 +235,7 @@ class Separated:
 
 
 def separated(data: IdentificationData, request: Request) -> Separated:
-    """Return the data without lag, creep, outliers and drift, and the assumed past.
+    """Return the data without lag, creep, outliers and drift, and the assumed history.
 
     A Preisach or a Prandtl-Ishlinskii model, whichever has the smaller residual, identifies them, because these models
     leave the shape of the loops free. The request stores the result for the next model of the same data.
@@ -276,13 +276,13 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     return Separated(clean, output, part, start, fit.warnings, constant)
 
 
-#: Range of the search for the past, as fractions of the voltage of the first fit, and its tolerance.
+#: Range of the search for the earlier voltage, as fractions of the voltage of the first fit, and its tolerance.
 SEARCHED_PART, PAST_TOLERANCE = (0.6, 1.5), 3e-3
 MOST_PAST_TRIALS = 14
 
 
 def remembered(static: Separated, fit, block):
-    """Return the result of ``fit``, and the separation with the matching past."""
+    """Return the result of ``fit``, and the separation with the matching history."""
     found = fit(static, None)
     if static.start.kind != "estimate":
         return found, static

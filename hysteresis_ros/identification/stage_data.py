@@ -312,7 +312,7 @@ def realisations(reading: StageReading, columns: StageColumns | None = None) -> 
 def planned_realisations(
     reading: StageReading, first: int, period: int, settle: int, periods: int, count: int
 ) -> StructureData:
-    """Return ``count`` realisations of an excitation whose plan is known, from sample ``first`` on."""
+    """Return ``count`` realisations of an excitation with a known plan, beginning at sample ``first``."""
     u, y = reading.whole()
     length = (settle + periods) * period
     if len(u) < first + count * length:
@@ -342,12 +342,12 @@ def _split(u: np.ndarray, period: int) -> list[tuple[int, int]]:
 
 
 def loops_of(reading: StageReading) -> list[tuple[int, int]]:
-    """Return for each input the span in which it moves alone (first sample, last sample + 1).
+    """Return for each input the interval in which no other input moves (first sample, last sample + 1).
 
     Raises
     ------
     DataError
-        An input never moves alone; the message names it.
+        There is no interval in which only this input moves; the message names it.
     """
     u, _ = reading.whole()
     reach = np.ptp(u, axis=0)

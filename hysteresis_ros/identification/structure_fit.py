@@ -17,7 +17,7 @@ equation has a trivial solution that looks perfect. Sensitivities run forward wi
     dw_i = Σ_j a_ij dplay_ij + ∂a_ij play_ij,
 
 where dplay = dz ∓ ∂r for a sliding play, and dplay is unchanged for a sticking one. Without plays the dynamics are
-linear. Outputs are in units of ``scale``, so that all numbers are near one.
+linear. Outputs are in units of ``scale``, so that all numbers are near 1.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def _advance(model, rates, varied, room, now):
 
 
 def run_sensitivities(model, rates, varied, u, found, room):
-    """Fill ``found`` for the inputs ``u``; the first rows, in excess of N, are the run-in."""
+    """Fill ``found`` with the outputs for ``u``; rows of ``u`` in excess of N come first and are the run-in."""
     run_in = u.shape[0] - found.y.shape[0]
     room.x[:] = 0.0
     room.S[:, :] = 0.0

@@ -76,7 +76,7 @@ ANOTHER_KIND = Threshold(
     0.5, HELD_OUT, "As LOOPS_OF_ONE_SIZE, for a model of another kind, which has no assumption about smaller loops."
 )
 #: If the simplest structure leaves more than this fraction of the stroke, a free Preisach density is tried too: loops
-#: that saturate, or whose branches have different shapes. Stacks are far below it.
+#: that saturate, or whose branches have different shapes. Piezo stacks have far smaller values.
 POOR = 0.01
 DENSITY_DECAY = Threshold(
     0.1,
@@ -101,11 +101,13 @@ NOTABLE_AMBIGUITY = 0.002
 # Voltage before the recording
 
 PAST_WHILE_FITTING = Threshold(
-    0.1, RESIDUAL, "Rest at 0 V needs no assumption; another past is one more parameter, identified on coarse samples."
+    0.1,
+    RESIDUAL,
+    "Rest at 0 V needs no assumption; another history is one more parameter, identified on coarse samples.",
 )
 PAST_WHILE_PREDICTING = Threshold(
     0.1,
-    "standard deviation of the error until the past is erased",
+    "standard deviation of the error until earlier voltages no longer matter",
     "As PAST_WHILE_FITTING, with a known model.",
 )
 

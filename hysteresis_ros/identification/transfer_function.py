@@ -286,7 +286,7 @@ class _Problem:
 
 
 def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
-    """Return starts as logarithms: the user's, that of an ARX fit, a spread over the band, random ones."""
+    """Return logarithms of initial values: the user's, those of an ARX fit, a grid over the band, random values."""
     poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
     found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
     if given is not None and len(found[0]) != poles:

@@ -42,7 +42,7 @@ class CorrelationTest:
     largest: float  #: Largest absolute correlation of the lags tested.
     #: Half width of the region that contains all tested lags together with that probability (Bonferroni).
     joint_bound: float
-    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN without one.
+    #: Probability that the joint statistic of all lags is at least this large by chance (Ljung-Box); NaN: not computed.
     probability: float
 
     @property

@@ -104,7 +104,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
 
 
 def _behind(name: str, firsts: dict[str, float]) -> bool:
-    """Return whether a model is so far behind on the first held-out part that it is stopped there."""
+    """Return whether a model has so large an error on the first held-out part that its evaluation stops there."""
     return name != PRIOR_MODEL and firsts.get(name, 0.0) > BEHIND * min(firsts.values(), default=math.inf)
 
 
@@ -113,7 +113,8 @@ def held_out_error(
 ) -> tuple[float, float]:
     """Return the RMS error [m] of a model on the held-out thirds, and its ambiguity there [m].
 
-    ``firsts`` collects the errors of all models on the first part [m]; a model that is behind is judged there only.
+    ``firsts`` collects the errors of all models on the first part [m]; a model with a large error there is evaluated
+    only there.
     """
     edge = round(HELD_OUT_PART * len(data))
     known = wiped_out(data.input) or 0
@@ -229,7 +230,7 @@ class Compared:
         initial : str, optional
             The state at the start: ``zero``, ``periodic`` or ``estimate``; the default depends on the model.
         measured : array_like, shape (N,), optional
-            Displacement [m] from which ``initial = "estimate"`` estimates the past before the first sample.
+            Displacement [m] from which ``initial = "estimate"`` estimates the voltage history before the first sample.
 
         Returns
         -------
@@ -538,7 +539,7 @@ def _validated(plant: PlantModel, identified_from, reading: Reading, inverse: bo
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     skip = _averaged(given.get("skip"), data)
     if skip is None:
-        # samples with an unknown past are omitted, as in an identification
+        # samples after an unknown history are omitted, as in an identification
         skip = automatic_skip(data) if plant.invertible and initial is None else 0
     free = given.get("offset") == "free"
     shown = as_sensed(data, predicted)

@@ -375,7 +375,7 @@ class HysteresisAxis(StandardReadable):
         Raises
         ------
         HysteresisError
-            The flight was not followed to its end; the samples so far are collected nevertheless.
+            The flight was not followed to its end; the samples received until then are collected nevertheless.
         """
         link, plan = self._connected(), self._plan
         if plan is None or not link.flying:
@@ -441,7 +441,7 @@ class _Link:
         return self.axis.look(time.monotonic())
 
     def begin(self, message: JointTrajectory) -> None:
-        """Send a trajectory, and collect samples from now on."""
+        """Send a trajectory, and begin to collect samples."""
         with self._lock:
             self._samples, self.answer, self.ending, self.flying = [], "", None, True
         self._paths.publish(message)

@@ -186,7 +186,7 @@ class Axis:
             columns[:] = whole
 
     def _run_sample(self, column: np.ndarray, changes: list[Change]) -> None:
-        """Compute one sample in steps, with changes between them."""
+        """Compute one sample step by step; the caller may change values between the steps."""
         row = np.zeros(len(column))
         for what, after in ((MEASURE, MEASURED), (ANSWER, ANSWERED), (CONFIRM, None)):
             self._run(column, what, row)

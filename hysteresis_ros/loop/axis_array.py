@@ -359,8 +359,7 @@ class ArrayNodeParameters(NodeParameters):
     wait_for_setpoints: bool = parameter(
         False,
         read_only=True,
-        description="lockstep: each sample waits for one message on setpoints after the previous one, at most for "
-        "partner_timeout",
+        description="lockstep: each sample waits for a new message on setpoints, at most for partner_timeout",
     )
     path: str = parameter(
         "",

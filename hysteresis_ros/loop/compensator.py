@@ -102,7 +102,7 @@ def compensate_fixed(laws, arrays, row):
 
     When the plant's output differs from the voltage sent, the model follows the output, and the next voltage continues
     from there. So the reported achieved command stays correct, and the next step is small. In a skipped sample the
-    voltage stays, and the model follows it.
+    voltage is held, and the model follows it.
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
@@ -133,7 +133,8 @@ def compensate_fixed(laws, arrays, row):
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
-        # the voltage follows the path, and its difference from the path changes at most at the slew rate to safe
+        # the voltage follows the path; its difference from the path decreases at most at the slew rate to the safe
+        # voltage
         x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
@@ -325,7 +326,7 @@ class CompensatorPart:
         adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
-        """Go to the safe voltage [V] at once and return it; a node that exits publishes it last."""
+        """Go to the safe voltage [V] immediately and return it; an exiting node publishes it last."""
         limits = self.arrays.p.limits
         # the slew rate limit must not keep the last message from being the safe voltage
         slew, limits[limiting.SLEW] = limits[limiting.SLEW], 0.0

@@ -98,7 +98,7 @@ class ControllerArrays(NamedTuple):
     watch_x: WatchArrays
 
 
-#: Number of samples without a report of the achieved command after which no node is assumed to report it.
+#: After this number of samples without a report of the achieved command, no node is assumed to report it.
 UNFOLLOWED_SAMPLES = 20
 
 #: Faults that act on the inputs of the controller.
@@ -215,7 +215,7 @@ def resting_place(own_p, own, mode, value):
     """Return the command [m] towards which a controller in this mode slews, given the displacement ``value`` [m].
 
     The slew rate is limited also while the command follows the displacement: otherwise the achieved command would close
-    a loop with gain one.
+    a loop with gain 1.
     """
     if mode == QUIET:
         return held_command(own_p, own, value)

@@ -11,7 +11,7 @@
 
 The compiled functions do not need Python's lock and allocate no memory. The voltages are monitored as those of the
 simulated plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it
-is made safe at once and not used until the axis is started again.
+is made safe immediately and not used until the axis is started again.
 
 The limits are those of the parameter file, which must lie within the device's range.
 """
@@ -102,7 +102,7 @@ class DevicePlantArrays(NamedTuple):
 def link_to(
     compiled: Compiled | None, clock: bool = False, trigger_output: bool = False, trigger_input: bool = False
 ) -> np.ndarray:
-    """Return the link array of a device, all zeros without one, with the addresses of the functions that are used."""
+    """Return the link array of a device, with the addresses of the functions that are used; zeros without a device."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
         link[CLOCK] = compiled.clock if clock else 0
@@ -170,7 +170,7 @@ if COMPILED:
 
     @kernel
     def call_event(link, which, number, real):
-        """Call a function of the device that takes a whole number and a real one; return its code."""
+        """Call a function of the device with a whole and a real argument; return its code."""
         return _call_event(link[which], link[DEVICE], int(number), real)
 
 else:
@@ -192,7 +192,7 @@ else:
         return _NUMBER(int(link[which]))(int(link[DEVICE]), int(number))
 
     def call_event(link, which, number, real):
-        """Call a function of the device that takes a whole number and a real one; return its code."""
+        """Call a function of the device with a whole and a real argument; return its code."""
         return _EVENT(int(link[which]))(int(link[DEVICE]), int(number), float(real))
 
 
@@ -291,7 +291,7 @@ def sense_device(laws, arrays, row):
 
 @nested
 def output_events(arrays, row):
-    """Output what begins at this sample of a scan, and the trigger of the sample, if the device is asked to."""
+    """Output the scan edges of this sample, and its trigger, if the device has to make them."""
     if row[at.SCAN_EDGES] != 0.0 and arrays.link[CLOCK] != 0 and is_linked(arrays.link):
         code = call_number(arrays.link, CLOCK, row[at.SCAN_EDGES])
         if code != 0:
@@ -434,7 +434,7 @@ class DrivenPlant(Plant):
             raise DriverError(device, problem, "raise sample_rate, or the time of the watchdog")
 
     def _require_triggers(self, can: Capabilities, device: str) -> None:
-        """Raise a DriverError unless the device makes the triggers of the axis and has the input that it takes."""
+        """Raise a DriverError unless the device makes the triggers of the axis and has its trigger input."""
         parameters = self.parameters
         given = parameters.triggers
         if parameters.trigger_input and not can.trigger_input:
@@ -540,7 +540,7 @@ class DrivenPlant(Plant):
         return self._left_at if self._left else float(self.limits.x[OUTPUT])
 
     def output_clock(self, edges: at.Edge) -> None:
-        """Output what begins at this sample of a scan, if ``scan_clock`` is set and the device works."""
+        """Output the scan edges of this sample, if ``scan_clock`` is set and the device works."""
         if self.parameters.scan_clock and not self._failure:
             try:
                 self._opened.output_clock(edges)
@@ -548,7 +548,7 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def output_trigger(self, number: int, delay: float) -> None:
-        """Output a trigger that was ``delay`` [s] before a sample, if the loop has to ask for it."""
+        """Output a trigger that occurred ``delay`` [s] before a sample, if the device does not trigger by itself."""
         if self.parameters.trigger_output and not self._failure and not self.capabilities.compares:
             try:
                 self._opened.output_trigger(number, delay)
@@ -607,7 +607,7 @@ class DrivenPlant(Plant):
             self._fail(error)
 
     def reset(self) -> None:
-        """Restart at the device's present voltage; it slews to the safe voltage and then to the received one."""
+        """Restart at the device's present voltage, which slews to the safe voltage and then to the received voltage."""
         self._acknowledge()
         held = self.held()
         super().reset()

@@ -65,7 +65,7 @@ FAULTS = {
     ),
     "offset": FaultKind(MEASUREMENT, ADD, "the value is added to the measurement", 1e-6, "m"),
     "disorder": FaultKind(
-        MEASUREMENT, DISORDER, "every second measurement is a repeat of the previous one, with its old stamp"
+        MEASUREMENT, DISORDER, "every second measurement repeats the previous measurement, with its old stamp"
     ),
     "unanswered": FaultKind(APPLIED, LOST, "the controller does not receive the achieved command"),
     "lost_command": FaultKind(COMMAND, LOST, "no command reaches the compensator"),
@@ -234,7 +234,7 @@ def draw(x):
 
 @kernel
 def begin_sample(x):
-    """Count a sample; its measurement has the present stamp unless a fault changes it."""
+    """Count a sample and set the stamp of its measurement, unless a fault changes the stamp."""
     x[STAMP] = x[SAMPLES]
     x[SAMPLES] += 1.0
 

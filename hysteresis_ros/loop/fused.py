@@ -155,7 +155,7 @@ def require_spin(spin: float) -> None:
 
 @contextlib.contextmanager
 def shallow_sleep():
-    """Keep the processor from sleep states that take long to leave; tell whether that is permitted."""
+    """Keep the processor out of deep sleep states, which it leaves slowly; return whether this is permitted."""
     with contextlib.ExitStack() as stack:
         held = None
         with contextlib.suppress(OSError):
@@ -213,8 +213,8 @@ WAKING = 0.02
 LEAD = 5_000_000
 #: Polling interval for an accepted request [s].
 LOOK = 2e-4
-#: Longest busy wait for the loop to pause [s]. After it the waiting thread sleeps between checks, which may take 5 ms
-#: if another thread runs.
+#: Longest busy wait for the loop to pause [s]. After this time the waiting thread sleeps between checks, which may take
+#: 5 ms if another thread runs.
 HASTE = 2e-3
 
 
@@ -591,7 +591,7 @@ class FusedLoop:
         return self._reader.take()
 
     def latest(self, place: int = 0) -> tuple[int, np.ndarray]:
-        """Return number and row of the last sample, -1 and NaN before the first one."""
+        """Return number and row of the last sample; before the first sample -1 and NaN."""
         return latest(self._own, place)
 
     def lateness(self) -> Lateness:

@@ -69,7 +69,7 @@ def switched(code: int, nodes: tuple[str, ...]) -> list[tuple[str, str]]:
 
 @nested
 def switch(laws, parts, column, code):
-    """Start or stop a part, beginning with this sample; requests to a source are written into the column."""
+    """Start or stop a part from this sample on; requests to a source are written into ``column``."""
     trip = parts.plant.watch_x.trip
     controller, compensator = parts.controller.watch_x.own, parts.compensator.watch_x.own
     if code == START_PLANT:
@@ -296,8 +296,8 @@ def take_setpoint(own, i):
 def take_post(own, i, motor):
     """Read all requests to an axis since the last sample; write the switches to make after its row.
 
-    Several posts between two samples act as one: each contains all requests so far. The table of a post is complete
-    before its number is written, and it is overwritten POSTS posts later.
+    Several posts between two samples act as one post, because each contains all requests until then. The table of a
+    post is complete before its number is written, and it is overwritten POSTS posts later.
     """
     counts, column = own.counts[i], own.column[i]
     post = own.posts[own.state[TAKEN] % POSTS, i]

@@ -762,13 +762,13 @@ TIMEOUTS = {
 def _device_trigger_problems(plant, name: str, source, controller):
     """Yield a Problem unless the source has the triggers that the plant's device makes, and acts on its input."""
     if plant.triggers not in (TriggerParameters(), source.triggers):
-        remedy = f"differ from those of the {name}: leave them out here, they are taken from there"
+        remedy = f"differ from those of the {name}: remove them here; the values of the {name} are then used"
         yield Problem("plant_simulator: triggers", name, remedy)
     if plant.trigger_output and not source.triggers.makes_events:
         remedy = f"there are no triggers: give {name} triggers"
         yield Problem("plant_simulator: trigger_output", plant.trigger_output, remedy)
     if plant.trigger_input and source.triggers.input.action == "none" and not controller.quiet.on_trigger:
-        remedy = f"nothing acts on it: give {name} triggers.input.action, or motion_controller quiet.on_trigger"
+        remedy = f"it has no effect: give {name} triggers.input.action, or motion_controller quiet.on_trigger"
         yield Problem("plant_simulator: trigger_input", plant.trigger_input, remedy)
 
 
@@ -928,14 +928,14 @@ class AxisParameters:
 
     @property
     def generator(self) -> ReferenceNodeParameters:
-        """Parameters of the reference generator; raises ConfigurationError without one."""
+        """Parameters of the reference generator; raises ConfigurationError if the axis has no reference generator."""
         return self.require_generator(
             "an inchworm motor has no reference_generator: its sequencer generates the reference"
         )
 
     @property
     def camera(self) -> DisplacementCameraNodeParameters:
-        """Parameters of the camera; raises ConfigurationError without one."""
+        """Parameters of the camera; raises ConfigurationError if the axis has no camera."""
         if self.displacement_camera is None:
             raise ConfigurationError("the axis has no displacement_camera: its plant publishes the measurement")
         return self.displacement_camera

@@ -15,8 +15,9 @@ a jump. After more than ``late_limit`` late voltages in a row, or within a secon
 plant *trips*, goes to its safe voltage and stops the axis until it is started again. It also trips when an actuator is
 measured far beyond its static range, which only an unstable loop can reach.
 
-A plant with a camera has no measurement of its own. Offline, this part evaluates each frame at once; between nodes,
-frames are messages. Both run in Python, because a frame takes a thousand times as long as any other sample.
+A plant with a camera has no measurement of its own. Offline, this part evaluates each frame in the sample in
+which it is made; between nodes, frames are messages. Both run in Python, because a frame takes a thousand times as long
+as any other sample.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def sense(laws, part, row):
 
 @by_part
 def actuate(laws, part, row):
-    """Hold the voltages of a sample until the next one, if they were received in time."""
+    """Hold the voltages of a sample until the next sample, if they were received in time."""
 
 
 @by_part
@@ -122,7 +123,7 @@ TRIP_PARAMETERS = 5
 # Reasons of a trip: too many late voltages; a measurement out of range; an emergency stop; a device that failed, which
 # only a start clears; a lost node of the axis.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
-# A relative sensor is being homed: this reason ends by itself, and every other one replaces it.
+# A relative sensor is being homed: this reason ends by itself, and any other reason replaces it.
 FINDING_HOME = -1
 
 # State: reason of the trip, late voltages so far, late voltages in a row, decaying count of late voltages; mode of the
@@ -428,13 +429,13 @@ class Plant:
         self.forgive()
 
     def lose(self, name: str) -> None:
-        """Stop the axis because one of its nodes is lost, until it is started again; an earlier reason is kept."""
+        """Stop the axis until it is started again, because one of its nodes is lost; an earlier reason is kept."""
         self.lost = name
         if self._watch_x.trip[TRIP] in (NOT_TRIPPED, WITHOUT_VOLTAGE):
             self._watch_x.trip[TRIP] = PARTNER_LOST
 
     def halt(self) -> None:
-        """Stop the axis at once, until it is started again."""
+        """Stop the axis immediately, until it is started again."""
         self._watch_x.trip[TRIP] = max(self._watch_x.trip[TRIP], HALTED)
 
     def forgive(self) -> None:
@@ -467,10 +468,10 @@ class Plant:
         """Repeat the output of a device, so that its watchdog does not act in a pause between samples."""
 
     def output_clock(self, edges: at.Edge) -> None:
-        """Output what begins at this sample of a scan; a simulated plant has no outputs for it."""
+        """Output the scan edges of this sample; a simulated plant has no outputs for them."""
 
     def output_trigger(self, number: int, delay: float) -> None:
-        """Output a trigger that was ``delay`` [s] before a sample; a simulated plant has no output for it."""
+        """Output a trigger that occurred ``delay`` [s] before a sample; a simulated plant has no output for it."""
 
     def make_safe(self) -> None:
         """Bring a device to its safe state."""
@@ -613,7 +614,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant and, where frames are evaluated at once, the part that evaluates them."""
+    """The camera of a plant and, where no camera node evaluates its frames, the part that evaluates them."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera

@@ -10,11 +10,11 @@
 """Quiet hold: the command stands still for a time, so that neither sensor noise nor quantisation moves the actuator.
 
 The loop first runs on for ``quiet.average`` while the difference of its command from the reference is averaged, because
-a single command contains the noise of its sample. For the same time the deviation from this mean fades out, so that a
+a single command contains the noise of its sample. For the same time the deviation from this mean decays, so that a
 resonance that the loop damps does not ring when the command stands still. The compensator computes a voltage
 for each sample as always, so the voltage follows minus the creep of its model. At the end the controller continues with
-its states; its reference fades from the mean of the last measurements to the received reference, and its command begins
-with the held one.
+its states: its reference moves from the mean of the last measurements to the received reference, and its command starts
+at the held command.
 
 The drift of a quiet hold is the part of the creep that the model does not compensate. It is assumed to be a part of the
 creep that the model predicts from its present state (``quiet.creep_uncertainty``).
@@ -37,9 +37,9 @@ from hysteresis_ros.units import quantity_in, readable
 
 #: Name of the change, of the service and of its first number.
 QUIET, DURATION, TOLERANCE = "quiet", "duration", "tolerance"
-#: Longest quiet hold, and the time that a forecast looks ahead [s].
+#: Longest quiet hold, and longest horizon of a forecast [s].
 LONGEST = 1e5
-#: Number of instants at which a forecast looks.
+#: Number of instants at which a forecast is evaluated.
 INSTANTS = 2000
 
 # Own parameters of the controller's part, after those of :mod:`.controller`.
@@ -91,7 +91,7 @@ class QuietParameters(Parameters):
 
 @kernel
 def begin_quiet(own_p, own, samples):
-    """Begin a quiet hold of this number of samples; 0 ends the present one."""
+    """Begin a quiet hold of this number of samples; 0 ends the present hold."""
     standing = own[LEFT] > 0.0 and own[AHEAD] == 0.0
     own[LEFT] = samples
     if samples == 0.0:

@@ -47,7 +47,7 @@ from hysteresis_ros.references.moves import Noise
 from hysteresis_ros.references.waveforms import WaveformParameters
 from hysteresis_ros.signals import SOURCE
 
-#: Deviation of a plant from its model for which the loop is simulated, which is also the expected one.
+#: Expected relative deviation of a plant from its model, for which the loop is simulated.
 SIZE = 0.05
 #: Factors of gain, loop width, slowness and creep of each simulated plant; the first one is the model.
 PLANTS = (
@@ -59,15 +59,15 @@ PLANTS = (
 )
 #: Error of the linear model as a fraction of the distance that is left to the setpoint.
 ROUGHNESS = 0.3
-#: Weight of an earlier move relative to the next one.
+#: Weight of a move relative to the move after it.
 FORGETTING = 0.98
 #: Samples of a simulation of the noise at rest, and the samples before them, in which the loop settles.
 REST, SETTLING = 8192, 2000
 #: Number of realisations of the noise.
 REALISATIONS = 32
-#: Largest number of samples that are simulated at once: a thread that predicts does not keep the interpreter longer.
+#: Largest number of samples per call of the simulation: so a predicting thread releases the interpreter soon.
 CHUNK = 2048
-#: Samples by which a prediction looks ahead at first and at most, and by which the models follow the axis before it.
+#: First and largest horizon of a prediction, and samples during which the models follow the axis before it [samples].
 NEAR, AHEAD, BEHIND = 256, 20_000, 512
 
 
@@ -194,7 +194,7 @@ class Predictor:
             Points of a trajectory to the setpoint, as for :meth:`.ReferenceGenerator.follow`.
         """
         self._begin(setpoint, after, path)
-        # what stays within the tolerance for half of the simulated time is taken to stay there
+        # an error within the tolerance for half of the simulated time is assumed to stay within it
         samples, random = min(math.ceil(dwell / self.sample_time - 1e-9), AHEAD // 2), np.random.default_rng(0)
         places = random.integers(REST, size=REALISATIONS)
         jitter, size = self.resting.trace, noise.displacement / max(self.resting.displacement, 1e-300)
@@ -208,7 +208,7 @@ class Predictor:
 
     @property
     def expected(self) -> np.ndarray:
-        """Displacement of the present move as far as it was computed, without noise [m], shape (N,)."""
+        """Part of the displacement of the present move that has been computed, without noise [m], shape (N,)."""
         return self._traces[0] + self.deviations @ self._slopes
 
     @property

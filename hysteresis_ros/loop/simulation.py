@@ -205,7 +205,7 @@ def _value(value):
 
 
 def answers_of(recorded: Recording) -> dict[str, np.ndarray]:
-    """Return what the device of an axis answered in each sample of a recorded run."""
+    """Return the answer of an axis' device in each sample of a recorded run."""
     nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
     absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
     absent["plant_voltage"] = recorded.signals["voltage"]
@@ -231,7 +231,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
 
 
 def unequal(recorded: Recording, twin: Recording, unknown: Collection[str] = ()) -> dict[str, int]:
-    """Return for each signal of a run, except ``unknown`` ones, the number of samples that differ from the twin."""
+    """Return for each signal of a run that is not in ``unknown`` the number of samples that differ from the twin."""
     columns = {"time": (recorded.time, twin.time)}
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}

@@ -194,7 +194,7 @@ def to_axes(group, rows):
 
 @kernel
 def crossed(weights, references, places, known, i):
-    """Return what the feedforward of a stage adds to the next command of axis ``i`` [m]."""
+    """Return the contribution of a stage's feedforward to the next command of axis ``i`` [m]."""
     total = 0.0
     length = weights.shape[2]
     for j in range(weights.shape[1]):
@@ -263,7 +263,7 @@ def confirm_axis(laws, parts, row):
 
 @kernel
 def report_reference(feedforward, own, row):
-    """Write the newest reference of an axis and the number of new ones into its row; -1: it does not follow them."""
+    """Write the newest reference of an axis and the number of new references into its row; -1: it follows none."""
     row[at.TRIPPED] = feedforward[feeding.NEWEST]
     row[at.CONTROLLER_MODE] = -1.0 if own[RETURNING] != 0.0 else feedforward[feeding.CALLS]
     feedforward[feeding.CALLS] = 0.0
@@ -277,7 +277,7 @@ def show_reference(laws, parts, row):
 
 @each
 def take_command(laws, parts, row):
-    """Give the feedforward of one axis what the stage adds to its next command."""
+    """Pass the stage's contribution to the next command of one axis to its feedforward."""
     parts.controller.x.feedforward[feeding.GIVEN] = row[at.TRIPPED]
 
 
@@ -467,8 +467,8 @@ class Stage:
     ) -> dict[str, dict[str, np.ndarray]]:
         """Simulate one sample for each setpoint [m]; return the signals of each axis, including ``time``.
 
-        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes, and so is what
-        the device of an axis answered in the repeated run (``answers``). ``skipped`` is 1 for a sample that all axes
+        Setpoints, changes, pulses of the trigger inputs and signals are given by the names of the axes, and so are the
+        answers of an axis' device in the repeated run (``answers``). ``skipped`` is 1 for a sample that all axes
         skip, otherwise 0.
         """
         waiting = self._sorted(changes or {})

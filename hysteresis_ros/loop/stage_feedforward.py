@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Feedforward of a stage: what the axes together need beyond the inverse of each axis alone.
+"""Feedforward of a stage: the coupling part, in addition to the inverse dynamics of each axis.
 
 The feedforward of a stage, from the references r of all axes to their commands u, is
 
@@ -19,10 +19,10 @@ is a finite impulse response in both directions of time, because the inverse of 
 circle is bounded only if it looks ahead.
 
 X reaches one sample less far ahead than F: after each sample the references of all axes are exchanged for the next
-sample. So no controller waits for another one within a sample, and the nodes, the fused loop and the offline twin
-compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing; when it returns,
-its references count as if they had always been constant. The weights of X add up to 0, so X adds nothing at rest; the
-matrix ``decoupling`` decouples at rest.
+sample. So no controller waits for another controller within a sample, and the nodes, the fused loop and the offline
+twin compute the same bits. An axis that does not follow its reference (stopped, stale) contributes nothing; when it
+returns, its references count as if they had always been constant. The weights of X add up to 0, so X adds nothing at
+rest; the matrix ``decoupling`` decouples at rest.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ from hysteresis_ros.references.waveforms.scan import ScanWaveformParameters
 
 #: Largest number of axes.
 MOST_AXES = 16
-#: Classes of the plant: hysteresis in front of the linear dynamics, or inside them.
+#: Kinds of plant: hysteresis in front of the linear dynamics, or inside them.
 HAMMERSTEIN, INTERNAL = "hammerstein", "internal"
 #: Parameters that all axes of a stage and the stage itself have in common.
 SHARED = ("sample_rate", "time_mode")
@@ -240,7 +240,7 @@ def _unfit_axis(axis: AxisParameters, stage: StageNodeParameters):
 
 
 def _unfit_feedforward(axis: AxisParameters, stage: StageNodeParameters):
-    """Yield a Problem for a feedforward of an axis that does not belong to that of its stage."""
+    """Yield a Problem if the feedforward of an axis does not match that of its stage."""
     own = axis.motion_controller.feedforward
     if stage.feedforward.weights and own.type == "none":
         allowed = "must be inverse_dynamics or static, because the stage has feedforward.weights"

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The linear response of a stage about rest, and what a scan requires of it: bandwidth and commands.
+"""The linear response of a stage around its operating point, and the bandwidth and commands that a scan requires.
 
 The bandwidth of the loop of an axis is the frequency up to which its displacement follows its reference with at least
 0.71 of the amplitude. The bandwidth that a scan needs is the frequency below which the path of that axis has 99.99 % of
@@ -99,7 +99,7 @@ def controllers_of(parameters: StageParameters) -> list[StateSpace]:
 def stage_loop(parameters: StageParameters) -> StateSpace:
     """Return the loop transfer of a stage, cut at the commands of the degrees of freedom, with negative feedback.
 
-    Controllers and damping laws are linearised about rest, as for the margins of a single axis.
+    Controllers and damping laws are linearised around the operating point, as for the margins of a single axis.
     """
     feedbacks = [StateSpace(one.A, one.B[:, 1:], -one.C, -one.D[:, 1:]) for one in controllers_of(parameters)]
     return in_series(stage_plant(parameters), diagonal(feedbacks))

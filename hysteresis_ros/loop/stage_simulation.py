@@ -46,8 +46,8 @@ def simulate_stage(
 ) -> Recording:
     """Run a stage offline from rest, for ``duration`` [s] and with ``setpoints`` [m] by the names of its axes.
 
-    Axes without setpoints keep their configured one. ``answers``, of each axis, are what its device answered in the run
-    that is repeated; without them the plants are simulated, also those that have drivers. The signals of the recording
+    Axes without setpoints keep their configured one. ``answers`` are the answers of each axis' device in the run that
+    is repeated; without them all plants are simulated, also those with a driver. The signals of the recording
     are ``x/displacement`` …; :meth:`.Recording.axis` gives those of one axis.
     """
     if duration is not None:
@@ -83,7 +83,7 @@ def simulate_stage(
 
 
 def repeated_stage(parameters: StageParameters) -> Stage:
-    """Return a stage that repeats what its devices answered: recorded measurements already are degrees of freedom."""
+    """Return a stage that repeats its devices' answers; recorded measurements already are degrees of freedom."""
     direct = replace(parameters, stage=replace(parameters.stage, sensor_matrix=()))
     ranges = zip(parameters.axes, parameters.travel(), strict=True)
     return Stage(direct, [fused_plant_of(axis.plant_simulator, False, travel) for axis, travel in ranges])
@@ -180,7 +180,7 @@ def chosen_stage(configuration: Configuration, faults: tuple[str, ...], namespac
     parameters = StageParameters.from_configuration(configuration)
     check_scan(parameters)
     if faults and namespace is None:
-        raise ConfigurationError(f"faults of a stage need an axis: name one of {', '.join(parameters.names)}")
+        raise ConfigurationError(f"a fault of a stage needs the name of its axis, one of {', '.join(parameters.names)}")
     if namespace is not None and not faults:
         raise ConfigurationError(
             f"the axes of a stage ({', '.join(parameters.names)}) run together: --namespace only selects the "

@@ -74,8 +74,8 @@ def accept(p, x, value, stamp):
     """Return ``value`` when it is accepted, NaN otherwise.
 
     A value is rejected when it is not finite, not newer than the last good one by its sample number ``stamp``, too far
-    from the last good one, or from a frozen sensor. After a time-out the next finite value is accepted, because nothing
-    recent could contradict it.
+    from the last good one, or from a frozen sensor. After a time-out the next finite value is accepted, because there
+    is no recent value for comparison.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -185,7 +185,7 @@ def least_beside(x, other):
     """Return the least voltage [V] of a clamp: its present voltage while the ``other`` clamp is below its target.
 
     Otherwise it is -inf. The sequencer opens one clamp after it has commanded the other to close; after a stop the
-    other one may still be closing.
+    other clamp may still be closing.
     """
     return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
 

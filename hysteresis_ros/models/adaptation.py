@@ -551,7 +551,7 @@ class Adaptation(Chain):
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
         self._rest()
-        # the past of the axis is unknown
+        # the voltage history of the axis is unknown
         self.xs.own[WAIT] = self.settings.own[SETTLING_SAMPLES]
         self._count_from_zero()
 

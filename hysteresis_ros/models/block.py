@@ -130,7 +130,7 @@ def cache_folder() -> pathlib.Path:
         for path in sorted((package / folder).glob("*.py" if folder == "." else "**/*.py")):
             digest.update(path.read_bytes())
     chosen = root / digest.hexdigest()[:16]
-    # an optional clean-up: when it fails, nothing is lost
+    # an optional clean-up; a failure has no effect
     with contextlib.suppress(OSError):
         oldest = time.time() - CACHE_DAYS * 86400
         for other in root.iterdir():
@@ -258,7 +258,7 @@ def each(function):
 
 
 class Stored:
-    """Arguments of compiled code, unpacked once instead of at every call; :func:`contents` returns them.
+    """Arguments of compiled code, unpacked in advance instead of at every call; :func:`contents` returns them.
 
     Parameters
     ----------
@@ -451,14 +451,14 @@ def specialised_for(samples: int, function, *arguments):
 
 
 def _mark_of(function, arguments) -> pathlib.Path:
-    """Return the file in the cache that exists when the machine code for these arguments does."""
+    """Return a file in the cache that exists if the machine code for these arguments exists."""
     kinds = " ".join(str(_type_of(argument)) for argument in arguments)
     name = f"{function.__qualname__} {kinds} {numba.__version__} {sys.version} {platform.machine()}"
     return pathlib.Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / hashlib.sha1(name.encode()).hexdigest()
 
 
 def direct(function):
-    """Return a result of :func:`specialised` for calls that do not look up the types of their arguments.
+    """Return a result of :func:`specialised` that does not look up the types of its arguments in each call.
 
     The look-up takes a millisecond for all arrays of an axis. The arguments must have the types for which the function
     was compiled, and arrays must be contiguous; this is not checked.
@@ -549,7 +549,7 @@ def run_kernel(step, p, x, u, y):
 
 
 class Chain:
-    """Several blocks that work as one; ``xs`` contains the state arrays of its parts."""
+    """Several blocks in one; ``xs`` contains the state arrays of its parts."""
 
     #: Named tuple of the state arrays of its parts.
     xs: Any

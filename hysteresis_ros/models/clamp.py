@@ -194,8 +194,8 @@ class ClampParameters(Parameters):
     def normal_force(self, voltage: float) -> float:
         """Return the steady-state normal force [N] at ``voltage`` [V].
 
-        Because of hysteresis the force depends on the past. The result is the smaller of two values: that of the first
-        closing, and that of a closing after full opening.
+        Because of hysteresis the force depends on the voltage history. The result is the smaller of two forces: at the
+        first closing, and at a closing after full opening.
         """
         low = self.limits.minimum
         displacement = min(self._displacements((voltage, low, voltage))[::2])

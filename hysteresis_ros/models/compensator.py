@@ -243,7 +243,7 @@ class Compensator(Chain):
         return voltages
 
     def hold(self, voltage: float) -> float:
-        """Output a given voltage [V] within the limits, e.g. the safe one; the model follows it."""
+        """Output a given voltage [V], e.g. the safe voltage, within the limits; the model follows it."""
         return interpreted(compensator_hold)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
 
     @property

@@ -168,7 +168,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class OwnInverse:
-    """An inverse that a model declares besides the closed form of its block; a choice of ``inverse.type``.
+    """An inverse that a model declares in addition to the closed form of its block; a choice of ``inverse.type``.
 
     Parameters
     ----------

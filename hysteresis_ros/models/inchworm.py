@@ -84,7 +84,7 @@ class InchwormLaws(NamedTuple):
 
 @dataclass(frozen=True)
 class InchwormParameters(Parameters):
-    """The parts of an inchworm motor besides the actuator: clamps, slider and the extender's stiffness."""
+    """The parts of an inchworm motor other than the actuator: clamps, slider and the extender's stiffness."""
 
     extender_stiffness: float = parameter(
         0.41e6, description="stiffness of the extender: force per shortening", unit="N/m", low=1.0, high=1e12
@@ -94,7 +94,7 @@ class InchwormParameters(Parameters):
     slider: SliderParameters = group(SliderParameters)
 
     def check(self):
-        """Yield a Problem when only one contact is compliant, or rigid contacts have parameters of compliant ones."""
+        """Yield a Problem if only one contact is compliant, or a rigid contact has a compliant contact's parameters."""
         compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
         if compliant[0] != compliant[1]:
             name = "rear_clamp" if compliant[0] else "front_clamp"
@@ -154,7 +154,7 @@ class InchwormPlantParameters(ActuatorParameters):
     inchworm: InchwormParameters = group(InchwormParameters)
 
     def check(self):
-        """Yield a Problem for each noisy sensor whose noise would equal that of another one."""
+        """Yield a Problem for each noisy sensor that has the same noise sequence as another sensor."""
         yield from super().check()
         yield from seed_problems(self)
 
@@ -342,8 +342,8 @@ class Inchworm(Chain):
         Raises
         ------
         ParameterError
-            The parameters are wrong, change the structure, or exclude the slider from the travel; nothing is changed
-            then.
+            The parameters are wrong, change the structure, or set a travel that does not contain the slider;
+            then nothing changes.
         """
         motor = parameters.validated().inchworm
         for name in ("front_clamp", "rear_clamp"):

@@ -38,7 +38,7 @@ from hysteresis_ros.models.linear_algebra import exponential, product, solve
 #: (0.9 · 2.5e-323 rounds to itself); processors compute up to thirty times more slowly with subnormal numbers. The
 #: processor's own mode for this is not used, because it may differ between threads and processes.
 NOTHING = 1e-290
-#: A pole or zero nearer to the unit circle than this counts as on it.
+#: A pole or zero nearer to the unit circle than this counts as lying on it.
 BOUNDARY = 1e-9
 
 
@@ -205,9 +205,8 @@ class LinearParameters(Parameters):
     sample_time: float = parameter(0.0, description="sample time of the matrices; 0: not stated", unit="s", low=0.0)
     delay: float = parameter(
         0.0,
-        description="delay of amplifier, converter and transport besides the matrices, not only in whole samples; "
-        "needs "
-        "sample_time",
+        description="delay of amplifier, converter and transport in addition to the matrices; any number of samples, "
+        "also a fraction; needs sample_time",
         unit="s",
         low=0.0,
     )
@@ -282,7 +281,7 @@ class LinearParameters(Parameters):
 
     @functools.cached_property
     def resolved_input_scale(self) -> float:
-        """``input_scale``; if it is 0, the value that makes the DC gain in SI one."""
+        """``input_scale``; if it is 0, the value that makes the DC gain in SI units 1."""
         return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:

@@ -458,7 +458,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return False
 
     def go_safe(self) -> None:
-        """Move the outputs to their safe values at once; called on deactivation and at exit."""
+        """Move the outputs to their safe values immediately; called on deactivation and at exit."""
 
     def release(self) -> None:
         """Release threads and files; called on deactivation and at exit, also after the regular end of a run."""

@@ -304,7 +304,7 @@ class InchwormSequencerNode(ReferenceSource):
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
-        # at this speed of the gait both clamps would close too late, so the grip voltage is output at once
+        # at this speed of the gait both clamps would close too late, so the grip voltage is output without a ramp
         for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
             self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
         self._publish_voltages()

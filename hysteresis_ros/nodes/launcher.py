@@ -215,7 +215,7 @@ class Graph:
         self.stop()
 
     def start(self) -> None:
-        """Start all processes and return at once; DDS connects them."""
+        """Start all processes and return without waiting; DDS connects them."""
         folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_")))
         if self.stage is not None:
             self._start_stage(self.stage, folder / "stage.yaml")
@@ -308,7 +308,8 @@ class Graph:
     def stop(self) -> None:
         """Stop all running processes; kill those that do not exit in time.
 
-        In real time they stop in order. In lockstep all stop at once, because the loss of one node would break the run.
+        In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would break
+        the run.
         """
         if self._session is not None:
             self._session.kill()  # it has no state to save

@@ -378,7 +378,8 @@ class ParameterInterface:
                     self._rows[name].convert(value)
             else:
                 self._refuse_read_only(changed)
-                # this is the only callback for these names on this node: accepted values are set at once, atomically
+                # this is the only callback for these names on this node: accepted values are set immediately and
+                # atomically
                 typed = self._cls.from_mapping(self._values() | changed)
                 self._apply(typed)
                 self.typed = typed

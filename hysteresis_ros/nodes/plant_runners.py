@@ -568,7 +568,7 @@ class RealTimePlant(RealTime):
         self._excuse(False)
 
     def _await_partners(self) -> None:
-        """Start a run of given length when the loop is complete; a run without end starts at once."""
+        """Start a run of given length when the loop is complete; a run without end starts immediately."""
         node = self.node
         waits = node.parameters.wait_for_recorder
         patience = time.monotonic() + STARTUP_TIMEOUT

@@ -369,7 +369,7 @@ class PlantSimulatorNode(AxisNode):
             self.log_change("halt")
 
     def _on_scan_clock(self, message) -> None:
-        """Let the device output what begins in a scan."""
+        """Let the device output the scan edges."""
         numbers = dict(zip(message.name, message.position, strict=False))
         if not self.active or any(not math.isfinite(numbers.get(name, math.nan)) for name in LEVELS[1:]):
             return

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: Service that takes a setpoint with a tolerance, and the names of the numbers in its request.
 MOVE, SETPOINT, TOLERANCE, DWELL = "move", "setpoint", "tolerance", "dwell"
-#: Time without a motion of the reference before the noise is measured [s], and samples that it takes at once.
+#: Time that the reference must rest before the noise is measured [s], and number of samples per evaluation.
 REST, BLOCK = 0.05, 256
 #: Largest number of measurements of a move from which the predictor learns.
 MOST = 20_000
@@ -66,7 +66,7 @@ class MoveToReady:
         self.begun = self.done = False
 
     def look(self, number: int, row) -> bool:
-        """Take a sample and its number; return whether the axis is ready."""
+        """Add a sample and its number; return whether the axis is ready."""
         if not self.begun:
             is_first = number >= self.first and (self.path is not None or row[signals.SETPOINT] == self.setpoint)
             if not is_first:

@@ -199,7 +199,8 @@ class RecorderNode(AxisNode):
             # an external plant may report its outputs here
             self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
-        # setpoints come from the node that accepts them: a publisher that exits at once may be discovered too late
+        # setpoints come from the node that accepts them: a publisher that exits after its message may be discovered too
+        # late
         heard = f"{self._axis_kind.source}/taken"
         self._taken = self._record("setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=heard)
         self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
@@ -338,7 +339,7 @@ class RecorderNode(AxisNode):
         self._arrived = True
 
     def write_message(self, topic: str, stamp: int, names: tuple[str, ...], values: list[float]) -> None:
-        """Write what begins in a scan, or a trigger, of a loop in this process."""
+        """Write the scan edges or a trigger of a loop in this process."""
         if self.recording is not None and self.active and self.running:
             self.recording.attempt(lambda bag: bag.write_joint_state(topic, stamp, names, values))
 
@@ -403,7 +404,7 @@ class RecorderNode(AxisNode):
         if self._arrived:
             self._last_arrival, self._arrived = time.monotonic(), False
         silent = time.monotonic() - self._last_arrival > QUIET
-        # in lockstep all nodes are stopped at once; otherwise an axis may continue without its recorder
+        # in lockstep all nodes are stopped together; otherwise an axis may continue without its recorder
         return silent and not ((self.runner.exact or self._ended) and self._lacking_changes())
 
     @property

@@ -280,7 +280,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         return ScanClockTopic(self, TOPIC)
 
     def report(self, stamp) -> None:
-        """Publish what begins in a scan, then ``~/state``."""
+        """Publish the scan edges, then ``~/state``."""
         if self.scan_clock is not None and self.runner.by_message:
             self.scan_clock.take(nanoseconds(stamp), self.row[signals.WAVEFORM_SAMPLE], self.scan_axis)
         super().report(stamp)

@@ -9,7 +9,7 @@
 
 """Topic ``scan_clock``: a message for each frame, line or pixel of a scan that begins, with the stamp of its sample.
 
-What begins follows from the samples of the waveform in the reference generators (``waveform_sample``). So it stays true
+The edges follow from the samples of the waveform in the reference generators (``waveform_sample``). So it stays true
 when the scan is stopped, started again or ends, when samples are skipped, and after a change of the waveform.
 """
 

@@ -157,7 +157,7 @@ class StagePlants(Group):
 
 
 class LockstepStagePlant(LockstepPlant):
-    """Publishes sample k of all axes at once, and continues with k+1 when all their voltages of k have arrived."""
+    """Publishes sample k of all axes together, and continues with k+1 when all their voltages of k have arrived."""
 
     def advance(self) -> None:
         """Publish the present sample when partners and recorder of all axes are ready."""
@@ -560,7 +560,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     def __init__(self, group: StageSources, **options):
         self.group, self.place = group, len(group.nodes)
-        #: Requests to several axes at once: the first sample that each affects, and the function to call before it.
+        #: Requests that affect several axes together: the first affected sample, and the function to call before it.
         self.coming: deque = deque()
         super().__init__(**options)
         group.nodes.append(self)

@@ -11,7 +11,7 @@
 
 The reference generator follows them (:mod:`hysteresis_ros.references.trajectory`); this module reads them from messages
 and returns the result to the sender. The action exists when the package control_msgs is installed. A refused goal is
-accepted and aborted at once, because a goal that ROS 2 rejects carries no reason.
+accepted and aborted immediately, because a goal that ROS 2 rejects carries no reason.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def points_by_joint(message, joints: Sequence[str]) -> dict[str, Points]:
     if not names or len(set(names)) != len(names) or set(names) - set(joints):
         raise _refused("joint_names", names, f"allowed: one or more of {', '.join(joints)}, each once")
     if seconds(message.header.stamp):
-        raise _refused("header.stamp", seconds(message.header.stamp), "must be 0; a trajectory begins at once", "s")
+        raise _refused("header.stamp", seconds(message.header.stamp), "must be 0; a trajectory begins immediately", "s")
     if len(message.points) > MOST_POINTS:
         raise _refused("points", f"{len(message.points)} points", f"allowed: at most {MOST_POINTS}")
     count = len(names)

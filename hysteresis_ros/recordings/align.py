@@ -274,7 +274,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
 
 
 def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
-    """Return the signals besides the columns of a run: with ``further`` all, otherwise those that are not empty."""
+    """Return the signals that are not columns of a run: all with ``further``, otherwise those that are not empty."""
     more = {}
     if further:
         more = {name: values for name, values in _further(states, stamps).items() if name not in present}

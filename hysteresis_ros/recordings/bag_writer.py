@@ -335,9 +335,10 @@ def offered_qos(durability: str = "volatile", depth: int = 1000) -> tuple[Qos, .
 class BagWriter:
     """Writes one bag folder (``NAME/NAME.mcap`` and ``NAME/metadata.yaml``) that ``ros2 bag`` and MCAP tools open.
 
-    Messages are collected in a chunk. A full chunk goes to the file at once, so a SIGKILL loses at most the open chunk.
-    Call :meth:`flush` regularly (the recorder does, every ``chunk_time``), because a slow axis would take minutes to
-    fill a chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay readable.
+    Messages are collected in a chunk. A full chunk is written to the file immediately, so a SIGKILL loses at most the
+    open chunk. Call :meth:`flush` regularly (the recorder does, every ``chunk_time``), because a slow axis would take
+    minutes to fill a chunk. After a failed write (full disk) the writer accepts nothing more; the earlier messages stay
+    readable.
 
     With ``max_bag_size`` or ``max_bag_duration`` the folder contains ``NAME_0.mcap``, ``NAME_1.mcap`` …, split as by
     ``ros2 bag record``: each file is complete by itself, and the folder is read as one recording.

@@ -10,8 +10,8 @@
 """Serialised messages of bags (CDR), encoded and decoded by the Jazzy types of ``rosbags``.
 
 A run of a minute at 3 kHz has two million messages; decoding them individually takes a minute. All messages of a topic
-usually share one layout, which follows from the first decoded message. The numbers of all messages are extracted at
-once if every significant byte of the layout agrees; otherwise messages are decoded one by one.
+usually share one layout, which follows from the first decoded message. The numbers of all messages are extracted in
+one operation if every significant byte of the layout agrees; otherwise messages are decoded one by one.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class MessageForm:
     """A message of fixed size as a template for others that differ only in stamp and numbers."""
 
     data: bytes  #: CDR with its four-byte header; stamp and numbers are zero.
-    stamp: int  #: Position of the header's stamp (int32 seconds, uint32 nanoseconds); -1 without one.
+    stamp: int  #: Position of the header's stamp (int32 seconds, uint32 nanoseconds); -1: no header.
     values: tuple[tuple[int, int], ...]  #: Position and length of each group of float64 numbers.
 
 

@@ -237,7 +237,7 @@ def _step(parameters: Mapping) -> float:
 
 
 def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:
-    """Return the requests to an inchworm motor besides setpoints, for replay by the simulation."""
+    """Return the requests to an inchworm motor other than setpoints, for replay by the simulation."""
     if not all(recording.has(name) for name in REQUESTS):
         return {}
     index = recording.sample_numbers()

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all at once.
+"""Writer of the samples of an axis: a bag with the topics, types and stamps of its nodes, in batches or all together.
 
 In batches, the constant part of the messages (nearly all of them) is written once; only stamps and numbers are filled
 in, for many samples at a time.

@@ -38,7 +38,7 @@ the value with which the full stroke R takes the least time: R/V + 2 V/A + 2 A/J
 equal. With all three limits 0 the output is the setpoint.
 
 ZV is a filter of three taps, at 0, m and m + 1 samples around half a period, with a zero on the pole of the mode, z =
-exp((−ζ ω + i ω √(1 − ζ²)) T), and the sum one: three equations for three taps. In continuous time ZV has the two
+exp((−ζ ω + i ω √(1 − ζ²)) T), and the sum 1: three equations for three taps. In continuous time ZV has the two
 impulses of [1]_; rounded to samples, these would leave a residual vibration. ZVD is ZV applied twice. It has a double
 zero, so the residual vibration is of second order in the error of the frequency.
 
@@ -272,10 +272,10 @@ class Approach(Block):
 TYPES = {"none": 0, "zv": 1, "zvd": 2}
 #: Number of stored positions: the longest delay of a tap is one less.
 RING = 4096
-#: Maximum number of taps besides the first one.
+#: Maximum number of taps, not counting the first.
 MOST = 5
 
-# Parameters: number of taps besides the first one, then the delay [samples] and the weight of each tap.
+# Parameters: number of taps without the first, then the delay [samples] and the weight of each tap.
 TAPS = 0
 FIRST = 1
 PARAMETERS = FIRST + 2 * MOST

@@ -81,7 +81,7 @@ def whole_turns(p, k):
 
 @kernel
 def triangle_shape(position, unipolar):
-    """Return a triangle of height one: 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric), ``position`` in [0, 1)."""
+    """Return a triangle of height 1: 0 → 1 → 0 (unipolar) or 0 → 1 → −1 → 0 (symmetric), ``position`` in [0, 1)."""
     if unipolar > 0.0:
         return 2.0 * position if position < 0.5 else 2.0 - 2.0 * position
     if position < 0.25:
@@ -110,7 +110,7 @@ class Packed:
     crest_factor : float or None
         Peak over root mean square, without the offset; None if unknown.
     edges : ndarray, optional
-        Bits of what begins at each sample of a scan (:meth:`.ScanClock.edges`); one 0: no scan.
+        Scan edges of each sample as bits (:meth:`.ScanClock.edges`); a single 0: no scan.
     """
 
     p: np.ndarray

@@ -261,7 +261,7 @@ GRIP_RANGE = 0.02
 SWING_RANGE = 0.05
 #: Integration steps of the slider's oscillation per bin.
 STEPS_PER_BIN = 8
-#: Tolerance for rounding errors of an eigenvalue of one: modes that the learning cannot observe have this eigenvalue.
+#: Tolerance for rounding errors of an eigenvalue of 1: modes that the learning cannot observe have this eigenvalue.
 ROUNDING = 1.0e-9
 
 

@@ -11,7 +11,7 @@
 
 Both clamps close first. From then on a clamp changes only while the other one is closed: *holding* (both closed) is the
 only state from which a clamp opens. In it the sequencer chooses the next phase from the setpoint, the measurements and
-the requests. A phase runs to its end, except when the motor must stop: then the open clamp closes at once while the
+the requests. A phase runs to its end, except when the motor must stop: then the open clamp closes immediately while the
 extender brakes.
 
 The sequencer replaces the reference generator. The motion controller's measurement is the slider position minus

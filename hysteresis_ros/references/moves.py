@@ -193,7 +193,8 @@ class NoiseMeter:
     """Measures the noise of an axis from the samples at which its reference has been constant for a time.
 
     The second difference of white noise has six times its variance, and that of a slow motion is small. The variance of
-    the error is that of the sensor's noise plus that of the displacement, since noise does not move the axis at once.
+    the error is that of the sensor's noise plus that of the displacement, since noise does not move the axis within the
+    sample.
 
     Parameters
     ----------

@@ -226,7 +226,7 @@ RECIPES = {
     ),
     "decaying": Recipe("two full cycles, then a decaying amplitude: minor loops, alpha of Duhem", _decaying),
     "multisine": Recipe(
-        "many frequencies at once, small amplitude, around the middle of the range: linear dynamics",
+        "many frequencies simultaneously, small amplitude, around the middle of the range: linear dynamics",
         _multisine,
         small=True,
     ),

@@ -10,7 +10,7 @@
 """The clock of a scan in a loop: which frames, lines and pixels begin at which sample of its waveform.
 
 A period of a path is a fraction of whole samples, so the place of each sample within the period is exact for any
-number of samples. What begins between two samples belongs to the later one.
+number of samples. An edge between two samples belongs to the later sample.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def end_of(periods: int, period: float, sample_time: float) -> int:
 
 
 class ScanClock:
-    """What begins at the samples of a scan that runs in a loop.
+    """Edges of a scan that runs in a loop: the samples at which its frames, lines and pixels begin.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class ScanClock:
     sample_time : float
         [s]
     level : str
-        Finest of ``frame``, ``line`` and ``pixel``; what is coarser is included. ``none``: nothing.
+        Finest of ``frame``, ``line`` and ``pixel``; coarser levels are included. ``none``: nothing.
     periods : int, optional
         Periods of the path, after which nothing begins; 0: without end.
 
@@ -137,7 +137,7 @@ class ScanClock:
         return Marks(place * self.sample_time, sample, place, frame + period * self._frames, line, pixel, direction)
 
     def between(self, after: int, until: int) -> Marks:
-        """Return what begins after one sample of the waveform and not after another one.
+        """Return the edges after one sample of the waveform, up to another sample.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class ScanClock:
         return math.inf if self._end and found >= self._end else found
 
     def of_level(self, edge: Edge) -> np.ndarray:
-        """Return the places [samples] of what begins at a level in a period, and the first one of the next period.
+        """Return the positions [samples] of the edges of a level in a period, and of the first edge of the next period.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class ScanClock:
         return np.append(places, places[0] + float(self._period))
 
     def delays(self, edge: Edge) -> np.ndarray:
-        """Return the time from what begins at each sample to the sample [s], for the loop; shape (N,).
+        """Return the time from the exact edge to its sample [s] for each sample, for the loop; shape (N,).
 
         Parameters
         ----------

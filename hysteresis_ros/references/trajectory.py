@@ -29,7 +29,7 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.block import kernel
 
 #: Parameters: SMOOTH is 1 when the approach is limited, so that its velocity is that of the motion; DECELERATION 0:
-#: stop at once.
+#: stop within one sample.
 SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
 
 #: State: ACTIVE is one of the codes below; PENDING 1: accepted, but no sample computed; ELAPSED and LENGTH in samples;

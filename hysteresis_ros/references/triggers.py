@@ -305,7 +305,7 @@ class TriggerArrays(NamedTuple):
     up: np.ndarray  #: Positions in the motion up [m].
     down: np.ndarray  #: Positions in the motion down [m].
     times: np.ndarray  #: First sample of the waveform at or after each time, and the delay until it [s], shape (N, 2).
-    delays: np.ndarray  #: Delay from what begins in a scan to each sample of its period [s]; one 0: no scan.
+    delays: np.ndarray  #: Delay from the exact scan edge to each sample of a period [s]; a single 0: no scan.
 
 
 def trigger_arrays(

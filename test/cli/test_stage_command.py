@@ -118,7 +118,7 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
         (("--rate", "realtime"), "10000 samples/s are too many for the messages between the nodes of a stage"),
         (("--composed",), "10000 samples/s are too many for the messages between the nodes of a stage"),
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
-        (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
+        (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
     ],
 )
@@ -133,7 +133,7 @@ def test_up_refuses_what_a_stage_cannot_do(words, message):
     [
         (("--drift", "0.1", "0"), "--drift is for a single axis"),
         (("--learned", "a.npz"), "--learned is for a single axis"),
-        (("--fault", "stale:0.1:0.1"), "faults of a stage need an axis: name one of x, y"),
+        (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1", "--namespace", "z"), "there is no axis 'z' in the stage: it has x, y"),
         (("--fault", "nonsense:0.1:0.1", "--namespace", "x"), "nonsense"),
@@ -261,7 +261,7 @@ def test_a_scan_that_a_stage_cannot_follow_is_refused(words, message, tmp_path):
 def test_a_design_of_a_stage_prints_how_its_axes_interact():
     said = hysteresis("design", "xy_scanner")
     assert "relative gains of x         1.002, -0.001603" in said
-    assert "disk margin of all at once  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
+    assert "disk margin of all together  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
     assert "missing option '-o'" in hysteresis("design", "kim2009", "--controller", "pid", code=2)
     assert "missing option '-o'" in hysteresis("design", "xy_scanner", "--controller", "pid", code=2)
     assert "nothing to design" in hysteresis("design", "xy_scanner", "-o", "never.yaml", code=2)

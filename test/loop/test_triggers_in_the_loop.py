@@ -184,7 +184,7 @@ def test_the_device_of_a_plant_makes_the_triggers_of_its_source():
     driven = {"driver": "simulated", "trigger_output": True}
     with pytest.raises(ParameterError, match="there are no triggers: give reference_generator triggers"):
         parameters(**real, plant_simulator=driven)
-    with pytest.raises(ParameterError, match="nothing acts on it: give reference_generator triggers.input.action"):
+    with pytest.raises(ParameterError, match="it has no effect: give reference_generator triggers.input.action"):
         parameters(**real, plant_simulator={"driver": "simulated", "trigger_input": True})
     own = {"triggers__positions": (1e-6,)}
     found = parameters(**real, plant_simulator=driven, reference_generator=own)
@@ -192,5 +192,5 @@ def test_the_device_of_a_plant_makes_the_triggers_of_its_source():
     # the files of its nodes contain them
     again = AxisParameters.from_configuration(parse_configuration(found.configuration_text(), "text"))
     assert again.plant_simulator.triggers == found.reference_generator.triggers
-    with pytest.raises(ParameterError, match="plant_simulator: triggers .* leave them out here"):
+    with pytest.raises(ParameterError, match="plant_simulator: triggers .* remove them here"):
         parameters(**real, plant_simulator=driven | {"triggers__positions": (2e-6,)}, reference_generator=own)

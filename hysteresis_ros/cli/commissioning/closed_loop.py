@@ -101,7 +101,7 @@ def _resting_reference(low: float, high: float) -> float:
 
 
 def steps_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
-    """Return small steps in closed loop [m]."""
+    """Return the setpoints of the small steps in closed loop [m]."""
     low, high = _reach(situation, configuration)
     rest, rate = _resting_reference(low, high), situation.rate
     far = high if high - rest >= rest - low else low
@@ -172,7 +172,7 @@ def designed(situation: Situation) -> Configuration:
 
 
 def loop_axis(situation: Situation) -> AxisParameters:
-    """Return the axis of the small steps in closed loop."""
+    """Return the axis, configured for small steps in closed loop."""
     configuration = designed(situation)
     return closed_axis(situation, configuration, "loop", steps_reference(situation, configuration))
 

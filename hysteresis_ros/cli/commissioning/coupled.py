@@ -127,7 +127,7 @@ class StageSituation:
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 
     def driven(self, stage: str, voltages: np.ndarray) -> StageParameters:
-        """Return the stage that outputs voltages [V], shape (N, n), in open loop, with limits just around them."""
+        """Return the stage that outputs voltages [V], shape (N, n), in open loop; its limits are just outside them."""
         ranges = []
         for name, volts in zip(self.names, voltages.T, strict=True):
             plan = self.plans[name]
@@ -180,7 +180,7 @@ def each_axis(
     judge: Callable[[Situation, Recording], Outcome],
     spans: Mapping[str, slice] | None = None,
 ) -> Outcome:
-    """Judge each axis like a single one, in the samples in which it moves."""
+    """Check each axis like a single axis, in the samples in which it moves."""
     lines, figures, pictures = [], {}, []
     for name in situation.names:
         own = recording.axis(name)

@@ -38,14 +38,14 @@ from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.loop.stage_response import stage_loop
 from hysteresis_ros.units import readable
 
-#: Largest error of the model on what was held out, as a fraction of the motion.
+#: Largest error of the model on the held-out data, as a fraction of the motion.
 UNFIT = 0.2
 #: Largest error of the hysteresis on its loops, as a fraction of the stroke.
 LOOSE = 0.05
 
 
 def identify_coupled(situation: StageSituation) -> Outcome:
-    """Identify the stage and write it in open loop; a realisation of the multisines is held out and judges."""
+    """Identify the stage and write it in open loop; a held-out realisation of the multisines tests the model."""
     reading, data = identification_data(situation, situation.folder.recording("multisine"))
     loops = reading_of(situation.folder.recording("hysteresis"), "hysteresis.npz")
     request = StageRequest(
@@ -131,7 +131,7 @@ def design_coupled(situation: StageSituation) -> Outcome:
 
 
 def closed_configuration(situation: StageSituation, watched: bool = True) -> Configuration:
-    """Return the stage of the file with what was designed; ``watched`` with the travel that commissioning allows."""
+    """Return the stage of the file with the designed parameters; ``watched``: and commissioning's limits of travel."""
     designed = load_configuration(situation.folder.path / DESIGNED)
     into = situation.within()
     if not watched:

@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of coupled axes in closed loop: steps and scans of one axis after the other, then all at once.
+"""The stages of coupled axes in closed loop: steps and scans of one axis after the other, then of all axes together.
 
-Each run is predicted by the identified stage with the same controllers before it is judged.
+Each run is compared with a prediction by the identified stage with the same controllers.
 """
 
 from __future__ import annotations
@@ -50,11 +50,12 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import hold, way
 from hysteresis_ros.units import readable
 
-#: Largest motion of an axis that holds its place, as a fraction of the step of another one.
+#: Largest motion of an axis that should hold its position, as a fraction of the step of the moving axis.
 DISTURBED = 0.25
-#: A motion below this part of the noise cannot be told from it.
+#: A motion below this fraction of the noise cannot be distinguished from it.
 BURIED = 0.2
-#: Judged periods of the path of all axes at once; one period before them and one after them swell and fade.
+#: Evaluated periods of the path of all axes together; the amplitude rises in one period before them and falls in one
+#: after.
 TOGETHER = 4
 
 
@@ -90,7 +91,8 @@ def ranges(situation: StageSituation) -> dict[str, Range]:
     """Return the range of each axis."""
     parameters = StageParameters.from_configuration(designed(situation))
     found = {}
-    # what the inverses make the safe voltages again: another reference would begin with a step of the voltage
+    # the references at which the inverses give the safe voltages: any other reference would begin with a step of the
+    # voltage
     resting = [
         hysteresis_block(axis.hysteresis_compensator.hysteresis, 1.0 / situation.rate).simulate(np.array([safe]))[0]
         for axis, safe in zip(parameters.axes, situation.safe, strict=True)
@@ -133,7 +135,7 @@ def run_of(situation: StageSituation, stage: str, references: np.ndarray) -> Sta
 
 
 def predicted(situation: StageSituation, stage: str, references: np.ndarray) -> Recording:
-    """Return what the identified stage makes of references [m], shape (N, n)."""
+    """Return the response of the identified stage to references [m], shape (N, n)."""
     parameters = situation.closed(designed(situation), f"{stage}_predicted", references)
     return simulate_stage(parameters, duration=len(references) / situation.rate)
 
@@ -150,7 +152,7 @@ def errors_of(situation: StageSituation, recording: Recording) -> dict[str, np.n
 
 
 def steps(situation: StageSituation) -> Excursion:
-    """Return small steps of one axis after the other."""
+    """Return the setpoints of small steps, one axis after the other."""
     rate = situation.rate
 
     def own(one: Range, place: float) -> np.ndarray:
@@ -164,12 +166,12 @@ def steps(situation: StageSituation) -> Excursion:
 
 
 def loop_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage with small steps in closed loop."""
+    """Return the stage, configured for small steps in closed loop."""
     return run_of(situation, "loop", steps(situation).references)
 
 
 def judge_loop(situation: StageSituation, recording: Recording) -> Outcome:
-    """Check that each loop settles after small steps, and that the other axes hold their place."""
+    """Check that each loop settles after small steps, and that the other axes hold their position."""
     excursion, rate = steps(situation), situation.rate
     errors = errors_of(situation, recording)
     expected = errors_of(situation, predicted(situation, "loop", excursion.references))
@@ -254,7 +256,7 @@ def scan_stage(situation: StageSituation) -> StageParameters:
 
 
 def repeated(error: np.ndarray, period: int) -> tuple[float, float]:
-    """Return the RMS [m] of what repeats in each period, without its mean, and the noise in the mean of the periods."""
+    """Return the RMS [m] of the periodic part, without its mean, and the noise in the mean of the periods."""
     table = error[: len(error) // period * period].reshape(-1, period)
     noise = float(np.mean(np.var(table, axis=0, ddof=1))) / len(table)
     return float(np.sqrt(max(np.var(table.mean(axis=0)) - noise, 0.0))), float(np.sqrt(noise))
@@ -302,7 +304,7 @@ def judge_scan(situation: StageSituation, recording: Recording) -> Outcome:
 
 
 def together(situation: StageSituation) -> tuple[np.ndarray, slice]:
-    """Return sines of different frequencies of all axes at once, shape (N, n) [m], and the judged samples.
+    """Return simultaneous sines with a different frequency on each axis, shape (N, n) [m], and the evaluated samples.
 
     Frequencies are 1, 1.5, 2 … times that of the scan, so the path repeats after two of its periods.
     """
@@ -323,7 +325,7 @@ def together(situation: StageSituation) -> tuple[np.ndarray, slice]:
 
 
 def judge_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage with all axes moving at once."""
+    """Return the stage, configured to move all axes simultaneously."""
     return run_of(situation, "judge", together(situation)[0])
 
 
@@ -353,6 +355,6 @@ def judge_together(situation: StageSituation, recording: Recording) -> Outcome:
             )
             for label, part in (("reference", 0.0), ("measured", 1.0))
         ]
-        pictures.append(Picture("Path of all axes at once", f"{first} [µm]", f"{second} [µm]", paths, equal=True))
+        pictures.append(Picture("Path of all axes together", f"{first} [µm]", f"{second} [µm]", paths, equal=True))
     write_file(situation.folder.path / COMMISSIONED, commissioned_text(situation))
     return Outcome(lines, figures, pictures)

@@ -7,9 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The stages of coupled axes in open loop: one axis after the other, then all at once.
+"""The stages of coupled axes in open loop: one axis after the other, then all together.
 
-Voltages and checks of an axis are those of a single one; what the sensors of the other axes show is judged besides.
+Voltages and checks of an axis are those of a single axis; the readings of the other axes' sensors are checked in
+addition.
 """
 
 from __future__ import annotations
@@ -94,7 +95,8 @@ def judge_gain(situation: StageSituation, recording: Recording) -> Outcome:
     lost = lost_direction(gain, [f"actuator {name}" for name in names])
     if lost:
         raise CommissioningError(
-            f"the gains are singular: the direction {lost} moves no sensor; check the sensors and where they look"
+            f"the gains are singular: the direction {lost} moves no sensor; check the sensors "
+            "and their directions of measurement"
         )
     relative = relative_gain_array(gain)
     if np.min(np.diag(relative)) <= 0.0:
@@ -154,7 +156,7 @@ def identification_excitation(situation: StageSituation) -> StageExcitation:
 
 
 def multisine_stage(situation: StageSituation) -> StageParameters:
-    """Return the stage with orthogonal multisines of all axes at once."""
+    """Return the stage, configured for simultaneous orthogonal multisines on all axes."""
     parameters = StageParameters.from_configuration(situation.within())
     return situation.driven("multisine", multisines(parameters, identification_excitation(situation))[0])
 

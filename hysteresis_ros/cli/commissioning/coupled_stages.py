@@ -51,7 +51,7 @@ def _resonance_words(situation: StageSituation) -> str:
 def _multisine_words(situation: StageSituation) -> str:
     swings = measured.predicted_swings(situation, measured.identification_excitation(situation).amplitude)
     most = ", ".join(f"{name} ±{readable(swing, 'm')}" for name, swing in swings.items())
-    return f"all axes at once: slowly to the middle of their ranges, multisines there, at most {most}, and back"
+    return f"all axes together: slowly to the middle of their ranges, multisines there, at most {most}, and back"
 
 
 def _hysteresis_words(situation: StageSituation) -> str:
@@ -85,10 +85,10 @@ def _scan_words(situation: StageSituation) -> str:
 
 def _judge_words(situation: StageSituation) -> str:
     rate = situation.rate / loops.scan_period(situation)
-    return f"closed loops: sines of all axes at once, from {rate:.4g} Hz on, as large as the scans"
+    return f"closed loops: sines on all axes together, from {rate:.4g} Hz on, as large as the scans"
 
 
-#: The stages of coupled axes by name, in order; each stage needs the ones before it.
+#: The stages of coupled axes by name, in order; each stage needs the results of the stages before it.
 COUPLED_STAGES: Procedure = {
     "noise": Stage("sensors at rest", _noise_words, measured.noise_stage, measured.judge_noise),
     "gain": Stage("gains and signs", _gain_words, measured.gain_stage, measured.judge_gain),
@@ -99,5 +99,5 @@ COUPLED_STAGES: Procedure = {
     "design": Computation("controllers", design_coupled),
     "loop": Stage("steps in closed loop", _loop_words, loops.loop_stage, loops.judge_loop),
     "scan": Stage("scans of each axis", _scan_words, loops.scan_stage, loops.judge_scan),
-    "judge": Stage("all axes at once", _judge_words, loops.judge_stage, loops.judge_together),
+    "judge": Stage("all axes together", _judge_words, loops.judge_stage, loops.judge_together),
 }

@@ -36,7 +36,7 @@ from hysteresis_ros.references.recipes import driven, write_samples
 
 
 class CommissioningError(HysteresisError):
-    """A result is implausible; commissioning stops until the user has checked it."""
+    """An implausible result; commissioning stops until the user has checked it."""
 
     exit_code = 2
 
@@ -136,7 +136,7 @@ class Plan(Parameters):
 
 
 def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> Plan:
-    """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator.
+    """Return the plan in a parameter file; if there is none, a plan from the limits and the model of the compensator.
 
     A section for all axes and one in the namespace of the axis may both be given; the latter wins.
     """
@@ -280,7 +280,7 @@ class Situation:
         return self.found[stage].figures[name]
 
     def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
-        """Return the axis that outputs voltages in open loop, with limits just around them.
+        """Return the axis that outputs voltages in open loop, with limits just outside their range.
 
         Units: ``voltages`` [V].
         """

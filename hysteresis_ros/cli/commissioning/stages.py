@@ -119,7 +119,7 @@ def _learn_words(situation: Situation) -> str:
     return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
 
 
-#: The stages of a commissioning by name, in order; each stage needs the stages before it.
+#: The stages of a commissioning by name, in order; each stage needs the results of the stages before it.
 Procedure = Mapping[str, Stage | Computation]
 STAGES: Procedure = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),

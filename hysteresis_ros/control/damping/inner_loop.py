@@ -429,7 +429,7 @@ class Damping(Block):
         return float(self.p[DIRECT])
 
     def retune(self, parameters) -> None:
-        """Change the filter, also to another kind, while running; the caller arms the hand-over that follows it.
+        """Change the filter while running, also its kind; the caller then arms the hand-over behind it.
 
         States of a filter of the same kind and order continue, shifted by the change of the steady state for the
         present input. A filter of another kind or order starts in its steady state.

@@ -103,7 +103,7 @@ INTEGRAL = HEADER  # I, the integral's part of the command
 DERIVATIVE = HEADER + 1  # D, the derivative's part of the command
 LAST_REFERENCE = HEADER + 2  # [m]
 LAST_MEASURED = HEADER + 3  # [m]
-EXCESS = HEADER + 4  # part of the last command that the controller's own limits cut
+EXCESS = HEADER + 4  # part of the last command beyond the controller's own limits
 LARGEST = HEADER + 5  # largest achieved command so far [m]
 PROPORTION = HEADER + 6  # K_p (b r − y) of the last sample
 STATES = HEADER + 7
@@ -224,7 +224,7 @@ class PidParameters(Parameters):
 
 
 def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
-    """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of one.
+    """Return the controller from (reference, measured) to command, in the model's units, with setpoint weights of 1.
 
     Returns
     -------

@@ -97,8 +97,8 @@ SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004,
 TOLERANCE, SETTLING = 0x07000900, 0x07000901
 
 #: Parameters of a trigger output (CTO): distance of the positions, axis, mode, first and last position; and the mode
-#: that triggers at equally spaced positions. With the first position below the last one it triggers in the motion up,
-#: with the first above the last in the motion down.
+#: that triggers at equally spaced positions. If the first position is below the last, it triggers in upward motion,
+#: otherwise in downward motion.
 TRIGGER_STEP, TRIGGER_AXIS, TRIGGER_MODE, START_THRESHOLD, STOP_THRESHOLD = 1, 2, 3, 8, 9
 POSITION_DISTANCE = 0
 
@@ -116,7 +116,7 @@ def meaning(code: int) -> str:
     return f"error {code}: {MEANINGS.get(code, 'see ERR? in the manual of the controller')}"
 
 
-#: End of an answer, and end of a line that is followed by another one.
+#: End of an answer, and end of a line that is followed by another line.
 END, MORE = b"\n", b" \n"
 #: Maximum number of bytes per read.
 CHUNK = 65536
@@ -129,7 +129,7 @@ ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
 
 
 def _names(text: str) -> list[str]:
-    """Return the words before an equals sign, with hexadecimal parameter numbers as decimal ones."""
+    """Return the words before an equals sign, with hexadecimal parameter numbers converted to decimal."""
     with contextlib.suppress(ValueError):
         return [str(int(word, 16)) if word[:2].lower() == "0x" else word for word in text.split()]
     return []
@@ -211,7 +211,7 @@ class GcsLink:
         return DriverError(self.name, problem, "check controller, network and other programs that use it")
 
     def _astray(self, problem: str) -> DriverError:
-        """Return the error of an answer that does not match its query, and mark the link as broken."""
+        """Return the error for an answer that does not match its query, and mark the link as broken."""
         self.broken = True
         return DriverError(self.name, problem, "give the address of a controller with GCS 2.0, check its network")
 

@@ -216,7 +216,7 @@ class Nv200Driver(Driver):
     def _put_out(self, voltage: float) -> None:
         answer = self._wait("is sent a voltage", lambda: self._device.write(f"set,{voltage:.3f}"))
         if answer is None:  # the package ignores a missing answer
-            raise self._failed("does not answer when it is sent a voltage")
+            raise self._failed("does not answer when a voltage is sent")
 
     def _measure(self) -> float:
         return self._unit * self._wait("measures", self._device.get_current_position)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One model on one recording: fitted and run in a process of its own, then judged on the test that it has not seen."""
+"""One model on one recording: fitted and run in its own process, then evaluated on the unseen test part."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Row:
     low: float = math.nan  #: low, high: 95 % interval of this error.
     high: float = math.nan
     maximum: float = math.nan  #: Largest absolute error.
-    parameters: int | None = None  #: Number of fitted parameters, if the model has stated it.
+    parameters: int | None = None  #: Number of fitted parameters, if the model reports it.
     fit_seconds: float = math.nan  #: Processor time of the fit [s].
     predict_seconds: float = math.nan  #: Processor time of the prediction [s].
     problem: str = ""  #: Reason why the row has no error, or why it is not ranked.
@@ -57,7 +57,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a model has returned: predictions of the whole test input and of its first part, and its cost."""
+    """Result of a model: predictions for the whole test input and its first part, number of parameters, durations."""
 
     whole: np.ndarray
     shown: np.ndarray
@@ -67,7 +67,7 @@ class Answer:
 
 
 def answer(spec: str, train: IdentificationData, test_input: np.ndarray) -> Answer | str:
-    """Fit a model and let it predict; return a text if it fails. It gets nothing of the test but the input."""
+    """Fit a model and predict; return the reason as text if this fails. Of the test it gets only the input."""
     np.random.seed(SEED)  # for models that use the global generator
     begun = time.process_time()
     try:

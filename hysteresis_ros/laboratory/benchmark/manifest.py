@@ -31,7 +31,7 @@ from hysteresis_ros.identification.reading import Columns, read_data
 
 #: Name of the manifest that comes with the package, in this folder.
 SHIPPED = "recordings.yaml"
-#: Keys of a recording and of a part, with what stands there.
+#: Keys of a recording and of a part, and the meaning of their values.
 RECORDING = {
     "about": "what was recorded",
     "source": "where to get the files",
@@ -94,7 +94,7 @@ class Task:
     truth: Mapping[str, Any] | None = None  #: Parameters of a synthetic plant.
 
     def __post_init__(self):
-        """Refuse what no model could be judged with."""
+        """Refuse recordings on which a model cannot be evaluated."""
         for part, data in (("train", self.train), ("test", self.test)):
             if not np.all(np.isfinite(data.input)) or not np.all(np.isfinite(data.output)):
                 raise IdentificationError(f"{self.name}: the {part} part has missing samples; choose another range")
@@ -111,7 +111,7 @@ class Task:
                 f"{self.test.sample_time:g} s; they must be equal"
             )
         if not 0 <= self.first < len(self.test) - 1:
-            raise IdentificationError(f"{self.name}: no sample of the test part is left after skip {self.first}")
+            raise IdentificationError(f"{self.name}: the test part has no sample after the first {self.first} (skip)")
 
     @property
     def stroke(self) -> float:

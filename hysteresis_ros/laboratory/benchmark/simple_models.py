@@ -169,7 +169,7 @@ UNITS, LENGTH, WARM_UP, BATCH, STEPS, RATE = 8, 160, 40, 32, 600, 1e-2
 
 
 class GatedRecurrentUnit:
-    """A gated recurrent unit of 8 hidden units beside a straight line, trained through time by Adam (seed 0).
+    """A gated recurrent unit of 8 hidden units in parallel with a straight line, trained through time by Adam (seed 0).
 
     Its inputs are the scaled input and its change. Cho et al., EMNLP 2014, doi 10.3115/v1/D14-1179.
     """

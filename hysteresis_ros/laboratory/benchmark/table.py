@@ -87,7 +87,7 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def _written(value):
-    """Return a value for a table of text: empty for what is unknown."""
+    """Return a value for a text table; empty if it is unknown."""
     return "" if value is None or (isinstance(value, float) and not math.isfinite(value)) else value
 
 

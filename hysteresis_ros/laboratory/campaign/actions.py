@@ -243,7 +243,7 @@ REFUSED, ONE_MASTER = 2, "one axis has one master"
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Lifecycle transitions that are requested: all except shutdown, and some unknown ones.
 TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
-#: Invalid setpoints, and their interval [setpoints].
+#: Invalid setpoints, and the number of setpoints from one to the next.
 GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 

@@ -26,7 +26,7 @@ CROSSING = 0.25
 #: Setpoints, as fractions of the range from the lowest to the highest reference.
 LOW, HIGH = 0.2, 0.8
 #: Fraction of the stroke by which the displacement may leave the range between rest and setpoints. In addition it may
-#: move as far as the slew rate allows while voltages are late and the plant has not yet tripped.
+#: move at the slew rate while voltages are late and the plant has not yet tripped.
 BEYOND = 0.1
 #: Fraction of the stroke within which a setpoint counts as reached.
 REACHED = 0.02
@@ -155,7 +155,7 @@ class Trace:
     begun: float
     ended: float
     recovered: float
-    asked: tuple[float, float]  #: Lowest and highest setpoint, rest included [m].
+    asked: tuple[float, float]  #: Lowest and highest setpoint, including the rest position [m].
     samples: Samples  #: Samples from shortly before the fault to the recovery.
     #: Other violations: processes that died, tracebacks, unanswered calls.
     broken: tuple[str, ...] = ()
@@ -163,7 +163,7 @@ class Trace:
     notes: tuple[str, ...] = ()  #: Notes for the table.
 
     def with_samples(self, samples: Samples) -> Trace:
-        """Return the record with the samples of a recording instead of the observed ones."""
+        """Return the record with the samples of a recording instead of the observed samples."""
         last = self.recovered if np.isfinite(self.recovered) else np.inf
         return replace(self, samples=samples.between(self.begun, last))
 

@@ -134,7 +134,7 @@ def _of_processes():
     yield Mishap(
         "kill all",
         "Processes",
-        "SIGKILL of all processes at once; restarted after 0.1 and 2 s",
+        "SIGKILL of all processes together; restarted after 0.1 and 2 s",
         "",
         "kill",
         "all",

@@ -109,7 +109,7 @@ class Group:
             return None
 
     def codes(self) -> list[int | None]:
-        """Return the exit codes of the processes; None for running ones."""
+        """Return the exit codes of the processes; None for a running process."""
         return [process.poll() for process in self._processes.values()]
 
     def died(self) -> list[str]:
@@ -184,7 +184,7 @@ class Clock:
         return {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
     def set(self, offset: int) -> None:
-        """Shift the time of day from now on.
+        """Shift the time of day.
 
         Units: ``offset`` [s].
         """

@@ -189,7 +189,7 @@ def _with_margins(given: Known, candidate: Candidate, mismatch: float) -> Candid
 
 
 def compensators(axis: AxisParameters) -> dict[str, dict]:
-    """Return the compensators of an axis: none, the best inverse of its model, and this inverse with creep."""
+    """Return the compensators of an axis: none, the best inverse of its model, and the same inverse with creep."""
     given = axis.hysteresis_compensator
     block = given.hysteresis.model.block
     found = {"none": {"inverse.type": "none"}}

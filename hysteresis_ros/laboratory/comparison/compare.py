@@ -105,7 +105,7 @@ class Comparison:
 
 
 def _ranked_in(table: Table, row: Row) -> bool:
-    """Return whether a combination has a rank in another table, or does not occur in it."""
+    """Return whether a combination has a rank in another table or is not part of that table."""
     return all(other.ranked for other in table.rows if other.controller == row.controller and other.results)
 
 
@@ -278,7 +278,7 @@ def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]
 
 
 def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
-    """Refuse combinations that the axis does not have; otherwise the tables would silently lack them."""
+    """Refuse combinations that the axis cannot use; otherwise the tables would lack them without a message."""
     for position, kind in enumerate(("controller", "compensator")):
         known_names = list(dict.fromkeys(name[position] for name in possible))
         for name in (combination[position] for combination in only):

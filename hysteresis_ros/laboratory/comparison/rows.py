@@ -106,7 +106,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Trial:
-    """Data and plants for a set of candidates."""
+    """The recordings and plants on which candidates are designed and evaluated."""
 
     given: Known  #: Data for the designs, with conditions and tasks.
     conditions: Conditions
@@ -335,7 +335,7 @@ def _deviated(actuator: ForeignParameters, factors) -> ForeignParameters:
 
 
 def excitation(bench: Bench) -> np.ndarray:
-    """Return the voltages [V] of a typical recording: minor loops, then many frequencies at once, then steps."""
+    """Return the voltages [V] of a typical recording: minor loops, then a multisine, then steps."""
     rate = bench.sample_rate
     sample_time, parts = 1.0 / rate, []
     for name, changes in (

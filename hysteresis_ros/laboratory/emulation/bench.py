@@ -92,7 +92,7 @@ class DeviceFaults:
         self._entries.append((name, begin, begin + duration, rest[0] if rest else kind.value or 0.0))
 
     def value(self, name: str) -> float | None:
-        """Return the value of an active fault (0 if it has none); None if it is not active."""
+        """Return the value of an active fault (0 if the fault has no value); None if the fault is not active."""
         now = self._clock()
         return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
 

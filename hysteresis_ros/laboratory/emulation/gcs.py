@@ -121,7 +121,7 @@ def axis_of(controller: Controller, name: str) -> Axis:
 
 
 def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, float]]:
-    """Yield pairs of axis and number, after a check of all of them."""
+    """Check all pairs of axis and number, then yield them."""
     if not words or len(words) % 2:
         raise Refusal(WRONG_COUNT)
     pairs = [(axis_of(controller, name), real(text)) for name, text in zip(words[::2], words[1::2], strict=True)]

@@ -47,7 +47,7 @@ class MotorSettings:
     timeout: float  #: Time-out of a move, in addition to its duration at full speed [s].
     unit: str  #: Engineering unit, a unit of length.
     precision: int  #: Decimal places.
-    deadband: float = 0.0  #: A setpoint within this distance of the position does not move the axis [m]; 0: all do.
+    deadband: float = 0.0  #: A setpoint nearer to the position than this does not move the axis [m].
 
     @property
     def metres(self) -> float:
@@ -341,7 +341,7 @@ class MotorRecord:
             distance = abs(self._target - self._seen.position)
             self._begin(now, distance / own.velocity if own.velocity else 0.0)
             self._axis.move(self._target)
-        fields["DMOV"] = 0  # a refused move ends at once, with the alarm, and one within the deadband without
+        fields["DMOV"] = 0  # a refused move ends with an alarm, a move within the deadband without
         self._sum_up()
 
     def _begin(self, now: float, takes: float) -> None:
@@ -399,7 +399,7 @@ class MotorRecord:
             fields["SPMG"] = "Pause"
 
     def _follow(self) -> None:
-        """Show the active setpoint from any source, unless another one is pending."""
+        """Show the active setpoint from any source, unless a new setpoint is pending."""
         if math.isfinite(self._seen.setpoint) and self._pending is None:
             self.fields["DVAL"] = self._seen.setpoint / self.settings.metres
 

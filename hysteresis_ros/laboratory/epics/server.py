@@ -25,7 +25,7 @@ from hysteresis_ros.laboratory.epics.record import Alarm, Axis, MotorRecord, Mot
 #: Interval at which records read their axes and publish changes [s].
 PERIOD = 0.02
 
-#: Delay of an answer [s], so that the changes are published before it.
+#: Delay of an answer [s], so that changed values are published first.
 BEHIND = 0.05
 
 #: Fields that clients write: name in caproto → name of the field.

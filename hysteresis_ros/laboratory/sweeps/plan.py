@@ -60,7 +60,7 @@ class Range(ABC):
 
     @abstractmethod
     def over(self, row: ParameterRow) -> Levels | Spread:
-        """Return the levels or the distribution for a parameter; raise ValueError if it does not allow them."""
+        """Return the levels or the distribution for a parameter; raise ValueError if the parameter cannot have them."""
 
     @abstractmethod
     def words(self, unit: str = "") -> str:
@@ -379,7 +379,7 @@ def _ends(kind: str, low, high) -> tuple[float, float]:
 
 
 def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float, float]:
-    """Return middle and width of the factor on the configured value, or of the offset from it."""
+    """Return middle and width of the factor on the configured value, or of the offset added to it."""
     if row.type is int:
         raise ValueError("is a whole number: give its values, 12,14,16 or 4:16:lin13, or uniform(4,16)")
     width = _real(width, "width")

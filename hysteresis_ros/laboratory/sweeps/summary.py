@@ -262,7 +262,7 @@ def lines(summary: Summary) -> list[str]:
 
 
 def refusals(results: Results) -> list[str]:
-    """Return a line about the runs whose axis could not be built, with the first reason; nothing without such runs."""
+    """Return a line about the runs whose axis could not be built, with the first reason; empty if all were built."""
     numbers = np.flatnonzero(results.refused != "")
     if not numbers.size:
         return []

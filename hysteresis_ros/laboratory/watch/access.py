@@ -98,7 +98,7 @@ class Access:
 
 
 class Control:
-    """Write access for one of several pages: the first page has it until it closes or another page takes over."""
+    """Write access for one of several pages: the first page has it until it closes or another page requests it."""
 
     def __init__(self) -> None:
         self._holder: int | None = None

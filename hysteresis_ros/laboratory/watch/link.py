@@ -241,7 +241,7 @@ class AxisLink:
     # -- nodes of the axis -----------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        """Check which nodes have appeared and disappeared; request the parameters of a new one."""
+        """Check which nodes have appeared and disappeared; request the parameters of new nodes."""
         found = axis_nodes(self._client.nodes())
         there = found.pop(self.namespace, [])
         self.elsewhere = sorted(found)
@@ -360,7 +360,7 @@ class AxisLink:
             return
         if not self.memory.add(
             block
-        ):  # the samples do not continue the last ones: the axis has restarted, perhaps with other parameters
+        ):  # a gap before these samples: the axis has restarted, perhaps with other parameters
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return

@@ -115,7 +115,7 @@ class Memory:
             self._arrivals: list[tuple[float, int]] = []
 
     def add(self, block: Block) -> bool:
-        """Append samples and return True; return False, unchanged, when they do not follow the last ones."""
+        """Append samples and return True; if there is a gap before them, change nothing and return False."""
         count = block.numbers.size
         if not count:
             return True
@@ -250,7 +250,7 @@ class Track:
         self._pieces: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque()
 
     def add(self, block: Block) -> None:
-        """Append samples; begin again where they do not follow the last ones."""
+        """Append samples; after a gap, discard the earlier samples."""
         if not block.stamps.size:
             return
         if self._pieces and block.stamps[0] <= self._pieces[-1][0][-1]:

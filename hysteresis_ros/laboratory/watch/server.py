@@ -182,7 +182,7 @@ class Server:
         return socket
 
     async def _heard(self, page: Page, message) -> None:
-        """Queue a request; a stop is executed at once."""
+        """Queue a request; a stop is executed immediately."""
         try:
             if message.type != WSMsgType.TEXT:
                 raise RequestError("a request must be text, in JSON")

@@ -107,7 +107,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters in use; for models and laws, only those of the selected one."""
+    """Yield the names of the parameters in use; for models and laws, only those of the selected type."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:
@@ -166,7 +166,7 @@ def _is_ours(node: str, name: str) -> bool:
 def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
     """Return the ranges that a page draws: of the reference [m], of the voltage [V] and of setpoints [m].
 
-    The range of setpoints leaves room for the waveform, as the reference source does.
+    The range of setpoints is reduced by the amplitude of the waveform, as the reference source does.
     """
     source = values.get(MOTOR_SOURCE) or values.get("reference_generator", {})
     compensator = values.get("hysteresis_compensator", {})

@@ -169,7 +169,7 @@ def survey(client: Client) -> list[AxisStatus]:
             values = {pair.key: pair.value for pair in status.values}
             reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
 
-    # the last reports of this package's nodes arrive at once, those of other nodes when they are published
+    # nodes of this package repeat their last report to a new subscriber, other nodes report when they next publish
     for keeps in (True, False):
         client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
 

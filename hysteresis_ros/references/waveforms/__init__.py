@@ -96,7 +96,7 @@ class Waveform(Block):
     period : int or None
         Number of samples after which the output repeats bit for bit; None if it does not within 2²⁶ samples.
     edges : ndarray
-        Bits of what begins at each sample of a scan (:meth:`.ScanClock.edges`); one 0: no scan.
+        Scan edges of each sample as bits (:meth:`.ScanClock.edges`); a single 0: no scan.
 
     Raises
     ------

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Multisine: many frequencies at once, of equal amplitude."""
+"""Multisine: many simultaneous frequencies of equal amplitude."""
 
 from __future__ import annotations
 

@@ -96,12 +96,12 @@ def figures(found: Reproduction) -> list:
         ("The paper's triangle: errors with and without the uncompensated run", _errors(paper, small)),
         ("The paper's triangle within 0 … 150 V: errors", _errors(limited, small)),
         (
-            "Realistic conditions, all at once, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",
+            "All realistic conditions together, model's d_e 5 % too large: two triangles of 0.1 Hz, and the first turn",
             traces_comparison(
                 {auwal.METHODS[method]: run for method, run in together.items()}, (middle - 0.5, middle + 1.0)
             ),
         ),
-        ("Realistic conditions, all at once: errors", _errors(together, small)),
+        ("All realistic conditions together: errors", _errors(together, small)),
     ]
 
 

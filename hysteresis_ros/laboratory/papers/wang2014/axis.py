@@ -38,7 +38,7 @@ CREEP = 0.01  # a decade
 #: Displacement that represents a volt while a voltage is played [m/V].
 SCALE = 0.75e-3
 RECORDED_CYCLES = {0.25: 3, 0.5: 3, 1.0: 4}
-#: Cycles of each run; the first one, from rest, does not count.
+#: Cycles of each run; the first cycle, from rest, is not evaluated.
 CYCLES = {0.25: 2, 0.5: 2, 1.0: 4}
 
 #: Controllers in the order of the rows: configuration and words.
@@ -160,7 +160,7 @@ def delayed_reference(configuration: Configuration, recording: Recording) -> np.
 
 
 def tracking_error(configuration: Configuration, recording: Recording, start: float) -> np.ndarray:
-    """Return the delayed reference minus the true displacement [m] from ``start`` [s] on."""
+    """Return the delayed reference minus the true displacement [m], beginning at ``start`` [s]."""
     error = delayed_reference(configuration, recording) - recording["displacement"]
     return error[recording.time >= start - 1e-9]
 
