@@ -296,7 +296,7 @@ def _response(found: AxisResponse) -> Response:
 
 
 def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
-    """Draw a random plant around the configured one: gain, loop width, creep and times vary, the models do not.
+    """Draw a random plant close to the configured plant: gain, loop width, creep and times vary, the models do not.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def find_steps(time, signals) -> Steps:
 
 
 def find_moves(signals, slider, tolerance: float, home: float | None = None) -> tuple[Move, ...]:
-    """Return the moves of a run, each from a new setpoint, request or speed to the next one.
+    """Return the moves of a run; a move lasts from a new setpoint, request or speed to the next.
 
     The beginning of a run, before the first request, is a move unless the slider is already at the setpoint.
 
@@ -247,7 +247,7 @@ COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
 def inchworm_figures(recording: Recording) -> dict:
     """Return the figures of merit of an inchworm motor's run.
 
-    A *move* lasts from a new setpoint (request, speed) to the next one; q is the slider's true displacement, or the
+    A *move* lasts from a new setpoint (request, speed) to the next; q is the slider's true displacement, or the
     measured one if the recording's notes say so.
 
     ============================== ===================================================================================

@@ -67,7 +67,7 @@ def origin(recording: Recording) -> str:
 
 
 def require_page(path) -> None:
-    """Raise RecordingError when the suffix is not that of a page or the folder does not exist."""
+    """Raise RecordingError when the suffix is not that of an HTML page, or the folder does not exist."""
     suffix = pathlib.Path(path).suffix
     if suffix.lower() not in PAGES:
         raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")

@@ -141,7 +141,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
 
 #: A reference repeats when it differs from itself one period later by at most this fraction of its range. The
 #: difference may be larger for at most this number of samples in a row. The comparison must cover at least this
-#: fraction of a period beyond the first one.
+#: fraction of a period in addition to the first period.
 EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
 #: Largest number of reversals in a period.
 REVERSALS = 40
@@ -531,7 +531,7 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a repeating reference, up to its last reversal, without the samples after it."""
+    """Return the last periods of a repeating reference, up to its last reversal."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")

@@ -57,7 +57,7 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
 
 
 def require_picture(path) -> None:
-    """Raise RecordingError when the suffix is not that of a picture or the folder does not exist."""
+    """Raise RecordingError when the suffix is not that of a picture, or the folder does not exist."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ".png":
         raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")

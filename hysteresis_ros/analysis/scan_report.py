@@ -280,7 +280,7 @@ def retraced(run: ScanRun) -> bool:
 
 
 def scan_figures(run: ScanRun) -> dict:
-    """Return the figures of a scan, see :data:`ROWS`; None for those that this kind of scan does not have.
+    """Return the figures of a scan, see :data:`ROWS`; None for a figure that this kind of scan does not have.
 
     Coupling is the error across a line, caused by the motion along it. It is computed about its mean over the line,
     because an offset of the whole line is an error of the other axis itself.

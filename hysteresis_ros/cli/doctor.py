@@ -164,7 +164,7 @@ HOPELESS = 0.1
 BUDGET = 35.0
 
 
-@click.command(short_help="Measure the rates of this machine, and list what is missing.")
+@click.command(short_help="Measure the rates of this machine, and list missing software and permissions.")
 @click.option(
     "--json", "path", metavar="FILE", type=click.Path(path_type=pathlib.Path), help="JSON file for all results."
 )
@@ -295,7 +295,7 @@ def _row(row: dict) -> str:
 
 
 def _delays(progress: Progress) -> list[dict]:
-    """Return what delays a loop on this machine."""
+    """Return the settings of this machine that delay a loop."""
     from hysteresis_ros.cli import delays
 
     progress.say(

@@ -42,10 +42,9 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
     """Evaluate recordings (bag, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
     For an inchworm motor: steps, speed, slip and final error of each move. For a stage that follows a scan: errors in
-    the plane, along and across the lines, of trace and retrace, and their map. Several recordings are shown side by
-    side.
-    Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
-    "hysteresis_ros[report]").
+    the plane, errors along and across the lines for trace and retrace, and a map of the errors. Several recordings are
+    shown side by side. Prints a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip
+    install "hysteresis_ros[report]").
     """
     from hysteresis_ros.analysis.scan_report import format_plane, plane_figures, plane_of
     from hysteresis_ros.analysis.side_by_side import labels_of, report_several

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis scan``: what a scan requires of its axes, the largest frame rate within limits, the path as a file."""
+"""``hysteresis scan``: requirements of a scan on its axes, largest frame rate within limits, path as a file."""
 
 from __future__ import annotations
 

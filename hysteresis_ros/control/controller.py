@@ -12,7 +12,7 @@
 A new law first processes the last samples of the run, as if it had run in parallel with its predecessor. An observer
 that started from rest would move the command while it settles. Two controllers with the same model and Kalman filter
 share the observer and its state. The integrated states of the new law are set so that the command continues from the
-present one; if this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
+present command; if this is impossible, they are set to zero. The hand-over after the controller then lets the remaining
 difference decay.
 """
 

@@ -31,8 +31,8 @@ references,
 
     ξ(k) = -Σ_{i≥0} Λ^-(i+1) β r(k+d+i),
 
-which requires all future references. Only N samples of them are known: the reference is assumed constant from r(k+N)
-on. The weights of the unknown part decay with the preview as |λ|^(-N), where λ is the smallest zero outside.
+which requires all future references. Only N future samples are known: the reference is assumed constant after r(k+N).
+The weights of the unknown part decay with the preview as |λ|^(-N), where λ is the smallest zero outside.
 
 **Delay.** A delay of whole samples adds to d. A fraction f of a sample is g = (1 - f) + f z⁻¹, whose zero is on the
 unit circle at f = 1/2; its exact inverse makes commands alternate from sample to sample. The fraction is inverted

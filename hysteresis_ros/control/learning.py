@@ -22,7 +22,7 @@ tenth of the filter's weight falls on such samples, the correction is repeated u
 reason, the correction decreases instead, because repeating it would keep the axis at its limits. A late voltage causes
 an error that the correction cannot influence, so learning pauses while the axis responds to it. This pause is shorter
 than after saturation, because one late sample is a small disturbance. When the reference differs from that of the
-previous period, the correction fades out.
+previous period, the correction is phased out.
 
 References
 ----------
@@ -448,7 +448,7 @@ class Learning(Block):
     sample_time : float
         [s]
     fade : float
-        Time in which a correction fades in or out [s].
+        Time in which a correction is phased in or out [s].
 
     Raises
     ------
@@ -516,7 +516,7 @@ class Learning(Block):
         ----------
         parameters : LearningParameters
         fade : float
-            Time in which a correction fades in or out [s].
+            Time in which a correction is phased in or out [s].
 
         Raises
         ------

@@ -371,7 +371,8 @@ class ResponseUncertainty:
         return (
             f"above {self.known_to:.3g} Hz the plant is unknown; a resonance of damping {DAMPING:g} is "
             f"assumed anywhere there, from {onwards:.3g} Hz on {most:.3g} times as high as the response at rest "
-            f"(nearer ones would have shown), so the gain of the feedback there must be below {(1.0 - KEPT) / most:.2g}"
+            "(nearer resonances would be visible), so the gain of the feedback there must be below "
+            f"{(1.0 - KEPT) / most:.2g}"
         )
 
     def borne_by(self, controller: StateSpace, plant: StateSpace, sample_time: float) -> Borne:

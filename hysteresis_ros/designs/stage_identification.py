@@ -206,7 +206,7 @@ class IdentifiedStage:  # numpydoc ignore=PR02
     figures : dict
         Figures by names with units.
     warnings : tuple of str
-        Sentences about what is uncertain.
+        Sentences about uncertain results.
     """
 
     text: str

@@ -40,7 +40,7 @@ class DriverError(HysteresisError):
     device : str
         Name of the device, for instance driver and address.
     problem : str
-        What is wrong; in the message it follows the name.
+        The problem; in the message it follows the name.
     remedy : str
         What to do.
     """

@@ -156,7 +156,7 @@ class IdentifiedStructure:
         By names with units: order, plays, the smallest and largest condition number, and for each level the errors on
         the fitted and on the held-out realisations, noise and distortion.
     warnings : tuple of str
-        Sentences about what is uncertain.
+        Sentences about uncertain results.
     """
 
     parameters: StructureParameters

@@ -235,7 +235,7 @@ def _direction(data: IdentificationData, turn: float | None, gain: SlowGain) -> 
 
 
 def _shapes(loop: MeanLoop) -> tuple[str, ...]:
-    """Return what the mean branches show: saturation, and a dead zone."""
+    """Return saturation and dead zone of the mean branches."""
     middle = loop.middle[np.isfinite(loop.middle)]
     if middle.size < LEVELS // 2:
         return ()

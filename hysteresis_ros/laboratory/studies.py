@@ -39,7 +39,7 @@ def compare(
     namespace: str | None = None,
     **conditions: Any,
 ) -> Ranking:
-    """Rank controllers and compensators on plants around the configured one, and on plants of other classes.
+    """Rank controllers and compensators on random plants close to the configured plant, and on plants of other classes.
 
     Parameters
     ----------

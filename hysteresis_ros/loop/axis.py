@@ -86,7 +86,7 @@ class Axis:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """This axis, the only one that it runs."""
+        """A tuple with this axis alone."""
         return (self,)
 
     @property

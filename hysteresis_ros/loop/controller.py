@@ -117,7 +117,7 @@ NEEDS_FORCE = 7  # 1: the damping feeds back the force; without a measured force
 
 # Own state.
 STOP = 0  # 1 while stopped
-RETURNING = 1  # 1: restart the controller with the next sample; its command continues from the last one
+RETURNING = 1  # 1: restart the controller with the next sample; its command continues from the last command
 ON_PATH = 2  # 1 while the reference fades from the displacement to the received reference
 UNANSWERED = 3  # samples since the last achieved command
 ANSWERED = 4  # 1 after the first achieved command
@@ -125,7 +125,7 @@ REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; with active damping this is the output of the damping, not of the law
 OFFSET_LEFT = 7  # remaining part of the previous offset, which fades after a change [m]
 FORCE = 8  # measured force of the last sample [N]
-# that of :mod:`.quiet` follows
+# the state of :mod:`.quiet` follows
 
 #: Smaller offsets count as zero [m].
 NO_OFFSET = 1e-18
@@ -143,7 +143,7 @@ def present_offset(own_p, own, decay):
 
 @kernel
 def resume(x, own, value):
-    """Restart the controller at the displacement ``value`` [m]; the command continues from the last one.
+    """Restart the controller at the displacement ``value`` [m]; the command continues from the last command.
 
     The reference also starts at the displacement and fades to the received reference. The reason: a reaching law
     responds mildly to a step of the reference, but strongly to a lasting difference between its command and the

@@ -73,7 +73,7 @@ ANSWERS = 3
 #: Values of ``FAILED``: nothing, reading, writing, a position that is not a number, the clock of a scan, a trigger, the
 #: trigger input.
 NOTHING, READING, WRITING, NONSENSE, CLOCKING, TRIGGERING, PULSING = range(7)
-#: What cannot be done after these failures.
+#: Functions that are impossible after these failures.
 _DEEDS = {READING: "be read", WRITING: "be written", NONSENSE: "be read", CLOCKING: "output the clock of the scan"}
 _DEEDS |= {TRIGGERING: "output a trigger", PULSING: "read its trigger input"}
 

@@ -65,7 +65,7 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Set priority and core of the calling thread, and lock the process in RAM; return what was refused."""
+    """Set priority and core of the calling thread, and lock the process in RAM; return the refused settings."""
     library = ctypes.CDLL(None, use_errno=True)
     # for threads without priority the kernel may delay the wake-up by 50 µs to save energy
     if hasattr(library, "prctl"):

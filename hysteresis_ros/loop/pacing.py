@@ -95,14 +95,14 @@ def switch(laws, parts, column, code):
 
 
 class Alone(NamedTuple):
-    """What the loop computes: one axis."""
+    """The object that the loop runs: one axis."""
 
     laws: Any  #: Of :class:`hysteresis_ros.loop.tick.Laws`.
     parts: Any  #: Of :class:`hysteresis_ros.loop.tick.Parts`.
 
 
 class Together(NamedTuple):
-    """What the loop computes: the axes of a stage."""
+    """The object that the loop runs: the axes of a stage."""
 
     laws: Any  #: Tuple of the laws of each axis.
     parts: Any  #: Tuple of the parts of each axis.

@@ -403,7 +403,7 @@ class Plant:
         return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
 
     def await_voltages(self) -> None:
-        """Count samples without a voltage as late from now on, even before the first voltage."""
+        """Count samples without a voltage as late, even before the first voltage."""
         for x in self._watch_x[2:]:
             x[HELD_BEGUN] = 1.0
 

@@ -40,7 +40,7 @@ LARGEST = 0.5
 
 
 def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Configuration:
-    """Return the configuration with a plant drawn around the configured one."""
+    """Return the configuration with a random plant close to the configured plant."""
     if not 0.0 <= mismatch <= LARGEST:
         raise ParameterError([Problem("mismatch", mismatch, f"must be within 0 … {LARGEST:g}")])
     plant = single_axis(configuration).plant_simulator

@@ -59,7 +59,7 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 
 
 def _leave_blas_for_later() -> None:
-    """Import what Numba imports for its first kernel, except the linear algebra of SciPy.
+    """Import the modules that Numba imports for its first kernel, except the linear algebra of SciPy.
 
     Numba imports SciPy's linear algebra to look for a BLAS, which takes a seventh of a node's start time. No kernel
     here uses a BLAS. A placeholder in the module table prevents that; code that uses a BLAS still imports it later.

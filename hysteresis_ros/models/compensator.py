@@ -320,7 +320,7 @@ def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_tim
 
 @lru_cache(maxsize=8)
 def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
-    """Return voltages [V] from zero to one end, through the whole range and back; then those for the other end."""
+    """Return voltages [V] from zero to one end, to the other end and back; then the same with the ends exchanged."""
     start = min(max(0.0, low), high)
     return tuple(
         np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])

@@ -62,7 +62,7 @@ class Partners:
         self._absent: set[str] = set()
 
     def complaint(self, sample: int) -> str:
-        """Return what is wrong with the publishers of the inputs; empty when nothing is."""
+        """Return the problem with the publishers of the inputs; empty if there is none."""
         for topic, partner in self._inputs:
             found = self._node.get_publishers_info_by_topic(topic)
             present = frozenset(bytes(info.endpoint_gid) for info in found)

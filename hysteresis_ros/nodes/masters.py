@@ -155,11 +155,11 @@ class IdentifiedSubscription(Waitable):
             node.add_waitable(waitable)
 
     def hand_over_to(self, callback) -> None:
-        """Pass all further messages to another callback; None: discard them."""
+        """Pass all later messages to another callback; None: discard them."""
         self._callback = callback
 
     def __enter__(self):
-        """Keep the handle while an executor waits for it."""
+        """Keep the handle valid while an executor waits on it."""
         self._handle.__enter__()
 
     def __exit__(self, *error):
@@ -274,7 +274,7 @@ class Master:
         self.name = self.name or masters.full_name(self.topic, self.identity)
 
     def _follows(self, identity: bytes, now: float) -> bool:
-        """Return whether another publisher replaces the active one, which is silent or has left the graph.
+        """Return whether another publisher replaces the active publisher, which is silent or has left the graph.
 
         Only a node with the same full name replaces it automatically; any other one needs the user's permission.
         """
@@ -403,7 +403,7 @@ class Masters:
         return self._names.get(identity) or text or "a node that has left the graph"
 
     def tell_of_change(self, master: Master, identity: bytes) -> None:
-        """Log that another publisher is the active one from now on."""
+        """Log that another publisher is now the active publisher."""
         self._node.get_logger().info(
             f"{master.topic} is now accepted from {self.name_of(master.topic, identity)}: the previous publisher has "
             f"left, or has been silent for {self.patience:g} s, and the new one "

@@ -236,7 +236,7 @@ class MotionControllerNode(Responder):
             self.get_logger().info(f"{parameters.type} takes over from {before}")
 
     def take_part(self, part) -> None:
-        """Use this part of a fused loop from now on."""
+        """Use this part of a fused loop."""
         super().take_part(part)
         self._connect_part()
 

@@ -294,7 +294,7 @@ class RealTimePlant(RealTime):
                     node.lose(name or partner)
 
     def _await_voltages(self) -> None:
-        """Count silence from now on, as for new partners: without this node no partner could send voltages."""
+        """Restart the measurement of silence, as for new partners: without this node no partner could send voltages."""
         now = time.monotonic()
         for input_ in self.node.inputs:
             input_.first = now
@@ -407,7 +407,7 @@ class RealTimePlant(RealTime):
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no voltage is pending."""
+        """Whether all voltages have been received."""
         return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
 
     @property

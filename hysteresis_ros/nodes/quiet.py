@@ -89,7 +89,7 @@ class QuietHold:
 
     @property
     def forecast(self) -> Forecast:
-        """Predicted drift from now on."""
+        """Predicted drift of a hold that begins now."""
         node = self._node
         if node.is_fused:
             return node.fused.axis.forecast()
@@ -99,7 +99,7 @@ class QuietHold:
     # -- requests ------------------------------------------------------------------------------------------------
 
     def _begin(self, duration: float, tolerance: float = 0.0) -> str:
-        """Begin a quiet hold of a duration [s], or end it (0); return what will happen."""
+        """Begin a quiet hold of a duration [s], or end it (0); return a description of it."""
         node, forecast = self._node, self.forecast
         forecast.require(duration, tolerance)
         hindrance = self._hindrance()
@@ -113,10 +113,10 @@ class QuietHold:
         if not duration:
             return "the quiet hold ends"
         before = 2.0 * max(node.parameters.quiet.average, 2.0 / node.parameters.sample_rate)
-        return f"quiet for {duration:g} s, from {before:g} s after the request on; {forecast.describe(duration)}"
+        return f"quiet for {duration:g} s, from {before:g} s after the request; {forecast.describe(duration)}"
 
     def _hindrance(self) -> str:
-        """Return why the axis is not in closed loop; empty when it is."""
+        """Return why the axis is not in closed loop; empty if it is."""
         node = self._node
         row = node.fused.latest()[1] if node.is_fused else node.row
         mode = int(row[signals.CONTROLLER_MODE])

@@ -49,7 +49,7 @@ WAITING = 8
 KINDS = {signals.CONTROLLER: ControllerNodeParameters, signals.COMPENSATOR: CompensatorNodeParameters}
 
 
-#: A job of the thread; it returns what the thread of the node is to call.
+#: A job of the thread; it returns a function for the thread of the node.
 Job = Callable[[], Callable[[], object] | None]
 
 
@@ -112,12 +112,12 @@ class Thread:
                 self._results.append(result)
 
     def take(self) -> None:
-        """Call the results so far, in the thread of the node."""
+        """Call the finished results, in the thread of the node."""
         while self._results:
             self._results.popleft()()
 
     def report(self, error: Exception) -> str:
-        """Let the thread of the node report an error; return what it reports."""
+        """Let the thread of the node report an error; return the report."""
         words = f"nothing is predicted: {' '.join(str(error).split())}"
         self._results.append(partial(self._failed, words))
         return words
@@ -295,7 +295,7 @@ class ReadyTopics:
         self._meter_noise()
 
     def look_at_all(self, first: int, table: np.ndarray) -> None:
-        """Take samples, from number ``first`` on, shape (row length, N); a single row only while there is a move."""
+        """Add samples, from number ``first`` on, shape (row length, N); a single row only while there is a move."""
         self._thread.take()
         for number, row in enumerate(table.T.tolist() if self.move is not None else (), first):
             if self.move is not None:

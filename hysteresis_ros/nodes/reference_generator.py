@@ -138,7 +138,7 @@ class ExternalRun:
         self._node.timer(0.5, self._look)
 
     def _absent(self) -> str:
-        """Return what the run waits for; '' when nothing is missing."""
+        """Return the reason why the run waits; '' if it does not wait."""
         node = self._node
         who = {
             "motion_controller": node.count_publishers(self._command),
@@ -195,7 +195,7 @@ class ExternalRun:
             self._node.warn("rate", f"{text}; make both equal", error=True, every=0.0)
 
     def _look(self) -> None:
-        """Log at intervals what the run waits for; a run of given length has a time-out."""
+        """Log at intervals why the run waits; a run of given length has a time-out."""
         node, waited = self._node, time.monotonic() - self._since
         absent = "" if self._begun else self._absent()
         if self._begun or waited < START_REPORT:

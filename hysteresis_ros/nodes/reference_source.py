@@ -114,13 +114,13 @@ class ReferenceSource(Responder):
             self.trigger_out = TriggerTopic(self)
 
     def recorded(self, topic, names) -> None:
-        """Let the recorder of a fused axis write what a topic publishes, from the loop itself."""
+        """Let the recorder of a fused axis write the content of a topic directly from the loop."""
         recorder = self.fused.nodes.get("recorder")
         if recorder is not None:
             topic.record = lambda stamp, values: recorder.write_message(topic.name, stamp, names, values)
 
     def note_pulses(self) -> None:
-        """Follow what pulses of the trigger input have done; a row of the last sample is there."""
+        """Adopt the effects of pulses of the trigger input, given the row of the last sample."""
 
     def _on_pulse(self, message) -> None:
         if not self.active:
@@ -135,7 +135,7 @@ class ReferenceSource(Responder):
         self.row[signals.TRIGGER_IN], self.pulses = float(self.pulses), 0
 
     def after_step(self) -> None:
-        """Follow what pulses of the trigger input have done."""
+        """Adopt the effects of pulses of the trigger input."""
         if self.row[signals.TRIGGER_IN] > 0.0:
             self.note_pulses()
 

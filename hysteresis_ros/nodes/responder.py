@@ -42,7 +42,7 @@ class Input:
 
 
 class Responder(AxisNode):
-    """A node that answers each sample with its part of the loop.
+    """A node that computes its part of the loop in each sample.
 
     Subclasses set :attr:`part`, and run their kernel of the loop on the row in :meth:`step`.
     """
@@ -103,7 +103,7 @@ class Responder(AxisNode):
         return super().hindrance() or self.loss or stopped
 
     def compile(self) -> None:
-        """Run all operations of the part once, so that nothing is compiled later.
+        """Run all operations of the part once, so that all kernels are compiled before the loop runs.
 
         A fused loop has its own machine code for all parts.
         """

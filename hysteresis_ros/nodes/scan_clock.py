@@ -54,7 +54,7 @@ class ScanClockTopic:
         self.follow(None)
 
     def follow(self, clock: ScanClock | None) -> None:
-        """Follow another scan from the next sample on; None: no scan."""
+        """Use another scan from the next sample on; None: no scan."""
         self._clock = clock
         self._last, self._due = -2, math.inf
 

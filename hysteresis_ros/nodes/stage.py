@@ -508,7 +508,7 @@ class StageSources(Group):
         return {node.parameters.joint: node for node in self.nodes}
 
     def rest(self, told: Mapping[str, Told]) -> None:
-        """Bring joints to rest, by the callbacks of their moves, unless another trajectory has taken their place."""
+        """Bring joints to rest, given the callbacks of their moves, unless a new trajectory has replaced these."""
         moving = [joint for joint, heard in told.items() if not self.by_joint[joint].trajectories.is_replaced(heard)]
         if moving:
             self.follow(dict.fromkeys(moving, REST))
@@ -521,7 +521,8 @@ class StageSources(Group):
     ) -> None:
         """Follow trajectories, given by joint, from the same sample on, all or none; without points a joint stops.
 
-        ``tolerances`` are those of the joints, by default the configured ones; ``told`` hear how each move ends.
+        ``tolerances`` are those of the joints, by default the configured tolerances; ``told`` receive the end of each
+        move.
 
         Raises
         ------
@@ -592,7 +593,7 @@ class StageReferenceNode(ReferenceGeneratorNode):
 
     @property
     def scan_axis(self) -> int:
-        """Place of this axis among those that follow the scan of the stage; -1: it follows none."""
+        """Index of this axis among the axes that follow the scan of the stage; -1: it follows no scan."""
         parameters = self.group.parameters
         name = parameters.names[self.place]
         return parameters.scanning_axes.index(name) if name in parameters.scanning_axes else -1

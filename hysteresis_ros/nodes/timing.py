@@ -153,7 +153,7 @@ class Pairing:
         return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
 
     def answer(self, answer, now: float):
-        """Take an answer; return the stamp of its measurement, or None, and the answer waits."""
+        """Assign an answer to its measurement and return the stamp; None: the answer must wait."""
         self._crowded = self._crowded + 1 if len(self._measurements) > 1 else 0
         if self._crowded > self.SUSPICION:
             self._measurements.popleft()
@@ -222,7 +222,7 @@ def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> 
 
 
 def _causes(counts: dict[str, int]) -> str:
-    """Return what limited the output, the most frequent first."""
+    """Return the limits that acted on the output, the most frequent first."""
     return " and ".join(name for name, count in sorted(counts.items(), key=lambda item: -item[1]) if count > 0)
 
 

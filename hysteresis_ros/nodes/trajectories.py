@@ -174,7 +174,7 @@ class Trajectories:
         return self.attend(points, tolerances, told)
 
     def attend(self, points: Points, tolerances: Tolerances, told: Told | None = None) -> Move:
-        """Report the ending of a trajectory that the generator has begun to follow."""
+        """Report how a trajectory that the generator has accepted ended."""
         node = self._node
         number, _ = node.part.generator.trajectory
         move = Move(number, tolerances)
@@ -184,7 +184,7 @@ class Trajectories:
         return move
 
     def is_replaced(self, told: Told) -> bool:
-        """Return whether another trajectory has taken the place of the move whose ending ``told`` hears."""
+        """Return whether a new trajectory has replaced the move that reports its end to ``told``."""
         number, _ = self._node.part.generator.trajectory
         return any(move.number != number for move, heard in self._moves if heard is told)
 

@@ -85,7 +85,7 @@ class _Records:
             self.count += 1
 
     def walk(self, data: bytes) -> None:
-        """Process the records of a chunk, up to the last complete one."""
+        """Process the records of a chunk, up to the last complete record."""
         for opcode, begin, end in records_in(data):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel_id, _, time_ns, _ = MESSAGE.unpack_from(data, begin)
@@ -254,7 +254,7 @@ def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 class Rows:
-    """The rows of a table in order, up to the first unreadable one."""
+    """The rows of a table in order, up to the first unreadable row."""
 
     def __init__(self, connection: sqlite3.Connection, statement: str):
         self._connection, self._statement = connection, statement
@@ -295,7 +295,7 @@ def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformati
 
 
 def whole_database(path: pathlib.Path) -> FileInformation | None:
-    """Return the description of an intact database; None for a damaged one."""
+    """Return the description of an intact database; None for a damaged database."""
     try:
         with opened(path) as connection:
             if next(connection.execute("PRAGMA quick_check(1)")) != ("ok",):
@@ -434,7 +434,7 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
 
 
 def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
-    """Return the files of a folder with a suffix; if a file exists twice, the uncompressed one."""
+    """Return the files of a folder with a suffix; an uncompressed file replaces its compressed copy."""
     plain = list(folder.glob(f"*{ending}"))
     packed = [file for file in folder.glob(f"*{ending}{COMPRESSED}") if file.with_suffix("") not in plain]
     return sorted(plain + packed, key=_natural)

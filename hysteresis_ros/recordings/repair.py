@@ -65,7 +65,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
-            # the file may end with the footer of another one, so its index must lie within this file
+            # the file may end with the footer of another file, so its index must lie within this file
             for chunk in summary.chunk_indexes:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):
@@ -80,7 +80,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
 
 
 def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
-    """Write the readable part of an MCAP file as an intact one.
+    """Write the readable part of an MCAP file as an intact file.
 
     Everything up to the last complete message is kept: schemas, channels, messages, attachments, other metadata.
     Damaged chunks inside the file are omitted.
@@ -111,7 +111,7 @@ def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
 
 
 class _Rescue:
-    """Reads the records of a damaged file in order, and writes an intact one."""
+    """Reads the records of a damaged file in order, and writes an intact file."""
 
     def __init__(self, out: BinaryIO):
         self.out = out
@@ -170,7 +170,7 @@ class _Rescue:
         self._write_loose()
 
     def take_messages(self, content: bytes) -> None:
-        """Copy the records of a chunk, up to the last complete one."""
+        """Copy the records of a chunk, up to the last complete record."""
         for opcode, begin, end in records_in(content):
             if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
                 channel, _, time_ns, _ = MESSAGE.unpack_from(content, begin)
@@ -213,7 +213,7 @@ class Storage:
 
     name: str  #: Name in metadata.yaml.
     whole: Callable[[pathlib.Path], FileInformation | None]  #: Returns the description of an intact file, else None.
-    #: Writes the readable part of a file as an intact one, and returns its description.
+    #: Writes the readable part of a file as an intact file, and returns its description.
     repair: Callable[[pathlib.Path, pathlib.Path], FileInformation]
 
 

@@ -30,7 +30,7 @@ class Reference(Waveform):  # numpydoc ignore=PR02
     """
 
     def samples(self, count: int | None = None) -> np.ndarray:
-        """Return the next samples; the waveform continues after the previous ones.
+        """Return the next samples; the waveform continues from the samples of the previous call.
 
         Parameters
         ----------

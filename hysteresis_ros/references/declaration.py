@@ -41,7 +41,7 @@ COUNTER = 0
 OFFSET, AMPLITUDE, NUMERATOR, DENOMINATOR, RESIDUAL, PHASE, END, FINAL = range(8)
 #: Index of the first own parameter of each waveform.
 OWN = 8
-#: In waveforms with a polarity, the first own parameter: 1 rises from the offset, 0 is symmetric about it.
+#: First own parameter of waveforms with a polarity: 1: rises from the offset; 0: symmetric about the offset.
 UNIPOLAR = OWN
 
 TWO_PI = 2.0 * math.pi

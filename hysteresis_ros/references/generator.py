@@ -352,7 +352,7 @@ class ReferenceGenerator(Chain):
         interpreted(abandon)(self.ps, self.xs)
 
     def follow(self, times, positions, velocities=(), accelerations=()) -> None:
-        """Follow a trajectory from the next sample on; it replaces the present motion.
+        """Follow a trajectory from the next sample on, instead of the present motion.
 
         Its end becomes the setpoint. Positions alone are joined by lines, positions and velocities by cubics, all three
         by quintics.

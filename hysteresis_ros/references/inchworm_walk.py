@@ -213,7 +213,7 @@ def process(p, x, phase):
 
 @kernel
 def forget(p, x):
-    """Reset the corrections; the present one fades to zero."""
+    """Reset the corrections; the present correction decays to zero."""
     n, own = int(p[at.SPLINES]), coefficients(p, x)
     for i in range(4 * n):
         if at.WALK + i < own + n or at.WALK + i >= own + 2 * n:

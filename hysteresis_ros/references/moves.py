@@ -241,7 +241,7 @@ class NoiseMeter:
         return math.sqrt(self._differences / 6.0) if self.count >= self.FEWEST else math.nan
 
     def noise(self, displacement: float = 0.0, error: float = 1.0) -> Noise:
-        """Return the noise of the axis; what a model of its loop does not explain is a motion (vibration, hum).
+        """Return the noise of the axis; noise that the model of its loop does not explain is a motion (vibration, hum).
 
         Parameters
         ----------

@@ -164,7 +164,7 @@ class Scan(Parameters, abc.ABC):
             if self.axes == 2 and getattr(self, name) != 0.0:
                 yield Problem(name, getattr(self, name), "belongs to a third axis; set axes = 3, or leave it out")
 
-    # what each scan defines, in numbers of frames and in coordinates of the plane
+    # defined by each scan, in numbers of frames and in coordinates of the plane
 
     @property
     @abc.abstractmethod
@@ -230,7 +230,7 @@ class Scan(Parameters, abc.ABC):
         """Whether v is constant, or drifts slowly, while a line is scanned along u."""
         return False
 
-    # what follows from these definitions
+    # derived from these definitions
 
     @property
     def rate(self) -> float:

@@ -45,7 +45,7 @@ NOTHING, START, HOLD, STEP_SETPOINT = range(4)
 
 @dataclass(frozen=True)
 class TriggerInputParameters(Parameters):
-    """What a pulse of the trigger input does."""
+    """Action of a pulse of the trigger input."""
 
     action: str = parameter(
         "none",
@@ -163,7 +163,7 @@ class TriggerParameters(Parameters):
 
 
 def makes_triggers(node: Mapping[str, Any]) -> bool:
-    """Return whether the parameters of a source, flat and dotted, make anything trigger."""
+    """Return whether the parameters of a source, given by dotted names, define a trigger."""
     given = {name: value for name, value in node.items() if name.startswith("triggers.")}
     names = ("positions", "step", "down_positions", "times")
     return any(given.get(f"triggers.{name}") for name in names) or given.get("triggers.each", "none") != "none"
@@ -182,7 +182,7 @@ def _order_problems(name: str, values: tuple[float, ...], unit: str) -> Iterator
 def longest_path(
     waveform: WaveformParameters, approach: ApproachParameters, span: float, sample_time: float
 ) -> tuple[float, str]:
-    """Return the longest path of the reference in a sample [m] and what makes it; 0: it is not known in advance.
+    """Return the longest path of the reference in a sample [m] and its cause; 0: not known in advance.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def trigger_problems(
     sample_rate : float
         [Hz]
     longest : callable
-        Returns the longest path in a sample [m] and what makes it; needed for positions.
+        Returns the longest path in a sample [m] and its cause; needed for positions.
     waveform : WaveformParameters, optional
         None: the axis has no waveforms.
     """
@@ -427,7 +427,8 @@ def pass_instant(p, x, row, measured, delay):
 def compare(arrays, row):
     """Write the trigger of a sample into its row, which has none yet, from measurement and sample of the waveform.
 
-    While the plant has stopped the axis nothing triggers; afterwards each position is armed by where the axis is.
+    While the plant has stopped the axis there are no triggers; afterwards the position of the axis determines which
+    positions are armed.
     """
     p, x = arrays.p, arrays.x
     x[SINCE] += 1.0

@@ -256,7 +256,7 @@ def printed_rows(title: str) -> dict[tuple[str, str], list[str]]:
 
 def test_the_documented_table_is_what_a_run_prints():
     """Some of its rows, with the seeds of the full run."""
-    printed = printed_rows("Plants around the configured one")
+    printed = printed_rows("Plants close to the configured plant")
     assert len(printed) > 30
     trial = trial_around(load_configuration("picma_stage"), Conditions())
     tasks = tuple(task.name for task in trial.tasks)

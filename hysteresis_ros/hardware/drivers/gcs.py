@@ -392,7 +392,7 @@ class GcsLink:
         ----------
         code : int
         what : str
-            What was done, for the message.
+            Description of the action, for the message.
 
         Raises
         ------

@@ -43,7 +43,7 @@ class SimulatedDriver(Driver):
         return Capabilities(1, 1, limits.minimum, limits.maximum, highest_rate=math.inf, forces=self._forces)
 
     def read(self) -> Reading:
-        """Return what the sensor reads."""
+        """Return the reading of the sensor."""
         forces = (self._actuator.measure_force(),) if self._forces else ()
         return Reading((self._actuator.measure(),), forces)
 

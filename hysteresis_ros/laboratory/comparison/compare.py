@@ -9,8 +9,8 @@
 
 """Comparison of all controllers and compensators under the same realistic conditions, to choose one for an axis.
 
-There are two tables: random plants around the configured one, for which every candidate is designed from the models in
-the configuration; and plants of other classes than any model, for which every candidate is designed from the default
+There are two tables: random plants close to the configured plant, for which every candidate is designed from the models
+in the configuration; and plants of other classes than any model, for which every candidate is designed from the default
 identification of a recording. The runs have sensor noise, converters and limits; their errors are those of the true
 displacement, also between the samples.
 """
@@ -78,7 +78,8 @@ class Comparison:
     """Both tables."""
 
     conditions: Conditions
-    #: around, others: Tables of plants around the configured one, and of plants of other classes; None without draws.
+    #: around, others: Tables of random plants close to the configured plant, and of plants of other classes; None
+    #: without draws.
     around: Table | None
     others: Table | None
     configuration: Configuration  #: Configuration of the first table.
@@ -90,7 +91,7 @@ class Comparison:
 
     @property
     def best(self) -> Row:
-        """The best row on plants around the configured one that also has a rank on the plants of other classes.
+        """The best row on plants close to the configured plant that also has a rank on the plants of other classes.
 
         A row with learning does not count, because learning is designed for the period of one reference.
         """
@@ -100,7 +101,7 @@ class Comparison:
                 return row
         raise ConfigurationError(
             f"{self.configuration.source}: no combination has a rank on all plants; the table shows the unmet "
-            "requirements; draw plants around the configured one (--draws 1 or more)"
+            "requirements; draw plants close to the configured plant (--draws 1 or more)"
         )
 
 
@@ -122,13 +123,13 @@ class Tried(NamedTuple):
 def table_around(
     axis: AxisParameters, conditions: Conditions, trial: Trial, rows: Sequence[Row], yardstick: Row
 ) -> Table:
-    """Return the table of the plants around the configured one."""
+    """Return the table of the random plants close to the configured plant."""
     limits, per_cent = axis.hysteresis_compensator.limits, 100.0 * conditions.mismatch
     task = trial.tasks[0]
     middle = 0.5 * (task.low + task.high)
     low, high = middle - 0.5 * trial.stroke, middle + 0.5 * trial.stroke
     assumptions = (
-        f"{conditions.draws} plants around the configured one, seeds {conditions.seed} … "
+        f"{conditions.draws} plants close to the configured plant, seeds {conditions.seed} … "
         f"{conditions.seed + conditions.draws - 1}: gain, width of the hysteresis loop and each of its "
         f"weights, times of the dynamics and rate of the creep deviate by up to ±{per_cent:g} %, uniform and "
         "independent",
@@ -136,7 +137,7 @@ def table_around(
         "every candidate was designed from the models in the configuration and the size of noise and mismatch",
     )
     return Table(
-        "Plants around the configured one",
+        "Plants close to the configured plant",
         f"stroke {trial.stroke * 1e6:.4g} µm: every plant reaches {low * 1e6:.4g} … {high * 1e6:.4g} µm",
         tuple(task.name for task in trial.tasks),
         tuple(sorted(compared_with(rows, yardstick), key=lambda row: row.order)),
@@ -223,7 +224,7 @@ def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, floa
 
 
 def drawn_around(configuration: Configuration, conditions: Conditions) -> list[ModelledPlant]:
-    """Return plants around the configured one, with converters and with a different noise sequence each."""
+    """Return random plants close to the configured plant, with converters, each with its own noise sequence."""
     found = []
     for seed in range(conditions.seed, conditions.seed + conditions.draws):
         plant = mismatched(configuration, conditions.mismatch, seed).override(
@@ -234,7 +235,7 @@ def drawn_around(configuration: Configuration, conditions: Conditions) -> list[M
 
 
 def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
-    """Return the trial on plants around the configured one."""
+    """Return the trial on random plants close to the configured plant."""
     plants = drawn_around(configuration, conditions)
     low, high = reachable(plants, configuration.source)
     given, tasks = known(configuration, conditions.bits), make_tasks(conditions, (low, high))

@@ -340,8 +340,8 @@ class Ranking(Comparison):  # numpydoc ignore=PR02
     conditions : Conditions
         Conditions of all runs.
     around, others : Table or None
-        Tables of plants around the configured one, and of plants of other classes; None without draws. Each has
-        ``rows``, the best first.
+        Tables of random plants close to the configured plant, and of plants of other classes; None without draws. Each
+        has ``rows``, the best first.
     configuration : Configuration
         Configuration of the first table.
     """

@@ -50,7 +50,7 @@ class Conditions:
     mismatch: float = 0.05  #: Largest relative deviation of each parameter of the plants.
     noise: float = 5e-9  #: Sensor noise [m rms].
     bits: int = 16  #: Resolution of the converter; 0: unlimited.
-    draws: int = 20  #: Number of plants around the configured one.
+    draws: int = 20  #: Number of random plants close to the configured plant.
     others: int = 4  #: Number of plants of other classes.
     seed: int = 1  #: Seed of the first plant; the others follow.
     #: Whether sliding mode controllers are designed for the worst plants within the mismatch, with and without another

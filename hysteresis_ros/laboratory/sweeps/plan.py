@@ -9,12 +9,12 @@
 
 """Varied parameters with their ranges, and the resulting runs: levels, draws, or the points of a sensitivity analysis.
 
-Levels: ``1um:5um:lin10`` (evenly spaced), ``0.1:2:log20`` (in a constant ratio) and ``12,14,16`` (single ones).
+Levels: ``1um:5um:lin10`` (evenly spaced), ``0.1:2:log20`` (in a constant ratio) and ``12,14,16`` (single values).
 Distributions: ``±5%`` and ``±2nm`` (uniform around the configured value), ``uniform(A,B)``, ``loguniform(A,B)``,
 ``normal(MEAN,DEVIATION)`` and ``normal(±5%)`` (around the configured value; 5 % is the standard deviation).
 
 Run i has combination i mod L of the L combinations of levels, and draw i div L of the distributions. All levels
-therefore have the same draws, and a longer sweep begins with the runs of a shorter one. Draw j of D distributions
+therefore have the same draws, and a longer sweep begins with the runs of a shorter sweep. Draw j of D distributions
 consists of the numbers j D … (j + 1) D - 1 of the PCG64 generator of the seed. A point therefore depends only on seed
 and run number, not on the process that computes it.
 """

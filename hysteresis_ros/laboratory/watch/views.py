@@ -35,7 +35,7 @@ from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
 #: command.
 SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
 LOOP = ("voltage", "command", "measured")
-#: The same for an inchworm motor; command and voltage are those of its extender.
+#: The same for an inchworm motor, with command and voltage of its extender.
 MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", "phase")
 MOTOR_LOOP = ("voltage", "command", "extender")
 #: Longest window of the loops [s], and number of bins in it.

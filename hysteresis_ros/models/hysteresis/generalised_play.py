@@ -284,7 +284,7 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
 
     @property
     def terms(self) -> LinearTerms:
-        """The weight of the part without hysteresis, then those of the plays."""
+        """The weight of the part without hysteresis, then the weights of the plays."""
         plays = int(self.p[PLAYS])
         return LinearTerms(
             weights=(SLOPE, *range(RADII + plays, RADII + 2 * plays)),

@@ -261,7 +261,7 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
     def rebase(self) -> None:
         """Move the plays, each by the same fraction of its free range, to compensate the change of the output.
 
-        This keeps their order. What the plays cannot compensate remains as a constant until :meth:`reset`.
+        This keeps their order. The part that the plays cannot compensate remains as a constant until :meth:`reset`.
         """
         x, p, plays = self.x, self.p, int(self.p[PLAYS])
         voltage, z = x[VOLTAGE], x[PLAY:]

@@ -480,7 +480,7 @@ def _plain(value):
 
 #: Nodes that take setpoints with an answer, on ``~/set_setpoint``.
 SOURCES = (signals.SOURCE, signals.MOTOR_SOURCE)
-#: Time after which the command prints what it waits for [s].
+#: Time after which the command prints the reason for waiting [s].
 PATIENCE = 2.0
 #: Time-out for a new sample [s].
 ANSWER = 5.0
@@ -519,7 +519,7 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
     entries: list[dict[str, Any]] = []
 
     def told(number: int) -> dict[str, Any]:
-        """Return what the topic has said of a move so far."""
+        """Return the messages of the topic about a move."""
         return {name: value for entry in entries if entry["move"] == number for name, value in entry.items()}
 
     def hear(message: String) -> None:
@@ -562,7 +562,7 @@ def move(client: Client, value: float, tolerance: float | None, dwell: float | N
 
 
 def quiet(client: Client, duration: float, tolerance: float | None) -> None:
-    """Let an axis stand still for a duration [s] if its drift stays within a tolerance [m]; print what it answers."""
+    """Hold the command of an axis for a duration [s] if the drift stays within a tolerance [m]; print its answer."""
     controller = client.find(signals.CONTROLLER)
     given = {"duration": duration, "tolerance": tolerance}
     asked = [Parameter(name, Parameter.Type.DOUBLE, one) for name, one in given.items() if one is not None]

@@ -33,7 +33,7 @@ from hysteresis_ros.laboratory.papers.fleming2010 import axis as fleming
 from hysteresis_ros.laboratory.papers.runs import run
 from hysteresis_ros.recordings.dataset import Recording
 
-TITLE = "Fleming, Aphale & Moheimani 2010, integral resonant control of a scanner: what the abstract claims"
+TITLE = "Fleming, Aphale & Moheimani 2010, integral resonant control of a scanner: claims of the abstract"
 LOOPS = "Bandwidth, margins, robustness (abstract)"
 SCANS = "Triangle of 31 Hz, 5 µm (the abstract's images: 31 lines a second)"
 HONEST = "By `hysteresis design`, 20 kHz, one sample of delay, resonance ±10 %"

@@ -50,7 +50,7 @@ FAST_VARIANCE = 1.0
 MISMATCH = 0.05
 NOISE = 5e-9  # m rms
 GAIN_TOLERANCE = 2e-4
-GOOD_RESIDUAL = 0.01e-6  # m: what "completely removed" is taken to mean
+GOOD_RESIDUAL = 0.01e-6  # m: assumed meaning of "completely removed"
 
 MODEL = "realisation A, B, C at 3 kHz: one of many that give S, the linear gain and L; the paper prints none"
 LAW = "Φ = 0.93, δ = 0.01; the steady-state target as reference: the law as printed only regulates to zero"

@@ -131,7 +131,7 @@ def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -
     return fit.suggested_order, mode.frequency, mode.damping
 
 
-# What the paper prints, SI units.
+# Printed values of the paper, in SI units.
 MODEL_ERROR = 0.125e-6  # m
 ORDER = 3
 BAND = (135, 1135)  # Hz: 1 kHz around the resonance

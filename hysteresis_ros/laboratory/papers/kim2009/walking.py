@@ -10,7 +10,7 @@
 """Figures of continuous walking over the phase: deviation of the slider from its path before and after learning.
 
 ``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor differs from its models: its
-extender is drawn at random around the configured one, and its voltages are a sample late. The motor is simulated at
+extender deviates at random from the configured extender, and its voltages are a sample late. The motor is simulated at
 four times the sample rate, and errors are those of the true displacement at this rate. The correction that was learned
 at one speed is used at other speeds.
 """
