@@ -449,7 +449,7 @@ def trigger_option(command):
 
 
 def triggering(configuration, triggers: tuple[str, ...], namespace: str | None = None):
-    """Return a configuration whose axes trigger as the texts say.
+    """Return a configuration with the triggers that the texts describe.
 
     In a stage, only the axis in ``namespace`` triggers, if a namespace is given.
     """

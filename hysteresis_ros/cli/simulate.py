@@ -103,7 +103,7 @@ def simulate(
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
     configuration = triggering(configuration, triggers, namespace)
     if values and scan is None:
-        raise click.UsageError(f"{values[0]} belongs to a scan: give one, for instance --scan raster")
+        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
     if scan is not None:
         if reference.kind:
             raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")

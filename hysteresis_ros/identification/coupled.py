@@ -207,8 +207,8 @@ class IdentifiedStructure:
         Returns
         -------
         ndarray, shape (L, q)
-            For each level, the lowest first, and output: the mean over realisations and periods of the RMS error of
-            each.
+            RMS error of each period, averaged over realisations and periods, for each level (the lowest first) and
+            output.
         """
         R, q = len(data.u), data.y.shape[2]
         rest = (self.predict(data.u, data.period) - data.y).reshape(R, -1, data.period, q)[:, :, skip:]

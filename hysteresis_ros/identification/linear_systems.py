@@ -69,7 +69,7 @@ def filtered(columns, sections: Sequence[Section]) -> np.ndarray:
 
 def run_sections(settings, rows, state, columns, found):
     """Fill ``found``; ``settings`` holds the direct part, ``state`` two rows for each section."""
-    if columns.shape[1] == 1:  # without loops over a single column
+    if columns.shape[1] == 1:  # a single column needs no inner loop
         for k in range(columns.shape[0]):
             now = columns[k, 0]
             total = settings[0] * now

@@ -248,7 +248,7 @@ def test_a_stage_follows_a_scan_and_its_report_judges_it_in_the_plane(tmp_path):
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "times its limit 0.0154 m/s; "),
         (("--scan", "raster", "width=20um", "depth=9um", "line_rate=400Hz"), "a frame in"),
         (("--scan", "rastr", "width=20um"), "did you mean raster"),
-        (("width=20um",), "width=20um belongs to a scan: give one, for instance --scan raster"),
+        (("width=20um",), "width=20um belongs to a scan: choose a scan, for instance --scan raster"),
         ((*SCAN, "--reference", "sine", "--amplitude", "1um"), "--scan and --reference exclude each other"),
     ],
 )
