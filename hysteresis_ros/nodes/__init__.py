@@ -12,5 +12,6 @@
 Read base (what every node has), responder (nodes that answer samples), then a node: plant_simulator,
 hysteresis_compensator, motion_controller, reference_generator, inchworm_sequencer, recorder, displacement_camera.
 lockstep, realtime and fused are the time modes; axis composes the nodes in one process.
-launcher, domain and bench start graphs without ROS in their own process; remote and security serve commands.
+launcher and domain start graphs without ROS in their own process; remote and security serve commands. masters detects
+competing publishers; trajectories, ready, quiet and triggers are the parts of a node for these subjects.
 """

@@ -12,6 +12,7 @@
 Start with :mod:`.generator`, which adds a waveform of ``waveforms/`` (:mod:`.declaration`) to an :mod:`.approach` or a
 :mod:`.trajectory`. :mod:`.inchworm_sequencer` turns the setpoints of an inchworm into steps; :mod:`.recipes` contains
 the excitations for identification; :mod:`.scan` and ``scans/`` contain paths of several axes over a plane.
+:mod:`.moves` determines when a motion has arrived or settled; :mod:`.triggers` computes the triggers.
 
 The package has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
