@@ -192,6 +192,14 @@ def test_a_device_that_is_not_what_the_axis_needs_is_refused(device, monkeypatch
         DrivenPlant(parameters())
 
 
+def test_a_device_has_its_own_converter_also_after_a_change_of_its_limits(device):
+    chosen = parameters(limits__bits=6)
+    plant = DrivenPlant(chosen)
+    for _ in range(2):  # the grid of 6 bits is coarser than a volt
+        assert run(plant, [30.123] * 400)[-1, at.PLANT_VOLTAGE] == device.last.heard[-1] == 30.123
+        plant.retune(chosen)
+
+
 def test_limits_change_live_within_the_devices_range_and_what_it_was_opened_with_does_not(device):
     chosen = parameters()
     plant = DrivenPlant(chosen)
