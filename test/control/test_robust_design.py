@@ -103,13 +103,13 @@ def test_the_worst_of_plants_counts_and_delay_only_once():
 def test_plants_that_are_only_later_have_the_delay_margin_of_the_model():
     """A delay of the plant is already used when it is measured: the margin counts from the delay of the model."""
     found = design_gains(parameters(LAG), "pid", 0.005).parameters
-    later = robustness(found, 0.005, Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.0, delay=0.8, draws=4))
-    assert len({round(one.late, 6) for one in later.plants}) > 4
+    later = robustness(found, 0.005, Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.0, delay=1.0, draws=0))
+    assert {one.late for one in later.plants} == {0.0, 1.0}
     margins = [one.delay_margin_samples for one in later.margins]
     np.testing.assert_allclose(margins, margins[0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("gain", [0.1, 0.3])
+@pytest.mark.parametrize("gain", [0.02, 0.04])
 def test_a_search_knows_the_peak_of_a_loop_with_one_more_sample_of_delay(gain):
     integral = StateSpace(np.eye(1), np.array([[1.0, -1.0]]), np.array([[gain]]), np.array([[gain, -gain]]))
     prompt, late = (possible_plant(MODE, T, late=delay).plant for delay in (0.0, 1.0))
