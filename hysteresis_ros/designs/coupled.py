@@ -81,7 +81,7 @@ def stage_rows(parameters: StageParameters) -> list[tuple[str, str]]:
         row, column = np.unravel_index(int(np.argmax(others)), others.shape)
         text = f"{100.0 * others[row, column]:.3g} % of {names[column]} in {names[row]}"
         rows.append((f"coupling at {turns * rate:.4g} Hz", text if len(names) > 1 else "none"))
-    for label, margin in [*zip(names, margins.loops, strict=True), ("all together", margins.together)]:
+    for label, margin in [*zip(names, margins.loops, strict=True), ("all jointly", margins.together)]:
         text = f"{margin.gain_margin:.1f} dB, {margin.phase_margin:.0f} deg, at {margin.frequency:.4g} Hz"
         rows.append((f"disk margin of {label}", text if margin.alpha > 0.0 else "none: the loop is unstable"))
     return rows

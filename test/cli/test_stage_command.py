@@ -261,7 +261,7 @@ def test_a_scan_that_a_stage_cannot_follow_is_refused(words, message, tmp_path):
 def test_a_design_of_a_stage_prints_how_its_axes_interact():
     said = hysteresis("design", "xy_scanner")
     assert "relative gains of x         1.002, -0.001603" in said
-    assert "disk margin of all together  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
+    assert "disk margin of all jointly  7.4 dB, 44 deg" in said and "coupling at 100 Hz" in said
     assert "missing option '-o'" in hysteresis("design", "kim2009", "--controller", "pid", code=2)
     assert "missing option '-o'" in hysteresis("design", "xy_scanner", "--controller", "pid", code=2)
     assert "nothing to design" in hysteresis("design", "xy_scanner", "-o", "never.yaml", code=2)

@@ -150,7 +150,7 @@ def test_the_table_of_a_stage_is_what_its_parts_are():
     gain = np.array([[1.0, 0.04], [0.04, 1.0]])
     share = 1.0 / (1.0 - 0.04**2)
     assert f"relative gains of x         {share:.4g}, {1.0 - share:.4g}" in text, gain
-    assert f"disk margin of all together  {margins.together.gain_margin:.1f} dB" in text
+    assert f"disk margin of all jointly  {margins.together.gain_margin:.1f} dB" in text
     assert "% of x in y" in text or "% of y in x" in text
     apart = "\n".join(stage_lines(stage(structure={"decoupling": []})))
     assert "coupling at 10 Hz" in apart and apart != text

@@ -360,7 +360,7 @@ def test_a_scanner_of_another_class_is_controlled_by_what_its_recordings_gave(tr
     for text in (
         "<td>" + readable(found["held_out_x_rmse_m"], "m"),
         "relative gains of y",
-        "disk margin of all together",
+        "disk margin of all jointly",
     ):
         assert text in shown
     # limits of the motion, with their reasons
