@@ -281,6 +281,8 @@ KEPT = 0.2
 POINTS, DECADES, AROUND = 500, 5.0, 41
 #: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
+#: Tolerance of a limit of the crossover: it is stored with few digits and compared on a grid of frequencies.
+ROUNDED = 1.02
 
 
 class Borne(NamedTuple):
@@ -316,11 +318,15 @@ class ResponseUncertainty:
         l at each frequency; constant below the first; the response is unknown above the last.
     known_to : float
         Frequency [Hz] above which the response is unknown; infinite if it is known everywhere.
+    crossover : float
+        Highest crossover [Hz] of a loop if the recording shows a movement that the model lacks and l does not bound
+        (it rings); 0: none is known to be safe; infinite: no limit but l.
     """
 
     frequencies: np.ndarray
     relative: np.ndarray
     known_to: float
+    crossover: float = np.inf
 
     def at(self, frequencies) -> np.ndarray:
         """Return l, shape (n,), linearly interpolated; above the known range it contains the assumed resonance.
@@ -360,7 +366,12 @@ class ResponseUncertainty:
         return UNKNOWN * self.share(frequencies)
 
     def assumption(self, sample_time: float) -> str:
-        """Return the assumption above the known range and the resulting limit of the feedback gain as text, if any."""
+        """Return the reason for a limit as text, if any: the crossover, or the assumption above the known range."""
+        if self.crossover < np.inf:
+            return (
+                "the recording shows a movement that the model lacks, so no crossover above "
+                f"{self.crossover:.3g} Hz is known to be safe"
+            )
         highest = 0.5 / sample_time
         if self.known_to >= highest:
             return ""
@@ -404,8 +415,11 @@ class ResponseUncertainty:
         distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))
-        found = float(distance[place]), float(frequencies[place]), float(self.at(frequencies[place : place + 1])[0])
-        return Borne(*found, nominal)
+        least = float(distance[place])
+        above = np.flatnonzero((np.abs(values) >= 1.0) & (frequencies > ROUNDED * self.crossover))
+        if above.size:
+            place, least = int(above[-1]), min(least, 0.0)
+        return Borne(least, float(frequencies[place]), float(self.at(frequencies[place : place + 1])[0]), nominal)
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:

@@ -155,15 +155,16 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     try:
         frequencies, relative = (np.array(found[start + name], dtype=float) for name in ("frequencies", "uncertainty"))
         known_to = float(found.get(f"{start}known_to", np.inf))
+        crossover = float(found[f"{start}certain_crossover_hz"]) if found.get(f"{start}ringing") else np.inf
     except (KeyError, TypeError, ValueError):
-        frequencies, relative, known_to = np.ones(1), np.zeros(0), 0.0
+        frequencies, relative, known_to, crossover = np.ones(1), np.zeros(0), 0.0, 0.0
     rising = frequencies.shape == relative.shape and frequencies.ndim == 1 and bool(np.all(np.diff(frequencies) > 0.0))
     if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
         raise ConfigurationError(
             f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must have the same length,"
             f" frequencies rising, uncertainties not below 0; identify again, or remove the entries {start}*"
         )
-    return ResponseUncertainty(frequencies, relative, known_to)
+    return ResponseUncertainty(frequencies, relative, known_to, crossover)
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
@@ -203,14 +204,15 @@ def certain_design(
         return None
 
     slower = None
-    if not request.criterion:
+    if not request.criterion and response.crossover > 0.0:
         slower = found_with(request.bandwidth)
         if slower is None and request.bandwidth is None:
             slower = _slower(found_with, min(first.margins.bandwidth, 0.4 / sample_time))
     if slower is not None:
         return slower
     known = response.assumption(sample_time)
-    if certain.frequency <= response.known_to or not known:
+    limited = certain.frequency > response.crossover
+    if not limited and (certain.frequency <= response.known_to or not known):
         known = f"the response is known only to {100.0 * certain.uncertainty:.0f} % at this frequency"
     raise ConfigurationError(
         f"the model is not accurate enough for this feedback at {certain.frequency:.4g} Hz: "

@@ -123,10 +123,12 @@ class ResponseCheck:
         """Return the values that the parameter file passes on to a design."""
         found = self.uncertainty
         known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
+        rings = {"response.ringing": tuple(float(f"{f:.4g}") for f in self.ringing)} if self.ringing else {}
         return {
             "response.frequencies": tuple(float(f"{value:.4g}") for value in found.frequencies),
             "response.uncertainty": tuple(float(f"{value:.3g}") for value in found.relative),
             **known,
+            **rings,
             **{f"response.{name}": value for name, value in self.figures.items() if "known_to" not in name},
         }
 

@@ -30,6 +30,8 @@ STEP = 1.0 / RATE
 LAG = 0.0015
 #: Result of slow triangles: the response up to 20 Hz, to 30 %.
 SLOW = ResponseUncertainty(np.array([1.0, 5.0, 20.0]), np.array([0.05, 0.1, 0.3]), 20.0)
+#: The response is known at all frequencies.
+KNOWN = ResponseUncertainty(np.array([1.0, 1500.0]), np.array([0.01, 0.01]), np.inf)
 CONTROLLERS = ("pid", "offset_free", "integral_smc")
 
 
@@ -143,6 +145,33 @@ def test_a_known_response_is_not_slowed_down():
 #: A recording with content up to 0.35 of the sample rate, with an uncertainty of 5 %.
 FAST = ResponseUncertainty(np.array([1.0, 0.35 * RATE]), np.array([0.05, 0.05]), 0.35 * RATE)
 JUMP, NOISE, SAMPLES = 10e-6, 45e-9, 6000
+
+
+def crossover_of(parameters) -> float:
+    """Return the highest frequency [Hz] at which the loop on the model has a gain of 1."""
+    controller, plant = whole_loop(parameters, STEP)
+    frequencies = np.geomspace(0.01, 0.499 / STEP, 20000)
+    z = np.exp(2j * np.pi * frequencies * STEP)
+    gain = np.abs(controller.response(z)[:, 0, 1] * plant.response(z)[:, 0, 0])
+    return float(frequencies[np.flatnonzero(gain >= 1.0)[-1]])
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_no_loop_is_faster_than_a_recording_that_rings_permits(controller):
+    known = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, crossover=8.4)
+    assert crossover_of(design_axis(axis(), DesignRequest(controller), KNOWN).parameters) > 20.0
+    found = design_axis(axis(), DesignRequest(controller), known)
+    assert 2.0 < crossover_of(found.parameters) < 8.6
+    assert "no crossover above 8.4 Hz is known to be safe" in " ".join(doubts(found))
+    asked = DesignRequest(controller, bandwidth=100.0)
+    if controller == "pid":  # the others are as fast in their response to the reference with less feedback
+        with pytest.raises(ConfigurationError, match="no crossover above 8.4 Hz is known to be safe; request a lower"):
+            design_axis(axis(), asked, known)
+    else:
+        assert crossover_of(design_axis(axis(), asked, known).parameters) < 8.6
+    none = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, crossover=0.0)
+    with pytest.raises(ConfigurationError, match="no crossover above 0 Hz is known to be safe"):
+        design_axis(axis(), DesignRequest(controller), none)
 
 
 def largest_late(parameters, plant: StateSpace) -> float:
