@@ -69,6 +69,16 @@ def test_tables_of_the_site_break_long_words_beside_both_side_bars():
     assert int(wide) <= 1400
 
 
+def test_the_index_of_decisions_names_each_one_under_its_group():
+    text = (DOCS / "decisions.md").read_text(encoding="utf-8")
+    index, *groups = re.split(r"\n## ", text)
+    for group in groups:
+        name = group.split("\n", 1)[0]
+        (entry,) = (line for line in index.splitlines() if line.startswith(f"- [{name}]"))
+        for decision in re.findall(r"^\*\*(.+?)\*\*", group, re.MULTILINE | re.DOTALL):
+            assert decision.rstrip(".,:").replace("\n", " ") in entry, f"{name}: {decision}"
+
+
 def test_a_page_that_no_list_names_comes_into_the_last_one(pages, tmp_path):
     for name in ("index", "known", "new"):
         (tmp_path / f"{name}.md").write_text("")
