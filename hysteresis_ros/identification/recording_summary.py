@@ -85,11 +85,11 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
     ends = [*(first * 2 ** np.arange(int(np.log2(len(U) / first)) + 1)).tolist(), len(U)]
     for end in ends:
         size = float(power[:end].sum())
-        gain = float(np.real(Y[:end] @ np.conj(U[:end]))) / size
-        left = np.abs(Y[:end] - gain * U[:end]) ** 2
-        found = SlowGain(
-            gain, float(np.sqrt(0.5 * correlated * (power[:end] @ left))) / size, end / (len(u) * sample_time)
-        )
+        response = complex(Y[:end] @ np.conj(U[:end])) / size
+        late = response.imag**2 * float(power[:end] @ power[:end])  # of a lag: the same in all lines, not noise
+        left = float(power[:end] @ np.abs(Y[:end] - response * U[:end]) ** 2)
+        deviation = np.sqrt(0.5 * (late + correlated * left)) / size
+        found = SlowGain(response.real, float(deviation), end / (len(u) * sample_time))
         if found.certain:
             break
     return found

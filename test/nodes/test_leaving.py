@@ -246,6 +246,7 @@ def test_wrong_input_is_refused_with_exit_code_2_and_says_what_is_allowed(refusa
         assert len(lines) == 1, output
 
 
+@pytest.mark.cold  # the process of the node is found by its command line
 def test_node_that_is_killed_brings_the_others_down(processes, observer, tmp_path):
     import psutil
     from std_msgs.msg import Float64
