@@ -140,7 +140,7 @@ class ExternalRun:
     def _absent(self) -> str:
         """Return the reason why the run waits; '' if it does not wait."""
         node = self._node
-        who = {
+        partners = {
             "motion_controller": node.count_publishers(self._command),
             "hysteresis_compensator": node.count_publishers(self._applied),
             "a publisher of joint_states (the external plant)": node.count_publishers(self._joint_states),
@@ -151,7 +151,7 @@ class ExternalRun:
             "a voltage": self._answered,
             "a subscriber of reference": node.runner.matched(),
         }
-        return ", ".join(name for name, there in who.items() if not there)
+        return ", ".join(name for name, there in partners.items() if not there)
 
     def take(self, message) -> bool:
         """Take a measurement; return whether it belongs to the run."""
