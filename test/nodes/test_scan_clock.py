@@ -168,7 +168,7 @@ def test_the_clock_of_a_stage_is_on_its_topic_and_in_the_bag(processes, observer
     if mode == "fused" and not COMPILED:
         pytest.skip("without Numba the loop is too slow for a stage")
     fused = mode == "fused"
-    parameters = scanning(mode, 0 if fused else 1, 0 if fused else 700)
+    parameters = scanning(mode, 0 if fused else 2, 0 if fused else 1100)
     path = tmp_path / "stage.yaml"
     path.write_text(parameters.configuration_text(), encoding="utf-8")
     heard, estop = observer.listen(JointState, "/scan_clock"), observer.talk(Bool, "/y/estop")
@@ -189,21 +189,21 @@ def test_the_clock_of_a_stage_is_on_its_topic_and_in_the_bag(processes, observer
     found = load_run(tmp_path / "bag", further=True)
     x, y = (found[f"{name}/waveform_sample"] for name in "xy")
     count = np.where(x == y, x, -1.0).astype(int)
-    wanted = marks_of(count, parameters.scan, periods=0 if fused else 1)
+    wanted = marks_of(count, parameters.scan, periods=0 if fused else 2)
     assert len(wanted) > 40
     if fused:
         begins = np.flatnonzero(count == 0)
         assert begins.size == 2, "the scan began again"
     else:
-        assert count[-1] == 699 and wanted[-1][0] < PERIOD, "behind its end it has no clock"
+        assert count[-1] == 1099 and PERIOD < wanted[-1][0] < 2 * PERIOD, "behind its end it has no clock"
     stored = read_bag(tmp_path / "bag").topics
     first = deserialize_message(stored["/x/joint_states"].data[0], JointState).header.stamp
     zero = first.sec * 10**9 + first.nanosec
     kept = [deserialize_message(data, JointState) for data in stored["/scan_clock"].data]
     assert_marks(rows_of(kept, zero), wanted)
-    # who listens gets the same, from the first message heard on
+    # a listener gets the same, from the first message that it hears: a run in lockstep does not wait for it
     told = rows_of(heard, zero)
-    assert len(told) > 40 and told[0] in wanted
+    assert len(told) > (40 if fused else 5) and told[0] in wanted
     start = wanted.index(told[0])
     assert_marks(told, wanted[start : start + len(told)])
 
