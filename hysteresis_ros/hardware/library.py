@@ -108,8 +108,8 @@ def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
     if found.st_mode & stat.S_IWGRP and not sticky:
         others = _members(found.st_gid) - trusted
         if others:
-            who = ", ".join(sorted(map(_user, others)))
-            return f"{mode} can be written by its group, and so by {who}", f"chmod g-w {place}"
+            users = ", ".join(sorted(map(_user, others)))
+            return f"{mode} can be written by its group, and so by {users}", f"chmod g-w {place}"
     return "", ""
 
 

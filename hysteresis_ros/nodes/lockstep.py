@@ -68,9 +68,9 @@ class Partners:
             present = frozenset(bytes(info.endpoint_gid) for info in found)
             known = self._known.get(topic)
             if len(present) > 1:
-                who = f"{partner} was restarted, or there are two" if known else "exactly one is allowed"
+                cause = f"{partner} was restarted, or there are two" if known else "exactly one is allowed"
                 names = " and ".join(sorted(map(named, found)))
-                return f"{topic} has {len(present)} publishers at sample {sample}, {names}: {who}; {TOGETHER}"
+                return f"{topic} has {len(present)} publishers at sample {sample}, {names}: {cause}; {TOGETHER}"
             if known is None or sample == 0:
                 if present:
                     self._known[topic] = present
@@ -146,13 +146,13 @@ class Lockstep(Runner):
         if self.reset_pending:
             return False  # sent before the reset; sample 0 has not arrived yet
         if index == 0:
-            who = f"{node.get_name()} is at {node.sample}"
-            node.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")
+            place = f"{node.get_name()} is at {node.sample}"
+            node.fail(f"plant_simulator began again at sample 0 while {place}; {TOGETHER}")
         elif index < node.sample:
             node.warn("repeat", f"sample {index} arrived a second time, rejected; the next is sample {node.sample}")
         else:
-            who = f"{node.get_name()} awaits {node.sample}"
-            node.fail(f"sample {index} arrived while {who}: it joined late or samples were lost; {TOGETHER}")
+            place = f"{node.get_name()} awaits {node.sample}"
+            node.fail(f"sample {index} arrived while {place}: it joined late or samples were lost; {TOGETHER}")
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:

@@ -234,16 +234,16 @@ class RealTimePlant(RealTime):
 
     def _on_presence(self, message) -> None:
         node = self.node
-        state, who, reporter, name = (*message.data.split(" "), "", "", "", "")[:4]
-        if state in (GONE, HERE) and who != PLANT:
-            self._lost.pop(who, None)
-            if who in CLOSERS and state == GONE:
-                self._gone.add(who)
-            elif who in CLOSERS:
-                self._known.add(who)
-                if who in self._gone:
-                    self._gone.discard(who)
-                    self._coming.add(who)
+        state, partner, reporter, name = (*message.data.split(" "), "", "", "", "")[:4]
+        if state in (GONE, HERE) and partner != PLANT:
+            self._lost.pop(partner, None)
+            if partner in CLOSERS and state == GONE:
+                self._gone.add(partner)
+            elif partner in CLOSERS:
+                self._known.add(partner)
+                if partner in self._gone:
+                    self._gone.discard(partner)
+                    self._coming.add(partner)
                     self._await_voltages()
                 self.settle()
         elif state in (LOST, HEARD) and node.active and node.running and reporter != node.kind:
@@ -252,7 +252,7 @@ class RealTimePlant(RealTime):
             else:
                 self._lost.pop(reporter, None)
             # repeated for a plant that was restarted after its loss and may miss the first message
-            if state == LOST or (who == PLANT and not node.part.tripped):
+            if state == LOST or (partner == PLANT and not node.part.tripped):
                 with node.lock:
                     node.lose(name)
 

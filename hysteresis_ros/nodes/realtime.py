@@ -277,16 +277,16 @@ class RealTimeResponder(RealTime):
         self.node.subscriber(String, "run_state", self._on_presence, latched_qos(PRESENCES))
 
     def _on_presence(self, message) -> None:
-        state, who, reporter, _ = (*message.data.split(" "), "", "", "", "")[:4]
+        state, partner, reporter, _ = (*message.data.split(" "), "", "", "", "")[:4]
         if state == GONE:
-            self._gone.add(who)
-        elif state == HERE and who in self._gone:
-            self._gone.discard(who)
-            self._coming.add(who)
-        if state == STARTED and who == PLANT:
+            self._gone.add(partner)
+        elif state == HERE and partner in self._gone:
+            self._gone.discard(partner)
+            self._coming.add(partner)
+        if state == STARTED and partner == PLANT:
             self._going = UNDER_WAY
         if state in (HERE, LOST, HEARD):
-            self._known.add(who if state == HERE else reporter)
+            self._known.add(partner if state == HERE else reporter)
 
     def _forget_losses(self) -> None:
         """Restart the detection of lost partners."""

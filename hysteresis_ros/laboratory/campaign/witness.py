@@ -86,10 +86,10 @@ class Witness:
     def _on_diagnostics(self, message) -> None:
         for status in message.status:
             if status.name.startswith(f"{self.namespace}/"):
-                level, who = int.from_bytes(status.level, "big"), status.name.split("/")[-1].split(":")[0]
-                self.said.append((time.time(), level, f"{who}: {status.message}"))
+                level, node = int.from_bytes(status.level, "big"), status.name.split("/")[-1].split(":")[0]
+                self.said.append((time.time(), level, f"{node}: {status.message}"))
                 # a node has no samples before its start and after its end
-                for value in status.values if who == "plant_simulator" else ():
+                for value in status.values if node == "plant_simulator" else ():
                     if value.key == "samples":
                         self._counted = time.time(), int(value.value)
 

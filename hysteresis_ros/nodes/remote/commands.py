@@ -407,8 +407,8 @@ def echo(client: Client, topic: str, count: int | None) -> None:
                 return
             raise AbsentError(f"{said} of {count} messages arrived on {name}, then its publisher left")
         elif time.monotonic() - quiet > client.timeout and (count is not None or not said):
-            who = ", ".join(map(named, publishers))
-            raise AbsentError(f"no message arrived on {name} for {client.timeout:g} s; its publisher is {who}")
+            names = ", ".join(map(named, publishers))
+            raise AbsentError(f"no message arrived on {name} for {client.timeout:g} s; its publisher is {names}")
 
 
 def _nobody(client: Client, name: str) -> str:
