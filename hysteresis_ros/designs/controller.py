@@ -152,6 +152,11 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     start = f"{axis}.response." if axis else "response."
     if f"{start}uncertainty" not in found:
         return None
+    if found.get(f"{start}ringing") and f"{start}certain_crossover_hz" not in found:
+        raise ConfigurationError(
+            f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing; with {start}ringing it must be "
+            f"the highest crossover that is known to be safe [Hz, 0: none]; identify again, or remove the entries {start}*"
+        )
     try:
         frequencies, relative = (np.array(found[start + name], dtype=float) for name in ("frequencies", "uncertainty"))
         known_to = float(found.get(f"{start}known_to", np.inf))

@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import close
 from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
-from hysteresis_ros.designs.controller import DesignRequest, design_axis, doubts
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, doubts, response_uncertainty
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.response_check import MeasuredPlant
@@ -172,6 +172,20 @@ def test_no_loop_is_faster_than_a_recording_that_rings_permits(controller):
     none = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, crossover=0.0)
     with pytest.raises(ConfigurationError, match="no crossover above 0 Hz is known to be safe"):
         design_axis(axis(), DesignRequest(controller), none)
+
+
+#: What an identification writes about a response; the rest of the file does not matter here.
+WRITTEN = "/identification:\n  ros__parameters:\n    response: {frequencies: [1.0, 2.0], uncertainty: [0.1, 0.1]%s}\n"
+
+
+def test_a_file_that_rings_without_a_certain_crossover_is_refused_with_the_missing_entry():
+    known = response_uncertainty(parse_configuration(WRITTEN % ", ringing: [30.0], certain_crossover_hz: 8.4", "axis"))
+    assert known is not None and known.crossover == 8.4
+    with pytest.raises(ConfigurationError, match="response.certain_crossover_hz is missing") as refused:
+        response_uncertainty(parse_configuration(WRITTEN % ", ringing: [30.0]", "axis"))
+    assert "same length" not in str(refused.value)
+    without = response_uncertainty(parse_configuration(WRITTEN % "", "axis"))
+    assert without is not None and np.isinf(without.crossover)
 
 
 def largest_late(parameters, plant: StateSpace) -> float:
