@@ -154,8 +154,9 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
         return None
     if found.get(f"{start}ringing") and f"{start}certain_crossover_hz" not in found:
         raise ConfigurationError(
-            f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing; with {start}ringing it must be "
-            f"the highest crossover that is known to be safe [Hz, 0: none]; identify again, or remove the entries {start}*"
+            f"{configuration.source}: {SECTION}: {start}certain_crossover_hz is missing; with {start}ringing it must be"
+            " the highest crossover that is known to be safe [Hz, 0: none]; identify again, or remove the entries"
+            f" {start}*"
         )
     try:
         frequencies, relative = (np.array(found[start + name], dtype=float) for name in ("frequencies", "uncertainty"))
