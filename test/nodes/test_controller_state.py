@@ -20,6 +20,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from nodes_support import axis_parameters  # noqa: E402
+from rclpy.logging import LoggingSeverity, set_logger_level  # noqa: E402
 
 import hysteresis_ros.nodes.motion_controller as module  # noqa: E402
 from hysteresis_ros import signals  # noqa: E402
@@ -114,6 +115,7 @@ def test_where_the_package_is_missing_a_line_says_how_to_get_it(inside, capfd):
     if message_types() is not None:
         pytest.skip("control_msgs is installed")
     axis = axis_parameters(overrides={"motion_controller": {"type": "open_loop"}})
+    set_logger_level("motion_controller", LoggingSeverity.INFO)  # another graph of this process may have changed it
     inside.add(module.MotionControllerNode, axis.motion_controller)
     assert MISSING in capfd.readouterr().err
     assert "apt install ros-jazzy-control-msgs" in MISSING
