@@ -140,11 +140,38 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
             )
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
+        _require_single(path, namespace)
         run = load_run(path, namespace, further=True)
         # a table from another program may have only the required columns
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
         return recorded_response(
             run, plan, options["loop"], options["at"], _with_units(options).get("period"), options["kind"]
+        )
+
+
+def _require_single(path: pathlib.Path, namespace) -> None:
+    """Refuse the recording of a stage in which other actuators also move the measured axis."""
+    import numpy as np
+
+    from hysteresis_ros.errors import ConfigurationError, RecordingError
+    from hysteresis_ros.identification.stage_data import INPUT, STILL, is_stage
+    from hysteresis_ros.recordings.files import load_run
+
+    try:
+        if not is_stage(path):
+            return
+    except RecordingError:
+        return  # a bag of independent axes
+    whole, chosen = load_run(path), (namespace or "").rsplit("/", 1)[-1]
+    if not whole.axes:
+        return  # a table from another program
+    sizes = {axis: float(np.nanstd(whole[f"{axis}/{INPUT}"])) for axis in whole.axes}
+    others = [axis for axis, size in sizes.items() if axis != chosen and size > STILL * sizes.get(chosen, 0.0)]
+    if chosen not in sizes or others:
+        why = f"{', '.join(others)} moves too" if chosen in sizes else "frf measures a single axis"
+        raise ConfigurationError(
+            f"{path}: is the recording of a stage, and {why}; its response matrix: hysteresis identify {path} "
+            "-o STAGE.yaml --report PAGE.html"
         )
 
 

@@ -286,8 +286,14 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
     Prints the errors of the model (m, % of stroke, fit %), of its inverse (V, m), and whether the residual is white.
     """
     from hysteresis_ros.identification import workflow
+    from hysteresis_ros.identification.stage_data import is_stage
 
     namespace = columns["namespace"] or ""
+    if not namespace and is_stage(data):
+        raise ConfigurationError(
+            f"{data}: is of a stage, and validate judges a single axis: give --namespace AXIS for a file of "
+            "one axis; hysteresis identify judges a stage on the realisations that --held-out keeps back"
+        )
     reading = read(data, whole=True, **columns)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     with shown("simulating the measured run"):

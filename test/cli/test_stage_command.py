@@ -94,6 +94,22 @@ def test_frf_says_how_the_response_of_a_stage_is_measured():
     assert "hysteresis excite xy_scanner --recipe multisine --record FILE" in said and "--report PAGE.html" in said
 
 
+def test_commands_of_a_single_axis_say_what_to_do_with_the_recording_of_a_stage(tmp_path):
+    time, rng = np.arange(400) * 1e-4, np.random.default_rng(1)
+    signals = {f"{axis}/voltage": rng.normal(size=400) for axis in "xy"}
+    signals |= {f"{axis}/measured": 1e-7 * signals[f"{axis}/voltage"] for axis in "xy"}
+    path = tmp_path / "both.csv"
+    units = {name: "V" if name.endswith("voltage") else "m" for name in signals}
+    save_run(Recording(time, signals, units), path)
+    # y moves too: a response of x alone would contain the effect of y
+    for words in ((), ("--namespace", "x")):
+        assert f"hysteresis identify {path} -o STAGE.yaml" in hysteresis("frf", path, *words, code=2)
+    assert "--held-out" in hysteresis("validate", "kim2009", path, code=2)
+    alone = tmp_path / "alone.csv"
+    save_run(Recording(time, signals | {"y/voltage": np.zeros(400)}, units), alone)
+    assert "is the recording of a stage" not in hysteresis("frf", alone, "--namespace", "x", "--loop", "open")
+
+
 def test_validate_refuses_the_plant_of_a_stage(tmp_path):
     path = tmp_path / "data.csv"
     path.write_text("time [s],voltage [V],measured [m]\n" + "".join(f"{k}e-4,{k},{k}e-7\n" for k in range(50)))
