@@ -11,8 +11,8 @@
  * named at each function, over the memory of loop/axis_array.py.
  *
  * bench_axis_array.py compiles this file and compares it with the compiled loop. Functions that such an axis does not
- * use (faults, creep, damping, shaping, learning, a force sensor, noise, a trajectory) are checked for as in Python, but
- * not implemented: a sample that needs one is counted as foreign.
+ * use (faults, a quiet hold, creep, damping, shaping, learning, a force sensor, noise, a trajectory) are checked for as
+ * in Python, but not implemented: a sample that needs one is counted as foreign.
  */
 
 #include "recursions.c"
@@ -288,7 +288,7 @@ static inline double reference_step(double *m, const int64_t *at, double setpoin
 /* ---- control/feedforward.py and control/controller.py ------------------------------------------------------------ */
 
 enum { PREVIEW, F_ORDER, FIRST, TAPS, PAST, DRIVES, WEIGHTS };
-enum { F_COMMAND, F_STARTED, NEXT, F_RING };
+enum { F_COMMAND, F_STARTED, NEXT, F_GIVEN, NEWEST, CALLS, F_RING };
 
 static inline double feedforward(const double *p, double *x, double reference)
 {
@@ -304,6 +304,8 @@ static inline double feedforward(const double *p, double *x, double reference)
             x[state + i] = p[rest + i] * reference;
     }
     long newest = (long)x[NEXT];
+    x[NEWEST] = reference;
+    x[CALLS] += 1.0;
     x[F_RING + newest] = reference;
     long oldest = newest + 1 == length ? 0 : newest + 1;
     x[NEXT] = (double)oldest;
@@ -325,7 +327,7 @@ static inline double feedforward(const double *p, double *x, double reference)
         if (place == length)
             place = 0;
     }
-    x[F_COMMAND] = accumulate(command, p, outputs, x, state, n);
+    x[F_COMMAND] = accumulate(command, p, outputs, x, state, n) + x[F_GIVEN];
     advance(p, matrix, inputs, x, state, n, ahead);
     long present = oldest + (long)p[PAST];
     if (present >= length)
@@ -376,6 +378,7 @@ static void note(double *x, double applied, double reference, double fed, double
 
 enum { SAFE_COMMAND, C_SAFE_STEP, PRELOAD, USE_ORIGIN, PREDICTS, LOWEST, HIGHEST, NEEDS_FORCE };
 enum { STOP, RETURNING, ON_PATH, UNANSWERED, ANSWERED, O_REFERENCE, COMMANDED, OFFSET_LEFT, O_FORCE };
+enum { Q_AHEAD = 9, Q_LEFT, Q_ON_PULSE = 9 }; /* of loop/quiet.py: states, then a parameter */
 
 typedef double (*Law)(const double *, double *, double, double);
 
@@ -420,6 +423,7 @@ static inline void control(Law law, double *m, const int64_t *at, double *row, i
     if (finite(row[REFERENCE]))
         own[O_REFERENCE] = row[REFERENCE];
     *foreign += own_p[USE_ORIGIN] != 0.0;
+    *foreign += own[Q_AHEAD] != 0.0 || own[Q_LEFT] != 0.0 || own_p[Q_ON_PULSE] != 0.0;
     double offset = own_p[PRELOAD], left = own[OFFSET_LEFT];
     if (left != 0.0) {
         own[OFFSET_LEFT] = fabs(left) > 1e-18 ? left * m[at[C_HANDOVER]] : 0.0;

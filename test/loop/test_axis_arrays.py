@@ -22,6 +22,7 @@ from adapting_support import adapting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_support import HOLD, assert_same_bits, parameters
+from stage_support import needs_compiler
 
 import hysteresis_ros as hr
 from hysteresis_ros.control.controller import DESIGNS
@@ -29,6 +30,7 @@ from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_array import MOST_AXES, AxisArray, parameters_of_each
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.signals import ACTUATOR
 
 #: All signals of an axis.
@@ -316,3 +318,20 @@ def test_every_axis_has_its_own_range_of_setpoints():
     one, most = parameters(**HOLD), [5e-6, 7e-6, 6e-6]
     array = AxisArray(parameters_of_each(one, 3, {"reference_generator.maximum": most}))
     np.testing.assert_array_equal(array.setpoint_range, [[one.generator.minimum, end] for end in most])
+
+
+@needs_compiler
+@pytest.mark.skipif(not COMPILED, reason="Numba is not installed: there is no compiled loop to compare with")
+def test_the_loops_in_c_of_the_benchmark_make_the_same_bits(tmp_path, monkeypatch):
+    """A change of a kernel or of a layout leaves the loops in C behind, and the benchmark compares something else."""
+    monkeypatch.syspath_prepend(str(pathlib.Path(__file__).parents[2] / "benchmarks"))
+    bench_axis_array = pytest.importorskip("bench_axis_array", reason="an installed package has no benchmarks")
+    monkeypatch.setattr(bench_axis_array, "AXES", 3)
+    ours, in_c = bench_axis_array.axes(), bench_axis_array.InC(tmp_path)
+    jumps = np.repeat(np.random.default_rng(4).uniform(0.0, 10e-6, (3, 30)), 20, axis=1)
+    for _ in range(2):
+        ours.run(jumps, signals=())
+        in_c.run(jumps)
+    np.testing.assert_array_equal(ours.memory.view(np.int64), in_c.array.memory.view(np.int64))
+    np.testing.assert_array_equal(ours.rows, in_c.array.rows)
+    assert np.ptp(ours["voltage"]) > 1.0
