@@ -279,6 +279,8 @@ NEAREST = 0.12
 KEPT = 0.2
 #: Number of points of the grid, decades below half the sample rate, and points around each pole.
 POINTS, DECADES, AROUND = 500, 5.0, 41
+#: Number of gains between the model's and the largest one.
+GAINS = 9
 #: Number of steps of the search for the fastest loop, over the same decades.
 STEPS = 100
 #: Tolerance of a limit of the crossover: it is stored with few digits and compared on a grid of frequencies.
@@ -321,12 +323,16 @@ class ResponseUncertainty:
     crossover : float
         Highest crossover [Hz] of a loop if the recording shows a movement that the model lacks and l does not bound
         (it rings); 0: none is known to be safe; infinite: no limit but l.
+    gain : float
+        Largest factor on the gain of the plant that the recording does not exclude, for loops over a tenth of the
+        range; at least 1.
     """
 
     frequencies: np.ndarray
     relative: np.ndarray
     known_to: float
     crossover: float = np.inf
+    gain: float = 1.0
 
     def at(self, frequencies) -> np.ndarray:
         """Return l, shape (n,), linearly interpolated; above the known range it contains the assumed resonance.
@@ -412,11 +418,13 @@ class ResponseUncertainty:
         # displacement that passes through an unknown resonance does not pass through the modelled dynamics
         relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
         gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
-        distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain
+        rest = relative * np.abs(parts[:, 0]) + UNKNOWN * share * gain
+        # every gain between the model's and the largest: the least distance may lie between them
+        distance = np.min([np.abs(1.0 + k * values) - k * rest for k in np.linspace(1.0, self.gain, GAINS)], axis=0)
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))
         least = float(distance[place])
-        above = np.flatnonzero((np.abs(values) >= 1.0) & (frequencies > ROUNDED * self.crossover))
+        above = np.flatnonzero((self.gain * np.abs(values) >= 1.0) & (frequencies > ROUNDED * self.crossover))
         if above.size:
             place, least = int(above[-1]), min(least, 0.0)
         return Borne(least, float(frequencies[place]), float(self.at(frequencies[place : place + 1])[0]), nominal)

@@ -23,8 +23,8 @@ from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, des
 from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
 from hysteresis_ros.control.learning import LearningParameters
-from hysteresis_ros.control.linearisation import margins, whole_loop
-from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins
+from hysteresis_ros.control.linearisation import linear_loop, margins, whole_loop
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins, judge
 from hysteresis_ros.control.uncertainty import KEPT, Borne, ResponseUncertainty, Uncertainty
 from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
@@ -170,7 +170,13 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
             f"{configuration.source}: {SECTION}: {start}frequencies and {start}uncertainty must have the same length,"
             f" frequencies rising, uncertainties not below 0; identify again, or remove the entries {start}*"
         )
-    return ResponseUncertainty(frequencies, relative, known_to, crossover)
+    higher = found.get(f"metrics.{SMALL_LOOP_GAIN}", 0.0)
+    gain = 1.0 + 0.01 * max(float(higher), 0.0) if isinstance(higher, (int, float)) else 1.0
+    return ResponseUncertainty(frequencies, relative, known_to, crossover, gain)
+
+
+#: Entry of an identification: how much higher the gain of loops over a tenth of the range may be [%].
+SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
@@ -181,8 +187,69 @@ def borne(found: Designed, response: ResponseUncertainty, sample_time: float) ->
     return response.borne_by(*whole_loop(found.parameters, sample_time), sample_time)
 
 
+def is_certain(found: Designed, response: ResponseUncertainty, sample_time: float) -> bool:
+    """Return whether a design is stable on all plants of an identification, with its margins at the largest gain.
+
+    Units: ``sample_time`` [s].
+    """
+    if borne(found, response, sample_time).distance < KEPT:
+        return False
+    if response.gain == 1.0:
+        return True
+    controller, plant = whole_loop(found.parameters, sample_time)
+    return judge(controller, plant.scaled(response.gain), sample_time).meets()
+
+
+#: Corners of a roll-off per decade, and decades below half the sample rate; steps of the search for the gain at each.
+CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
+#: Smallest gain of the integral, relative to that without a roll-off, at which a roll-off is used.
+WORTH = 1.1
+
+
+def rolled_off_design(
+    first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float
+) -> Designed | None:
+    """Return the certain integral controller with the largest gain, of all corners of its roll-off, or None.
+
+    Units: ``sample_time`` [s]; ``quiet``: largest gain from the sensor's noise to the command.
+    """
+    own = first.parameters.before_damping(sample_time)
+    unit = 1.0 / (own.model.dynamics.matrices.dc_gain * sample_time)
+    aimed = replace(AIMED, command_noise_gain=quiet)
+    plain = replace(own.pid, Kp=0.0, Kd=0.0, setpoint_weight=1.0, derivative_filter=0.0)
+
+    def found_with(gain: float, corner: float) -> Designed | None:
+        gains = replace(plain, Ki=float(f"{unit * gain:.6g}"), roll_off=corner)
+        changed: dict = {"pid": gains}
+        found = Designed(replace(first.parameters, **changed), first.margins)
+        meets = judge(*linear_loop(found.parameters, sample_time), sample_time).meets(aimed)
+        return found if meets and is_certain(found, response, sample_time) else None
+
+    best, largest = None, 0.0
+    for corner in np.pi / sample_time * 10.0 ** np.linspace(-CORNER_DECADES, -0.3, int(CORNERS * CORNER_DECADES)):
+        rounded = float(f"{corner:.6g}")
+        # at a crossover above a third of the corner the low-passes leave too little phase
+        low, high = largest, min(rounded * sample_time / 3.0, 1.0)
+        for _ in range(GAIN_STEPS if high > low else 0):
+            middle = float(np.sqrt(max(low, 1e-3 * high) * high))
+            found = found_with(middle, rounded)
+            if found is None:
+                high = middle
+            else:
+                best, low = found, middle
+            if low > 0.98 * high:
+                break
+        largest = low
+    return None if best is None else replace(best, margins=margins(best.parameters, sample_time))
+
+
 def certain_design(
-    first: Designed, design: Design, request, response: ResponseUncertainty | None, sample_time: float
+    first: Designed,
+    design: Design,
+    request,
+    response: ResponseUncertainty | None,
+    sample_time: float,
+    quiet: float = np.inf,
 ) -> Designed:
     """Return a design that is stable for all plants that are consistent with the identification.
 
@@ -193,7 +260,7 @@ def certain_design(
     if response is None:
         return first
     certain = borne(first, response, sample_time)
-    if certain.distance >= KEPT:
+    if is_certain(first, response, sample_time):
         return first
 
     observes = request.q is None and "kalman" in first.parameters.law.groups
@@ -205,7 +272,7 @@ def certain_design(
         for q in observers:
             with contextlib.suppress(ParameterError):  # the law cannot achieve this bandwidth
                 found = design(bandwidth, q)
-                if borne(found, response, sample_time).distance >= KEPT:
+                if is_certain(found, response, sample_time):
                     return found
         return None
 
@@ -214,6 +281,12 @@ def certain_design(
         slower = found_with(request.bandwidth)
         if slower is None and request.bandwidth is None:
             slower = _slower(found_with, min(first.margins.bandwidth, 0.4 / sample_time))
+        if first.parameters.type == "pid" and request.bandwidth is None:
+            rolled = rolled_off_design(first, quiet, response, sample_time)
+            if rolled is not None and (
+                slower is None or abs(rolled.parameters.pid.Ki) > WORTH * abs(slower.parameters.pid.Ki)
+            ):
+                slower = rolled
     if slower is not None:
         return slower
     known = response.assumption(sample_time)
@@ -304,6 +377,7 @@ class AxisDesign:
     tuned: Tuned | None = None  #: Result of the tuning, if any.
     robustness: Robustness | None = None  #: Margins on the plants of a robust design.
     limited: ResponseUncertainty | None = None  #: Uncertainty that limited the design.
+    gain: float = 1.0  #: Largest factor on the gain of the plant at which the margins were required.
     damped: DampedDesign | None = None  #: Performance of the damping inside the controller's loop.
 
     def misses(self) -> tuple[str, ...]:
@@ -350,7 +424,7 @@ def design_axis(
         gains: dict = {law.name: tuned.gains}
         final = replace(first.parameters, **gains)
         first = Designed(final, margins(final, sample_time))
-    found = certain_design(first, design, request, response, sample_time)
+    found = certain_design(first, design, request, response, sample_time, quiet)
     damped = None
     if control.damping.type != NONE:
         bandwidth = None
@@ -360,7 +434,8 @@ def design_axis(
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
     # the result of the search does not apply to a design that was made slower
     kept = {"robustness": robust} if found is first else {"limited": response}
-    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, **kept)
+    gain = 1.0 if response is None else response.gain
+    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, gain=gain, **kept)
 
 
 def _gains(
@@ -492,6 +567,10 @@ def design_lines(result: AxisDesign) -> list[str]:
             ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
         ),
     ]
+    if result.gain > 1.0:
+        controller, plant = whole_loop(result.parameters, result.sample_time)
+        peak = judge(controller, plant.scaled(result.gain), result.sample_time).sensitivity_peak
+        rows.append(("gain of small loops", f"up to {100.0 * (result.gain - 1.0):.3g} % higher; M_s there {peak:.3f}"))
     least = modes(found.poles.astype(complex), result.sample_time)[:1]
     rows += [("least damped mode", f"{hertz:.4g} Hz, damping {damping:.2g}") for hertz, damping in least]
     for further in (result.damped, result.robustness):

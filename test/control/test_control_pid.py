@@ -11,8 +11,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -96,6 +99,29 @@ def test_state_space_is_the_kernel():
         x = found.A @ x + found.B[:, 0] * e
     c = block({"Kp": 1.3, "Ki": 20.0, "Kd": 0.03, "derivative_filter": 80.0, "derivative_weight": 1.0})
     assert c.simulate(1e-6 * error, np.zeros(50)) * 1e6 == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("gains", [{"Ki": 20.0}, {"Kp": 1.3, "Ki": 20.0, "Kd": 0.03, "derivative_filter": 80.0}])
+def test_roll_off_is_two_low_passes_before_the_controller(gains):
+    c = block({**gains, "derivative_weight": 1.0, "roll_off": 30.0})
+    a, error = np.exp(-30.0 * T), np.sin(0.1 * np.arange(200.0))
+    filtered = scipy.signal.lfilter([(1 - a) ** 2], [1.0, -2 * a, a * a], error)
+    plain = block({**gains, "derivative_weight": 1.0})
+    expected = plain.simulate(1e-6 * filtered, np.zeros(200))
+    assert c.simulate(1e-6 * error, np.zeros(200)) == pytest.approx(expected, rel=1e-9, abs=1e-15)
+    z = np.exp(1j * np.geomspace(1e-3, np.pi, 50))
+    rolled, bare = (pid_state_space(PidParameters(**gains, roll_off=f), T).response(z)[:, 0, 1] for f in (30.0, 0.0))
+    assert rolled == pytest.approx(bare * ((1 - a) * z / (z - a)) ** 2, rel=1e-9)
+
+
+def test_roll_off_begins_at_rest_and_is_switched_on_without_a_jump():
+    c = block({"Ki": 20.0, "roll_off": 30.0})
+    steady = c.step(2e-6, 2e-6)
+    assert [c.step(2e-6, 2e-6) for _ in range(5)] == pytest.approx([steady] * 5, rel=1e-12)
+    plain = block({"Kp": 0.5, "Ki": 20.0})
+    before = [plain.step(2e-6, 1e-6) for _ in range(3)]
+    plain.retune(replace(plain.parameters, pid=replace(plain.parameters.pid, roll_off=30.0)))
+    assert plain.step(2e-6, 1e-6) - before[-1] == pytest.approx(before[-1] - before[-2], rel=1e-9)
 
 
 def test_offset_free_on_the_model():

@@ -16,9 +16,9 @@ import pytest
 
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.linearisation import whole_loop
-from hysteresis_ros.control.margins import close
-from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
-from hysteresis_ros.designs.controller import DesignRequest, design_axis, doubts, response_uncertainty
+from hysteresis_ros.control.margins import close, margins_of
+from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty, fastest_integral
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_lines, doubts, response_uncertainty
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.response_check import MeasuredPlant
@@ -231,6 +231,75 @@ def fast_plants():
             most = 0.05 * ((part_of_rate / 0.35) ** 2 - 1.0)
             for part in (most, -most):
                 yield unseen(part_of_rate * RATE, damping, part)
+
+
+#: The response is known up to 300 Hz, to 10 %; behind the model's lag an integrator alone is certain to 1.4 Hz.
+PARTLY = ResponseUncertainty(np.array([1.0, 300.0]), np.array([0.1, 0.1]), 300.0)
+QUICK = 0.0003
+
+
+def quick_axis():
+    """Return an axis at 3 kHz whose model is a short lag."""
+    dynamics = LinearPart(lag=QUICK, hold=STEP).dynamics(STEP).to_mapping()
+    values = {f"model.dynamics.{name}": dynamics[name] for name in dynamics if dynamics[name] != ()}
+    lists = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+    return single_axis(load_configuration("kim2009").override("motion_controller", type="open_loop", **lists), None)
+
+
+@pytest.fixture(scope="module")
+def rolled():
+    return design_axis(quick_axis(), DesignRequest("pid"), PARTLY)
+
+
+def unseen_plants(late: float = 0.0):
+    """Return the quick plant with a mode above 1.7 times the known range through which everything passes."""
+    for frequency in np.geomspace(1.75 * PARTLY.known_to, 0.49 * RATE, 12):
+        part = LinearPart(modes=(Mode(float(frequency), DAMPING),), lag=QUICK, hold=STEP, delay=late * STEP)
+        yield float(frequency), held(part.dynamics(STEP), 1.0)
+
+
+def test_a_roll_off_gives_a_crossover_that_an_integrator_alone_does_not_have(rolled):
+    alone = fastest_integral(whole_loop(rolled.parameters, STEP)[1], STEP, PARTLY)
+    assert rolled.parameters.pid.roll_off > 0.0 and crossover_of(rolled.parameters) > 5.0 * alone > 1.0
+    assert rolled.margins.sensitivity_peak < 1.61 and not rolled.misses()
+    # the margins and the distance of the unknown resonance again, from the formula of the loop
+    f = np.geomspace(0.01, 0.4999 * RATE, 40000)
+    z = np.exp(2j * np.pi * f * STEP)
+    gains, a = rolled.parameters.pid, np.exp(-rolled.parameters.pid.roll_off * STEP)
+    feedback = 0.5 * STEP * gains.Ki * (z + 1.0) / (z - 1.0) * ((1.0 - a) * z / (z - a)) ** 2
+    pole = np.exp(-STEP / QUICK)
+    loop = feedback * (1.0 - pole) / (z - pole)  # the lag behind the hold, with the sample of the loop
+    resonance = np.where(f > 1.75 * PARTLY.known_to, UNKNOWN, 0.0)
+    relative = np.where(f > 1.75 * PARTLY.known_to, 1.0, 0.1)
+    distance = np.abs(1.0 + loop) - relative * np.abs(loop) - resonance * np.abs(feedback)
+    assert np.min(distance) > 0.19 and np.max(1.0 / np.abs(1.0 + loop)) < 1.65
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_the_rolled_off_loop_is_stable_on_every_resonance_even_a_sample_late(rolled, late):
+    for frequency, plant in unseen_plants(late):
+        assert radius(rolled.parameters, plant) < 1.0, frequency
+    plain = design_axis(quick_axis(), DesignRequest("pid"))
+    assert any(radius(plain.parameters, plant) > 1.0 for _, plant in unseen_plants(late)), "the plants are too easy"
+
+
+def test_the_rolled_off_loop_stays_bounded_in_the_time_domain(rolled):
+    late = [largest_late(rolled.parameters, plant) for _, plant in list(unseen_plants(1.0))[::4]]
+    assert max(late) < 2.0, late
+
+
+def test_a_gain_of_small_loops_that_may_be_higher_keeps_the_margins():
+    text = WRITTEN % ", fit_for_feedback: true" + "    metrics: {small_loop_gain_high_percent: 100.0}\n"
+    known = response_uncertainty(parse_configuration(text, "axis"))
+    assert known is not None and known.gain == pytest.approx(2.0)
+    higher = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, gain=2.0)
+    bold, found = (design_axis(axis(), DesignRequest("pid"), known) for known in (KNOWN, higher))
+    peaks = []
+    for one in (bold, found):
+        controller, plant = whole_loop(one.parameters, STEP)
+        peaks.append(margins_of(controller, plant.scaled(2.0), STEP).sensitivity_peak)
+    assert peaks[0] > 2.0 and peaks[1] < 2.01
+    assert "up to 100 % higher; M_s there" in "".join(design_lines(found))
 
 
 def test_loops_on_modes_that_were_not_seen_stay_bounded(designs):

@@ -23,7 +23,18 @@ Discretisation: exact for signals that are straight lines between the samples (f
    I_k = I_{k-1} + K_i T \, \frac{e_k + e_{k-1}}{2}, \qquad
    D_k = a D_{k-1} + K_d (1 - a) \frac{v_k - v_{k-1}}{T}, \qquad a = e^{-N T}
 
-(trapezoidal rule; N = 0: no filter, a = 0). The first sample does not act as a step: I starts at the value that
+(trapezoidal rule; N = 0: no filter, a = 0).
+
+*Roll-off.* With a cut-off ω > 0 [rad/s] r and y first pass through two equal low-passes
+
+.. math::
+
+   f_k = f_{k-1} + (1 - e^{-\omega T}) (r_k - f_{k-1})
+
+each, so that the gain of the feedback falls with the square of the frequency above ω. They begin at the measured
+position. A design uses them where nothing is known about the plant (:mod:`hysteresis_ros.control.uncertainty`).
+
+The first sample does not act as a step: I starts at the value that
 continues the command, D at zero.
 
 Anti-windup uses the achieved command. The excess is the part of the last command beyond the controller's own limits or
@@ -96,7 +107,8 @@ LIMITED = 13
 MINIMUM = 14
 MAXIMUM = 15
 REST_COMMAND = 16  # command that holds an output of one
-PARAMETERS = 17
+ROLL_OFF = 17  # exp(−ω T) of the low-passes, 0 without them
+PARAMETERS = 18
 
 # State array after the common part, in the model's units.
 INTEGRAL = HEADER  # I, the integral's part of the command
@@ -106,7 +118,8 @@ LAST_MEASURED = HEADER + 3  # [m]
 EXCESS = HEADER + 4  # part of the last command beyond the controller's own limits
 LARGEST = HEADER + 5  # largest achieved command so far [m]
 PROPORTION = HEADER + 6  # K_p (b r − y) of the last sample
-STATES = HEADER + 7
+FILTERED = HEADER + 7  # outputs of the low-passes: two of the reference, two of the measurement [m]
+STATES = HEADER + 11
 
 
 @kernel
@@ -117,6 +130,18 @@ def pid(p, x, reference, measured):
         x[LARGEST] = abs(applied)
     reference = bounded(reference)
     measured = bounded(measured)
+    seen = measured
+    if p[ROLL_OFF] != 0.0:
+        a = p[ROLL_OFF]
+        if x[STARTED] == 0.0:
+            for i in range(FILTERED, STATES):
+                x[i] = measured
+        x[FILTERED] = bounded(a * x[FILTERED] + (1.0 - a) * reference)
+        x[FILTERED + 1] = bounded(a * x[FILTERED + 1] + (1.0 - a) * x[FILTERED])
+        x[FILTERED + 2] = bounded(a * x[FILTERED + 2] + (1.0 - a) * measured)
+        x[FILTERED + 3] = bounded(a * x[FILTERED + 3] + (1.0 - a) * x[FILTERED + 2])
+        reference = x[FILTERED + 1]
+        measured = x[FILTERED + 3]
     r = reference / p[OUTPUT_SCALE]
     y = (measured - p[PRELOAD]) / p[OUTPUT_SCALE]
     fed = 0.0
@@ -155,7 +180,7 @@ def pid(p, x, reference, measured):
         limited = min(max(wanted, p[MINIMUM]), p[MAXIMUM])
     x[EXCESS] = wanted - limited
     command = bounded(limited * p[INPUT_SCALE])
-    x[ESTIMATED] = measured
+    x[ESTIMATED] = seen
     x[COMMAND] = command
     x[APPLIED] = command
     return command
@@ -170,6 +195,12 @@ class PidParameters(Parameters):
     Kd: float = parameter(0.0, unit="s", description="Derivative gain (input unit times second over output unit)")
     derivative_filter: float = parameter(
         0.0, unit="rad/s", low=0.0, description="Cut-off N of the derivative's filter N/(s + N); 0: no filter"
+    )
+    roll_off: float = parameter(
+        0.0,
+        unit="rad/s",
+        low=0.0,
+        description="Cut-off of two low-passes of first order through which reference and measurement pass; 0: none",
     )
     setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: weight of the reference in the P part")
     derivative_weight: float = parameter(
@@ -213,6 +244,10 @@ class PidParameters(Parameters):
         """Return a = exp(−N T) of the derivative's filter for ``sample_time`` [s], 0 without a filter."""
         return elementary.exp(-self.derivative_filter * sample_time) if self.derivative_filter > 0.0 else 0.0
 
+    def filtered(self, sample_time: float) -> float:
+        """Return exp(−ω T) of the roll-off for ``sample_time`` [s], 0 without one."""
+        return elementary.exp(-self.roll_off * sample_time) if self.roll_off > 0.0 else 0.0
+
     def tracking(self, sample_time: float) -> float:
         """Return T / T_t of back-calculation for ``sample_time`` [s], at most 1; 0 for any other anti-windup."""
         if self.anti_windup != "back_calculation":
@@ -229,14 +264,31 @@ def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace
     Returns
     -------
     StateSpace
-        System with the integral and the filtered derivative as states, without those of zero gain.
+        System with the integral and the filtered derivative as states, without those of zero gain, and
+        before them the two low-passes of the roll-off, if any.
     """
     a = parameters.decay(sample_time)
     slope = parameters.Kd * (1.0 - a) / sample_time
     integral = parameters.Ki * sample_time
     B, D = np.array([[integral], [(a - 1.0) * slope]]), np.array([[parameters.Kp + 0.5 * integral + slope]])
     whole = StateSpace(np.diag([1.0, a]), np.hstack([B, -B]), np.ones((1, 2)), np.hstack([D, -D]))
-    return whole.part([i for i, gain in enumerate((parameters.Ki, parameters.Kd)) if gain != 0.0])
+    used = whole.part([i for i, gain in enumerate((parameters.Ki, parameters.Kd)) if gain != 0.0])
+    return used if parameters.roll_off == 0.0 else _rolled_off(used, parameters.filtered(sample_time))
+
+
+def _rolled_off(controller: StateSpace, a: float) -> StateSpace:
+    """Return a controller of the error behind two low-passes with the pole ``a``."""
+    b = 1.0 - a
+    rows = np.array([[b, -b], [b * b, -b * b]])  # of the filters' outputs in this sample
+    A = np.block(
+        [
+            [np.array([[a, 0.0], [a * b, a]]), np.zeros((2, controller.order))],
+            [controller.B[:, :1] * np.array([[a * b, a]]), controller.A],
+        ]
+    )
+    B = np.vstack([rows, controller.B[:, :1] * rows[1]])
+    C = np.hstack([controller.D[:, :1] * np.array([[a * b, a]]), controller.C])
+    return StateSpace(A, B, C, controller.D[:, :1] * rows[1])
 
 
 def require_stable_pid(parameters, sample_time: float | None) -> None:
@@ -284,7 +336,7 @@ class Pid(Controller):
     kernel = staticmethod(pid)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return the parameter array, shape (17,)."""
+        """Return the parameter array, shape (18,)."""
         gains, dynamics = parameters.pid, parameters.model.dynamics
         require_stable_pid(parameters, self.sample_time)
         a = gains.decay(self.sample_time)
@@ -306,6 +358,7 @@ class Pid(Controller):
         p[LIMITED] = gains.limited
         p[MINIMUM] = gains.output_minimum
         p[MAXIMUM] = gains.output_maximum
+        p[ROLL_OFF] = gains.filtered(self.sample_time)
         p[REST_COMMAND] = 1.0 / gain if gain != 0.0 else 0.0
         return p
 
@@ -326,6 +379,8 @@ class Pid(Controller):
         x, p = self.x, self.p
         if x[STARTED] == 0.0:
             return
+        if before[ROLL_OFF] == 0.0:
+            x[FILTERED : FILTERED + 2], x[FILTERED + 2 : STATES] = x[LAST_REFERENCE], x[LAST_MEASURED]
         for place in (INTEGRAL, DERIVATIVE, PROPORTION, EXCESS):
             x[place] *= before[INPUT_SCALE] / p[INPUT_SCALE]
         r = x[LAST_REFERENCE] / p[OUTPUT_SCALE]
@@ -449,7 +504,7 @@ def design_pid(
 
     def gains(g):
         Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
-        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0}
+        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0, "roll_off": 0.0}
         return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
 
     def judged(g):
@@ -498,7 +553,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
     plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
 
     def gains(Ki):
-        return replace(given, Kp=0.0, Ki=Ki, Kd=0.0)
+        return replace(given, Kp=0.0, Ki=Ki, Kd=0.0, roll_off=0.0)
 
     def judged(Ki):
         return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time)
@@ -556,6 +611,8 @@ def rows(parameters, sample_time: float):
     yield "Kp, Ki, Kd", f"{gains.Kp:.6g}, {gains.Ki:.6g} 1/s, {gains.Kd:.6g} s"
     if gains.Kd:
         yield "derivative filter", f"{gains.derivative_filter:.6g} rad/s"
+    if gains.roll_off:
+        yield "roll-off", f"two low-passes of {gains.roll_off:.6g} rad/s ({gains.roll_off / (2.0 * np.pi):.4g} Hz)"
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
