@@ -15,7 +15,7 @@ voltage → hysteresis → creep → linear dynamics → + offset.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.sensor_zero import sensor_zero
 from hysteresis_ros.models.creep import Creep, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.inverses import InverseParameters
@@ -254,10 +255,6 @@ def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[Hyst
     return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)
 
 
-#: The voltage counts as 0 V within this fraction of its range.
-AT_ZERO = 0.002
-
-
 def chain_of(
     data: IdentificationData,
     request: Request,
@@ -273,13 +270,7 @@ def chain_of(
     gain = 1.0 if part is None else part.settled_gain
     low, high = data.input_range
     offset = float(offset + rest * gain)
-    zero = reading_at_zero(data)
-    if zero is not None:
-        # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
-        moved = hysteresis.shifted((offset - zero) / gain)
-        if moved is not hysteresis:
-            hysteresis, offset = moved, zero
-    return PlantModel(
+    chain = PlantModel(
         hysteresis=hysteresis,
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
@@ -295,13 +286,12 @@ def chain_of(
         inverse=InverseParameters(type=request.inverse),
         units=(data.input_unit, data.output_unit),
     )
-
-
-def reading_at_zero(data: IdentificationData) -> float | None:
-    """Return the reading at 0 V at the beginning of the recording [m]; None if the voltage was not 0 V there."""
-    away = np.flatnonzero(np.abs(data.input) > AT_ZERO * np.ptp(data.input))
-    standing = int(away[0]) if away.size else len(data)
-    return float(np.median(data.output[:standing])) if standing else None
+    zero = sensor_zero(data, chain)
+    if zero is None:
+        return chain
+    # the sensor's zero is its reading at 0 V; a remanent displacement belongs to the hysteresis
+    moved = hysteresis.shifted((offset - zero.value) / gain)
+    return chain if moved is hysteresis else replace(chain, hysteresis=moved, offset=zero.value)
 
 
 def identified(

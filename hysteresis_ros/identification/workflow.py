@@ -47,6 +47,7 @@ from hysteresis_ros.identification.recording_summary import (
 )
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.safe_motion import largest_change
+from hysteresis_ros.identification.sensor_zero import zero_warnings
 from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
@@ -465,6 +466,7 @@ def _finished(
     shown = as_sensed(data, predicted + drift) - drift
     found, back, figures, judged = judge(result.chain, still, shown, skip=skip, free_offset=free, fitted=fitted)
     notes = [*read, *result.warnings, *model_warnings(result), *judged, *modes_at_bounds(result.chain.linear_part)]
+    notes += () if free else zero_warnings(data, result.chain)
     if found.rmse_percent_of_stroke > LEFT:
         notes.append(
             f"{result.model} leaves {found.rmse_percent_of_stroke:.2g} % of the stroke: another model may come closer "

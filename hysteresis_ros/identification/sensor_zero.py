@@ -1,0 +1,142 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The zero of the sensor: its reading at rest at 0 V, from the beginning of a recording.
+
+If the voltage rests at 0 V long enough, the zero is the median reading there. If it rests for a few samples only, one
+reading would carry the noise of the sensor into every displacement. The readings of the first small movement then count
+too: a straight line of the reading's difference from the model over the model's movement is fitted, and its value
+without movement is the zero, so that an error in the model's gain does not matter.
+
+A recording that begins at another voltage shows its zero in the first readings if they still belong to 0 V, because an
+axis measures before its voltage acts and the stage has a delay. It did begin at 0 V if the readings follow the model
+from rest at 0 V clearly better than the model from rest at the first voltage. Otherwise the recording does not show the
+zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.units import readable
+
+#: The voltage counts as 0 V within this fraction of its range.
+AT_ZERO = 0.002
+#: This number of samples at 0 V suffices without the movement after them.
+ENOUGH = 30
+#: Largest movement that counts, and movement that still counts as rest, as fractions of the stroke.
+SMALL_MOVEMENT, AT_REST = 0.05, 1e-4
+#: Readings that move must be at least this many for a straight line.
+FEWEST_MOVING = 8
+#: The model from rest at 0 V explains the first readings if its error is below this fraction of the other's.
+CLEARLY = 0.5
+#: Number of samples for the comparison of the two beginnings, and of samples for the model to come to rest before.
+FIRST, BEFORE = 200, 4000
+#: Readings farther from the line than this many standard deviations of the bulk are outliers.
+OUTLYING = 4.0
+
+
+class Chain(Protocol):
+    """What the zero needs of a :class:`.plant_model.PlantModel`."""
+
+    @property
+    def invertible(self) -> bool:
+        """Whether the hysteresis is a separate block."""
+
+    @property
+    def initial(self) -> str:
+        """Initial state: ``zero``, ``periodic`` or ``estimate``."""
+
+    @property
+    def offset(self) -> float:
+        """Constant part of the displacement [m]."""
+
+    def simulate(self, voltage) -> np.ndarray:
+        """Return the displacement [m] without the offset, from rest at 0 V."""
+
+
+@dataclass(frozen=True)
+class SensorZero:
+    """Reading at rest at 0 V."""
+
+    value: float  #: [m]
+    deviation: float  #: Standard deviation from the noise of the readings [m]; NaN for a single one.
+
+
+def sensor_zero(data: IdentificationData, chain: Chain) -> SensorZero | None:
+    """Return the zero that the beginning of a recording shows; None if the recording does not show it."""
+    span = float(np.ptp(data.input))
+    away = np.flatnonzero(np.abs(data.input) > AT_ZERO * span)
+    standing = int(away[0]) if away.size else len(data)
+    if standing >= ENOUGH or (standing and (chain.initial == "periodic" or not chain.invertible)):
+        return _at_rest(data.output[:standing])
+    if not chain.invertible or chain.initial == "periodic":
+        return None
+    first = slice(0, min(len(data), max(FIRST, 4 * standing)))
+    model = chain.simulate(data.input[first])
+    if not standing and not _began_at_zero(data, chain, model):
+        return None
+    moved = model - model[0]
+    stroke = float(np.ptp(data.output))
+    large = np.flatnonzero(np.abs(moved) > SMALL_MOVEMENT * stroke)
+    used = slice(0, int(large[0]) if large.size else len(moved))
+    differences = (data.output[first] - moved)[used]
+    found = _without_movement(moved[used], differences, AT_REST * stroke)
+    if found is None or not standing or len(differences) < FEWEST_MOVING:
+        return found
+    # white noise of variance s² has second differences of variance 6 s²
+    noise = float(np.std(np.diff(differences, 2))) / np.sqrt(6.0 * standing)
+    rested = SensorZero(float(np.median(data.output[:standing])), noise)
+    return found if found.deviation < rested.deviation else rested
+
+
+def _began_at_zero(data: IdentificationData, chain: Chain, model) -> bool:
+    """Return whether the first readings follow a start at 0 V, and not a rest at the first voltage."""
+    voltage = np.concatenate([np.full(BEFORE, data.input[0]), data.input[: len(model)]])
+    rested = chain.simulate(voltage)[BEFORE:]
+    measured = data.output[: len(model)]
+    errors = [float(np.std(measured - other)) for other in (model, rested)]
+    return errors[0] < CLEARLY * errors[1]
+
+
+def _at_rest(readings) -> SensorZero:
+    """Return the median of readings [m] at rest."""
+    deviation = np.std(readings, ddof=1) / np.sqrt(len(readings)) if len(readings) > 1 else np.nan
+    return SensorZero(float(np.median(readings)), float(deviation))
+
+
+def _without_movement(moved, differences, still: float) -> SensorZero | None:
+    """Return the reading without movement, from readings minus the model's movement ``moved``, all in metres."""
+    resting = np.abs(moved) <= still
+    if np.count_nonzero(~resting) < FEWEST_MOVING:
+        return _at_rest(differences[resting]) if resting.any() else None
+    table = np.column_stack([np.ones(len(moved)), moved])
+    used = np.ones(len(moved), dtype=bool)
+    for _ in range(3):
+        found = np.linalg.lstsq(table[used], differences[used], rcond=None)[0]
+        left = differences - table @ found
+        size = 1.4826 * float(np.median(np.abs(left[used])))
+        used = np.abs(left) <= OUTLYING * max(size, np.finfo(float).tiny)
+    covariance = np.linalg.pinv(table[used].T @ table[used])
+    deviation = np.sqrt(covariance[0, 0] * np.sum(left[used] ** 2) / max(np.count_nonzero(used) - 2, 1))
+    return SensorZero(float(found[0]), float(deviation))
+
+
+def zero_warnings(data: IdentificationData, chain: Chain) -> tuple[str, ...]:
+    """Return a sentence if the recording does not show the zero of the sensor."""
+    if not chain.invertible or sensor_zero(data, chain) is not None:
+        return ()
+    return (
+        f"the recording does not show the zero of the sensor: it begins at {readable(float(data.input[0]), 'V')}, so "
+        f"{readable(chain.offset, 'm')} is extrapolated by the model; begin at rest at 0 V, or correct preload.A1",
+    )

@@ -1,0 +1,59 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The zero of the sensor from the beginning of a recording, with a model whose gain is 10 % wrong."""
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.plant_model import PlantModel
+from hysteresis_ros.identification.sensor_zero import sensor_zero, zero_warnings
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
+
+T, ZERO, NOISE = 1e-3, 3e-6, 40e-9
+PART = LinearPart(lag=4e-3, hold=T)
+
+
+def stage(gain=1e-7):
+    hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=gain))
+    return PlantModel(hysteresis, CreepParameters(), PART.dynamics(T), T, linear_part=PART)
+
+
+def recorded(voltage, seed=0, before=None):
+    y = stage().simulate(voltage if before is None else np.append(np.full(5000, before), voltage))[-len(voltage) :]
+    y = y + ZERO + NOISE * np.random.default_rng(seed).standard_normal(len(voltage))
+    return IdentificationData(T * np.arange(len(voltage)), voltage, y)
+
+
+def test_a_short_rest_is_not_read_from_one_sample():
+    voltage = 100.0 * np.abs((T * np.arange(1000) + 0.5) % 1.0 - 0.5)  # one sample at 0 V
+    found = [sensor_zero(recorded(voltage, seed), stage(1.1e-7)) for seed in range(40)]
+    errors = np.array([zero.value - ZERO for zero in found])
+    assert np.sqrt(np.mean(errors**2)) < 0.5 * NOISE
+    # the stated deviation is that of the estimates
+    assert 0.6 < np.sqrt(np.mean(errors**2)) / np.mean([zero.deviation for zero in found]) < 1.5
+
+
+def test_a_recording_that_steps_from_rest_shows_its_zero():
+    voltage = np.repeat([60.0, 20.0, 90.0, 40.0], 250)
+    data = recorded(voltage)
+    assert sensor_zero(data, stage(1.1e-7)).value == pytest.approx(ZERO, abs=4.0 * NOISE)
+    assert zero_warnings(data, stage(1.1e-7)) == ()
+
+
+def test_a_recording_that_begins_at_rest_at_another_voltage_says_that_it_does_not_show_the_zero():
+    voltage = np.repeat([60.0, 20.0, 90.0, 40.0], 250)
+    data = recorded(voltage, before=60.0)
+    assert sensor_zero(data, stage()) is None
+    (warning,) = zero_warnings(data, stage())
+    assert "begins at 60 V" in warning and "preload.A1" in warning
