@@ -51,11 +51,20 @@ class Problem:
 def shortened(value: object) -> str:
     """Return the repr of a value, with its middle left out when it is longer than :data:`LONGEST` characters."""
     try:
-        text = repr(value)
+        text = repr(_plain(value))
     except ValueError:  # Python does not convert an integer of several thousand digits
         text = f"a {type(value).__name__} too large to be written"
     half = LONGEST // 2
     return text if len(text) <= LONGEST else f"{text[:half]} … ({len(text)} characters) … {text[-half:]}"
+
+
+def _plain(value: object) -> object:
+    """Return a value with Python's numbers in place of NumPy's, whose repr names their type."""
+    if type(value) is tuple:
+        return tuple(map(_plain, value))
+    if type(value) is list:
+        return list(map(_plain, value))
+    return value.item() if getattr(value, "ndim", None) == 0 and hasattr(value, "item") else value
 
 
 class ParameterError(HysteresisError):

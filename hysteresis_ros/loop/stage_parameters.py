@@ -164,10 +164,10 @@ def _hidden_parts(model: StateSpace, sample_rate: float):
         still = model.A - pole * np.eye(model.order)
         if not full_rank(np.hstack([still, model.B]).T):
             allowed = f"no actuator moves {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
-            yield Problem("structure.B", tuple(model.B.ravel().tolist()), allowed)
+            yield Problem("structure.B", tuple(model.B.ravel()), allowed)
         if not full_rank(np.vstack([still, model.C])):
             allowed = f"no sensor shows {_mode(pole, sample_rate)}: leave it out, or correct the matrix"
-            yield Problem("structure.C", tuple(model.C.ravel().tolist()), allowed)
+            yield Problem("structure.C", tuple(model.C.ravel()), allowed)
 
 
 def _singular(stage: StageNodeParameters):
