@@ -29,7 +29,7 @@ from hysteresis_ros.control.uncertainty import KEPT, Borne, ResponseUncertainty,
 from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.identification.parameter_file import SECTION
+from hysteresis_ros.identification.parameter_file import SECTION, SMALL_LOOP_GAIN
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.parameters import AxisParameters, part
@@ -173,10 +173,6 @@ def response_uncertainty(configuration: Configuration, axis: str = "") -> Respon
     higher = found.get(f"metrics.{SMALL_LOOP_GAIN}", 0.0)
     gain = 1.0 + 0.01 * max(float(higher), 0.0) if isinstance(higher, (int, float)) else 1.0
     return ResponseUncertainty(frequencies, relative, known_to, crossover, gain)
-
-
-#: Entry of an identification: how much higher the gain of loops over a tenth of the range may be [%].
-SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
 
 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:

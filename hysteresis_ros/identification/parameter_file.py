@@ -49,6 +49,8 @@ from hysteresis_ros.units import figure_name
 
 #: Section that no node reads.
 SECTION = "/identification"
+#: Figure of an identification: how much higher the gain of loops over a tenth of the range may be [%].
+SMALL_LOOP_GAIN = "small_loop_gain_high_percent"
 #: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
 #: Fields that are written for each mode.

@@ -52,6 +52,7 @@ from hysteresis_ros.identification.hammerstein import (
     without_drift,
 )
 from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.parameter_file import SMALL_LOOP_GAIN
 from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit, radii, smooth_weights
 from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (
@@ -418,7 +419,7 @@ class Ambiguity:
             "density_decay_low": self.decays[0],
             "density_decay_high": self.decays[1],
             "small_loop_gain_low_percent": low,
-            "small_loop_gain_high_percent": high,
+            SMALL_LOOP_GAIN: high,
             "ambiguity_rms_m": self.error,
         }
 
