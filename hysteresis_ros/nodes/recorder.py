@@ -177,7 +177,7 @@ class RecorderNode(AxisNode):
 
     @property
     def scan_clock(self) -> str:
-        """Topic of the clock of a scan; empty: there is none that this node records."""
+        """Topic of the clock of a scan; empty: this node records no such topic."""
         return self._scan_clock
 
     def reset_blocks(self) -> None:
@@ -194,7 +194,7 @@ class RecorderNode(AxisNode):
         durability = "transient_local" if self.runner.exact else "volatile"
         for index, (topic, message_type, partner) in enumerate(self._topics if self.runner.by_message else ()):
             heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
-            self._record(topic, message_type, heard, durability, index, partner)
+            self._record(topic, message_type, heard, durability, index=index, partner=partner)
         if self.parameters.external_plant and self.runner.by_message:
             # an external plant may report its outputs here
             self._record(f"{PLANT}/state", JointState, qos, durability)
@@ -233,7 +233,7 @@ class RecorderNode(AxisNode):
             self._send_acknowledgement()
         self.timer(self._period, self._tend)
 
-    def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="", heard="") -> str:
+    def _record(self, topic: str, message_type, qos, durability: str, *, index=-1, partner="", heard="") -> str:
         """Record a topic, received on the topic ``heard`` if given; return the full name of the received topic."""
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 

@@ -36,7 +36,7 @@ SILENCE = 10.0
 @click.option("--csv", "csv_path", type=click.Path(path_type=pathlib.Path), help="CSV file of the rows.")
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML page.")
 @click.option("--list", "listed", is_flag=True, help="Only list recordings (source, licence) and models.")
-def benchmark(manifest, data, synthetic, noise, specs, only, workers, json_path, csv_path, output, listed):
+def benchmark(manifest, *, data, synthetic, noise, specs, only, workers, json_path, csv_path, output, listed):
     """Fit models of hysteresis to recordings and test them on parts that they have not seen.
 
     MANIFEST lists the recordings, with checksums and the parts for fit and test; without it the list of public

@@ -40,7 +40,7 @@ from hysteresis_ros.cli.options import ConfigurationName
 @click.option(
     "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Earlier figures to include in the page."
 )
-def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add):
+def faults(config, *, ways, only, rounds, seed, rate, listed, output, figures, add):
     """Start the axis of CONFIG with a simulated plant, in a separate ROS domain, and inject faults.
 
     Nodes are killed and suspended, messages lost and forged, cores and disks occupied. Each case checks whether the

@@ -45,7 +45,7 @@ SILENCE = 10.0
     type=click.Path(path_type=pathlib.Path),
     help="HTML page; with --best also a YAML file.",
 )
-def compare(config, namespace, workers, json_path, best, outputs, sine, triangle, **others):
+def compare(config, *, namespace, workers, json_path, best, outputs, sine, triangle, **others):
     """Rank all controllers and compensators for the axis of CONFIG.
 
     Each one is designed from the models in CONFIG, and follows a sine and a triangle on random plants around the

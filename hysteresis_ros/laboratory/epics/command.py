@@ -42,7 +42,7 @@ from hysteresis_ros.cli.options import ConfigurationName
     help="Addresses to listen on; by default EPICS_CAS_INTF_ADDR_LIST, else 127.0.0.1.",
 )
 @click.option("--port", type=click.IntRange(1024, 65535), help="Port; by default EPICS_CA_SERVER_PORT, else 5064.")
-def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, interface, port):
+def ioc(config, *, attach, prefix, namespace, egu, precision, tolerance, timeout, interface, port):
     """Start the axes of CONFIG, which follow setpoints only, and serve each as an EPICS motor record.
 
     The record of an axis in the namespace `left` is hysteresis:left; the record of an axis without namespace is

@@ -77,7 +77,7 @@ REFUSED = 2
 @params_file_option
 @reference_options
 @click.option("--namespace", help="Axis to use, if the configuration describes several.")
-def sweep(config, varied, runs, seed, metrics, bounds, confidence, sensitivity, outputs, json_path, **others):
+def sweep(config, varied, *, runs, seed, metrics, bounds, confidence, sensitivity, outputs, json_path, **others):
     """Run CONFIG offline many times with varied parameters, and summarise the metrics.
 
     All levels are combined with each other, and each combination gets the same draws of the distributions. Only the
