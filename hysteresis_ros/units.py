@@ -122,7 +122,7 @@ def conversion(unit: str) -> tuple[str, float] | None:
 
 
 def quantity(text: str) -> tuple[float, str]:
-    """Return the SI value and the SI unit of a quantity such as ``5 um``; the unit is empty when none is given."""
+    """Return the SI value and the SI unit of a quantity such as ``5 um``; the unit of a bare number is empty."""
     parts = _QUANTITY.match(text)
     value = float(parts["number"]) if parts else math.nan
     if parts is None or not math.isfinite(value):

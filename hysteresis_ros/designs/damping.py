@@ -200,7 +200,7 @@ class _Search:
         return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
 
     def best(self, late: float) -> DampingParameters | None:
-        """Return the best damping that tolerates this additional delay [samples]; None if there is none."""
+        """Return the best damping that tolerates this additional delay [samples]; None if no damping does."""
         found, point, box = 0.0, None, None
         for one in self.kind.ranges(self.mode):
             speed, at = self._best_of(one, late, found)

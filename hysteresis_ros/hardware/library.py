@@ -94,7 +94,7 @@ def _on_the_way(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def _alterable(place: pathlib.Path, trusted: set[int]) -> tuple[str, str]:
-    """Return which other user can change a file, a folder or a link, and the remedy; empty texts when none can."""
+    """Return which other user can change a file, a folder or a link, and the remedy; else empty texts."""
     found = place.lstat()
     if found.st_uid not in trusted:
         whose = f"{place} belongs to {_user(found.st_uid)}"

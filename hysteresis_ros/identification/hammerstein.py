@@ -378,7 +378,7 @@ def invalid(fit) -> HysteresisError | None:
 
 
 def usable(fits: list) -> list:
-    """Return the fits whose parameters make a valid model; raise the error of the first if there are none."""
+    """Return the fits whose parameters make a valid model; raise the error of the first if no model is valid."""
     found = [fit for fit in fits if invalid(fit) is None]
     if not found:
         error = invalid(fits[0])

@@ -490,7 +490,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return "stopped"
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when none is missing."""
+        """Return the partner whose input for the present sample is missing; empty when all are there."""
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:

@@ -62,7 +62,7 @@ class Partners:
         self._absent: set[str] = set()
 
     def complaint(self, sample: int) -> str:
-        """Return the problem with the publishers of the inputs; empty if there is none."""
+        """Return the problem with the publishers of the inputs; empty without a problem."""
         for topic, partner in self._inputs:
             found = self._node.get_publishers_info_by_topic(topic)
             present = frozenset(bytes(info.endpoint_gid) for info in found)
@@ -178,7 +178,7 @@ class Lockstep(Runner):
         """Process complete samples; overridden by runners that answer samples."""
 
     def missing_partner(self) -> str:
-        """Return the partner whose input for the present sample is missing; empty when none is missing."""
+        """Return the partner whose input for the present sample is missing; empty when all are there."""
         return self.node.missing_partner()
 
     # -- partners ----------------------------------------------------------------------------------------------

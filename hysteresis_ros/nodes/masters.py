@@ -420,7 +420,7 @@ class Masters:
         self._node.warn(f"master {master.topic}", master.refusal, every=0.0, error=True)
 
     def complaint(self) -> str:
-        """Return the competing publishers of the topics of the loop; empty when there are none."""
+        """Return the competing publishers of the topics of the loop; empty when there is one for each."""
         node = self._node
         for master in self._inputs:
             master.find()

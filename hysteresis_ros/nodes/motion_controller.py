@@ -71,7 +71,7 @@ class Shortfall:
             self._worst = (wanted, applied)
 
     def report(self) -> str:
-        """Return a sentence about the worst saturation since the last call; empty when there was none."""
+        """Return a sentence about the worst saturation since the last call; empty without saturation."""
         if self._worst is None:
             return ""
         (wanted, applied), self._worst = self._worst, None

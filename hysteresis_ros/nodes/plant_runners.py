@@ -262,7 +262,7 @@ class RealTimePlant(RealTime):
         self._lost = {}
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when none is lost."""
+        """Return the lost nodes without which the axis cannot continue; empty when all are there."""
         now = self._awake_time.at(time.monotonic())
         stopped = self.node.inputs if self.node.part.silent else ()
         silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}

@@ -541,7 +541,7 @@ class RealTimeResponder(RealTime):
         return self._going > 0
 
     def missing_partners(self) -> str:
-        """Return the names of the lost nodes; empty when none is lost."""
+        """Return the names of the lost nodes; empty when all are there."""
         return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:

@@ -52,7 +52,7 @@ class ReferenceSource(Responder):
     setpoint = 0.0
     #: Last published value of ``~/settled``; None: a node without topics has nothing to withdraw.
     _told: bool | None = False
-    #: Topic of the triggers; None: the axis makes none.
+    #: Topic of the triggers; None: the axis makes no triggers.
     trigger_out: TriggerTopic | None = None
     #: Pulses of the trigger input for the next sample.
     pulses = 0
@@ -109,7 +109,7 @@ class ReferenceSource(Responder):
             self.note_pulses()
 
     def offer_triggers(self, parameters) -> None:
-        """Create the topic of the triggers, if these parameters make any and there is none yet."""
+        """Create the topic of the triggers if these parameters make triggers and the topic does not exist yet."""
         if parameters.triggers.makes_events and self.trigger_out is None:
             self.trigger_out = TriggerTopic(self)
 

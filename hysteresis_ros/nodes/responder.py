@@ -148,7 +148,7 @@ class Responder(AxisNode):
         return self.runner.measurement
 
     def read(self, message, row) -> bool:
-        """Put the measurement of the joint into a row, NaN when there is none; return False when it breaks the run."""
+        """Put the measurement of the joint into a row, NaN when it is missing; return False when it breaks the run."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index
         self.read_trip(message, row)
         row[signals.MEASURED] = math.nan
@@ -176,7 +176,7 @@ class Responder(AxisNode):
 
     @property
     def loss(self) -> str:
-        """Return the lost partner that keeps this part safe; empty when there is none."""
+        """Return the lost partner that keeps this part safe; empty when no partner is lost."""
         name = self.runner.latched
         return f"{name} is lost: when it is back, call ~/start of plant_simulator to resume" if name else ""
 

@@ -251,7 +251,7 @@ class Runner:
         return Pace(self.period)
 
     def missing_partners(self) -> str:
-        """Return the lost nodes without which the axis cannot continue; empty when none is lost."""
+        """Return the lost nodes without which the axis cannot continue; empty when all are there."""
         return ""
 
     def follow_trip(self, tripped: bool) -> None:

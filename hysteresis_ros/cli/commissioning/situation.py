@@ -136,7 +136,7 @@ class Plan(Parameters):
 
 
 def plan_of(configuration: Configuration, axis: AxisParameters, **defaults) -> Plan:
-    """Return the plan in a parameter file; if there is none, a plan from the limits and the model of the compensator.
+    """Return the plan in a parameter file; without one, a plan from the limits and the model of the compensator.
 
     A section for all axes and one in the namespace of the axis may both be given; the latter wins.
     """

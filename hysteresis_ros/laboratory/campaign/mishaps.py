@@ -324,7 +324,7 @@ CATALOGUE: dict[str, Mishap] = {
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Mishap, ...]:
-    """Return the fault cases of these names or groups, in the order of the catalogue; all if none are named."""
+    """Return the fault cases of these names or groups, in the order of the catalogue; without names all of them."""
     groups = {mishap.group for mishap in CATALOGUE.values()}
     for name in names:
         if name not in CATALOGUE and name not in groups:

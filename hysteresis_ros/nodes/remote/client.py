@@ -97,7 +97,7 @@ class Client:
             self.hear()
 
     def hear(self) -> None:
-        """Take a message; if there is none, wait for a moment."""
+        """Take a message that is pending, or wait for a moment."""
         self._executor.spin_once(timeout_sec=LOOK)
 
     def full_name(self, name: str) -> str:

@@ -138,7 +138,7 @@ class NodeStatus:
 
     name: str  #: Full name.
     state: str  #: Lifecycle state; ``absent`` when there is no such node, ``silent`` when it does not answer.
-    level: str = ""  #: level, message: Last diagnostics; empty when there were none.
+    level: str = ""  #: level, message: Last diagnostics; empty before the first.
     message: str = ""
     rate: float | None = None  #: Samples per second [Hz].
 
@@ -311,7 +311,7 @@ def _lines(axis: AxisStatus):
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
-    """Print parameters of a node as YAML; all when none is named."""
+    """Print parameters of a node as YAML; without names all of them."""
     full = client.find(node)
     known = _names(client, full)
     _refuse_unknown(full, names, known)
