@@ -54,7 +54,7 @@ def main(arguments=None) -> int:
     if WITH_RECORDER in arguments:
         arguments.remove(WITH_RECORDER)
         factories.insert(0, joined(RecorderNode))  # the first node is the last to exit
-    return run(factories, arguments)
+    return run(factories, arguments, steered=True)
 
 
 if __name__ == "__main__":

@@ -370,7 +370,7 @@ class InchwormSequencerNode(ReferenceSource):
 
 def main(arguments=None) -> int:
     """Run the node; returns the exit code."""
-    return run([InchwormSequencerNode], arguments)
+    return run([InchwormSequencerNode], arguments, steered=True)
 
 
 if __name__ == "__main__":

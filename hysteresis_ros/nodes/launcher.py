@@ -22,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -56,17 +56,20 @@ def starts_nodes(command: list[str]) -> bool:
     return "ros2" in words[:2] and any(word in STARTERS for word in words[1:])
 
 
-def leave_with_ros2() -> None:
+def leave_with_ros2() -> bool:
     """Signal this process to exit when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
 
-    Both pass on Ctrl-C only: when SIGTERM ends them, for instance from a service manager, their nodes continue to run
-    the axis. The exit of another parent has no effect, such as a shell that has started a node in the background.
+    Return whether one of them has started it. Both pass on Ctrl-C only: when SIGTERM ends them, for instance from a
+    service manager, their nodes continue to run the axis. The exit of another parent has no effect, such as a shell
+    that has started a node in the background.
     """
     parent = os.getppid()
     with contextlib.suppress(OSError):
         text = pathlib.Path(f"/proc/{parent}/cmdline").read_bytes().decode(errors="replace")
         if starts_nodes(text.split("\0")):
             die_with_parent(parent)
+            return True
+    return False
 
 
 #: Order in which nodes are stopped: the voltage returns to its safe value while the plant still runs; the recorder is
@@ -180,8 +183,6 @@ class Graph:
         self._warn = warn
         self._stack = contextlib.ExitStack()
         self._first_left = 0.0
-        #: Session that executes the user's commands to an axis started by ``up``.
-        self._session: subprocess.Popen | None = None
 
     def _with_recorder(self, axis: AxisParameters, several: bool) -> AxisParameters:
         if self.record is None:
@@ -241,10 +242,8 @@ class Graph:
                 own = more if name == "hysteresis_axis" else []
                 self.processes.append(self._spawn(name, axis.namespace, path, own))
         steered = any(axis.plant_simulator.time_mode != "lockstep" for axis in self.axes)
-        # in a secured domain every command has its own enclave
-        if steered and os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
-            words = [sys.executable, "-m", "hysteresis_ros.nodes.remote.session"]
-            self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
+        if steered:
+            self._stack.enter_context(session(self.environment))
 
     def _start_stage(self, stage: StageParameters, path: pathlib.Path) -> None:
         """Start the nodes of all axes: one process per kind of node, or a single one, which a fused stage needs."""
@@ -311,10 +310,6 @@ class Graph:
         In real time they stop in order. In lockstep all nodes stop together, because the loss of one node would break
         the run.
         """
-        if self._session is not None:
-            self._session.kill()  # it has no state to save
-            self._session.wait()
-            self._session = None
         lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in self.axes)
         for names in [STOP_ORDER] if lockstep else [[name] for name in STOP_ORDER]:
             group = [node for node in self.processes if node.name in names and node.process.poll() is None]
@@ -340,6 +335,20 @@ def node_command(
     command += ["--enclave", enclave or enclave_of(namespace, name)]
     # the nodes of a stage are in the namespaces of its axes
     return [*command, "-r", f"__ns:={namespace}"] if namespace and name != "hysteresis_stage" else command
+
+
+@contextlib.contextmanager
+def session(environment: dict[str, str]) -> Iterator[None]:
+    """Keep a process in the graph that executes the user's commands, unless each command needs its own enclave."""
+    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
+        yield
+        return
+    words = [sys.executable, "-m", "hysteresis_ros.nodes.remote.session"]
+    with started(words, environment, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.kill()  # it has no state to save
 
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:

@@ -445,7 +445,7 @@ class ReferenceGeneratorNode(ReferenceSource):
 
 def main(arguments=None) -> int:
     """Run the node; returns the exit code."""
-    return run([ReferenceGeneratorNode], arguments)
+    return run([ReferenceGeneratorNode], arguments, steered=True)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import pathlib
@@ -25,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.nodes.domain import require_admission, stay_on_this_machine
-from hysteresis_ros.nodes.launcher import leave_with_ros2
+from hysteresis_ros.nodes.launcher import leave_with_ros2, node_environment, session
 from hysteresis_ros.nodes.masters import await_discovery, claim
 
 #: ``madvise``: these pages are not needed for now.
@@ -81,8 +82,11 @@ def called_by_compiler(frame) -> bool:
     return frame is not None
 
 
-def run(factories, arguments=None) -> int:
-    """Create nodes, start them, and spin until the end."""
+def run(factories, arguments=None, steered: bool = False) -> int:
+    """Create nodes, start them, and spin until the end.
+
+    ``steered``: whether users send setpoints to these nodes; ``ros2`` then keeps a session for their commands.
+    """
     stop: list[int] = []
 
     starting = True
@@ -98,7 +102,10 @@ def run(factories, arguments=None) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, request_stop)
-    leave_with_ros2()
+    kept = contextlib.ExitStack()
+    if leave_with_ros2() and steered:
+        # before rclpy, because a process with other threads must not be forked
+        kept.enter_context(session(node_environment()))
     nodes: list = []
     claims: list = []
     executor = None
@@ -143,6 +150,7 @@ def run(factories, arguments=None) -> int:
         _collect()
         if rclpy.ok():
             rclpy.shutdown()
+        kept.close()
 
 
 def _destroy(executor, nodes: list) -> None:

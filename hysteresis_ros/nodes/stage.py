@@ -790,7 +790,8 @@ def main(arguments=None) -> int:
         for problem in error.problems if isinstance(error, ParameterError) else (error,):
             print(f"error: {problem}", file=sys.stderr)
         return 2
-    return run(factories, [word for word in arguments if word not in kinds])
+    steered = "reference_generator" in (kinds or KINDS)
+    return run(factories, [word for word in arguments if word not in kinds], steered)
 
 
 if __name__ == "__main__":

@@ -97,3 +97,18 @@ def test_a_session_that_ends_amid_a_command_is_said(monkeypatch, capsys):
         leaving.stdout.readline()
         assert door.ask_session({"command": "status"}) == 1
     assert "ended before it answered" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux informs a process of its parent's exit")
+def test_a_node_of_ros2_run_keeps_a_session_as_long_as_it_runs(processes, monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(processes.domain))
+    path = write_axis(tmp_path / "axis.yaml", axis_parameters(sample_rate=RATE, time_mode="realtime"))
+    (tmp_path / "ros2").write_text("import subprocess, sys\nsys.exit(subprocess.call(sys.argv[2:]))\n")
+    node = [sys.executable, "-m", "hysteresis_ros.nodes.reference_generator", "--ros-args", "--params-file", path]
+    run = processes.start([sys.executable, str(tmp_path / "ros2"), "run", *node], "ros2")
+    until(_is_there, what="a session")
+    until(lambda: "active" in run.output, what="a node")
+    asked = _without_ros(processes, "get", "reference_generator", "sample_rate")
+    assert asked.wait() == 0 and asked.output == f"sample_rate: {RATE}\n"
+    run.send(signal.SIGKILL)
+    until(lambda: not _is_there(), what="the session has ended")
