@@ -20,14 +20,13 @@ import numpy as np
 from hysteresis_ros.analysis.identification_report import loops_figure
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, length_unit, new_figure
+from hysteresis_ros.analysis.stage_response_plots import MOST_COLUMNS, response_figure
 from hysteresis_ros.identification.frequency_response import PROBABILITY, ResponseMatrix
 from hysteresis_ros.identification.workflow import Identified
 from hysteresis_ros.units import readable
 
-_MEASURED, _MODEL, _RESIDUAL, _NOISE = "#1f3b73", "#d1495b", "#2a9d8f", "#9a9a9a"
+_MEASURED, _MODEL, _RESIDUAL = "#1f3b73", "#d1495b", "#2a9d8f"
 _MICRO = 1e6
-#: Columns of a figure of responses; with more axes it shows the own actuator only.
-MOST_COLUMNS = 4
 #: Part of the held-out realisation that is drawn in detail.
 DETAIL = 0.05
 
@@ -146,7 +145,7 @@ def _plots(names: Sequence[str], found: Shown, closed: ClosedLoops | None) -> li
         caption = f"Response of {name} to each actuator, with {100 * PROBABILITY:g} % bands"
         if lowest.response.degrees is None:
             caption = f"Response of {name} to each actuator"
-        plots.append((caption, response_figure(names, lowest, found.structure, i)))
+        plots.append((caption, response_figure(names, lowest, i, model=found.structure)))
     if found.held_out is not None:
         held = found.held_out
         for i, name in enumerate(names):
@@ -158,37 +157,6 @@ def _plots(names: Sequence[str], found: Shown, closed: ClosedLoops | None) -> li
     if closed is not None:
         plots.append(("Closed loops: from each reference to each axis", closed_figure(names, closed)))
     return plots
-
-
-def response_figure(names: Sequence[str], found: ResponseMatrix, model: np.ndarray, row: int):
-    """Return the figure of the responses of an output to the inputs: magnitude and phase, measured and modelled."""
-    response = found.response
-    inputs = list(range(len(names))) if len(names) <= MOST_COLUMNS else [row]
-    figure, axes = new_figure(5.6, len(inputs), 2)
-    f = response.frequency
-    radius = None if response.degrees is None else response.radius(PROBABILITY)
-    for place, column in enumerate(inputs):
-        size, phase = axes[place], axes[place + len(inputs)]
-        measured, fitted = response.response[:, row, column], model[:, row, column]
-        size.plot(f, _MICRO * np.abs(measured), color=_MEASURED, linewidth=1.0, label="measured")
-        if radius is not None:
-            around = radius[:, row, column]
-            least = np.maximum(np.abs(measured) - around, 0.03 * np.abs(measured))
-            most = np.abs(measured) + around
-            label = f"{100 * PROBABILITY:g} % band"
-            size.fill_between(f, _MICRO * least, _MICRO * most, color=_MEASURED, alpha=0.25, linewidth=0.0, label=label)
-        if response.noise_variance is not None:
-            noise = np.sqrt(np.asarray(response.noise_variance)[:, row, column])
-            size.plot(f, _MICRO * noise, ".", color=_NOISE, markersize=1.5, label="noise")
-        size.plot(f, _MICRO * np.abs(fitted), color=_MODEL, linewidth=1.0, label="model")
-        size.set(xscale="log", yscale="log", ylabel="gain [µm/V]" if place == 0 else None)
-        size.text(0.03, 0.05, f"{names[row]} from {names[column]}", fontsize=11, transform=size.transAxes)
-        for values, colour in ((measured, _MEASURED), (fitted, _MODEL)):
-            phase.plot(f, np.degrees(np.angle(values)), ".", color=colour, markersize=1.5)
-        phase.set(xscale="log", xlabel="frequency [Hz]", ylabel="phase [degrees]" if place == 0 else None)
-        phase.set(ylim=(-190.0, 190.0), yticks=(-180, -90, 0, 90, 180))
-    add_legend(axes[0], 2)
-    return figure
 
 
 def held_out_figure(held: Held, output: int):

@@ -177,16 +177,25 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
         stage_lines,
     )
     from hysteresis_ros.designs.learning import asked, learning_lines
+    from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
     from hysteresis_ros.designs.stage_feedforward import voltage_step_rows, voltage_steps, without_stage_feedforward
+    from hysteresis_ros.designs.stage_frequency_response import command_responses, load_stage_response
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.stage_parameters import StageParameters
 
-    if response is not None:
-        raise ConfigurationError("--response is for a single axis, and this is a stage: omit it")
     parameters = StageParameters.from_configuration(configuration)
     known = response_uncertainties(configuration, parameters)
     wanted = options.get("controller") or options.get("learning")
+    measured = {}
+    if response is not None:
+        if not wanted:
+            raise ConfigurationError("--response: nothing to design: give --controller NAME or --learning NAME")
+        measured = command_responses(parameters, *load_stage_response(response))
+        known = {
+            name: measured_uncertainty(axis, measured[name])
+            for name, axis in zip(parameters.names, parameters.axes, strict=True)
+        }
     if options["feedforward"] and not options["learning"]:
         configuration = without_stage_feedforward(configuration)
         parameters = StageParameters.from_configuration(configuration)
@@ -244,7 +253,9 @@ def _design_stage(configuration, namespace: str, output: str | None, response, r
             lines = stage_lines(designed, voltage_step_rows(voltage_steps(designed)))
     write_file(output, text)
     for name, design in designs.items():
-        click.echo("\n".join([f"axis {name}", *design_lines(design), ""]))
+        axis = parameters.axes[parameters.place(name)]
+        further = measured_lines(axis, design, measured[name]) if measured else []
+        click.echo("\n".join([f"axis {name}", *design_lines(design), *further, ""]))
     click.echo("\n".join(["stage", *lines]))
     click.echo(f"{output}: written, type {request.controller}")
 

@@ -54,12 +54,14 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     help="Period of a multisine; length of the blocks of a stepped sine, or of the segments of noise.",
 )
 @click.option("--duration", metavar="TIME", help="Length of the whole excitation, instead of --period.")
-@click.option("--periods", type=int, default=4, show_default=True, help="Number of averaged periods (blocks).")
+@click.option("--periods", type=int, help="Number of averaged periods (blocks).  [4; stage: 2]")
 @click.option(
-    "--settle", type=int, default=1, show_default=True, help="Number of discarded periods before the averaged periods."
+    "--settle", type=int, help="Number of discarded periods before the averaged periods.  [1; detected in a recording]"
 )
 @click.option(
-    "--realisations", type=int, default=4, show_default=True, help="Realisations of the random phases of a multisine."
+    "--realisations",
+    type=int,
+    help="Realisations of the random phases of a multisine.  [4; stage: three for each axis]",
 )
 @click.option("--points", type=int, default=40, show_default=True, help="Number of frequencies of a stepped sine.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of phases, omitted lines and noise.")
@@ -88,10 +90,14 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     sensitivity and loop transfer function, with the measured margins and those of the model. Bands contain the true
     response with 95 % probability; a multisine separates noise, odd and even distortion. Exit code 2: wrong input, or
     an excitation below the noise.
+
+    For a stage, or its recording, it measures the matrix from the voltages of all actuators to the displacements of all
+    axes, in open loop with orthogonal multisines, and the condition number of the excitations. --namespace takes a
+    recording in which only this axis moves.
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture
-    from hysteresis_ros.identification.frequency_response import require_response_file, save_response
+    from hysteresis_ros.identification.frequency_response import require_response_file
 
     # checked before anything moves
     for names, required in ((outputs, require_response_file), ([plot], require_picture), ([report], require_page)):
@@ -102,20 +108,34 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
         found = _of_recording(path, namespace, options)
     else:
         found = _of_configuration(source, namespace, options)
-    for output in outputs:
-        save_response(output, found.plant, found.columns, found.figures)
-    if plot is not None or report is not None:
-        from hysteresis_ros.analysis.response_plots import write_response_picture, write_response_report
-
-        with Progress(err=True).during("drawing"):
-            if plot is not None:
-                write_response_picture(plot, found)
-            if report is not None:
-                write_response_report(report, f"Frequency response of {path.name}", found)
+    _write(found, f"Frequency response of {path.name}", outputs, plot, report)
     write_json(found.figures, json_path, "\n".join(found.lines()))
     for written in (*outputs, plot, report) if json_path != "-" else ():
         if written is not None:
             click.echo(f"written: {written}")
+
+
+def _write(found, title: str, outputs, plot, report) -> None:
+    """Write the files, the picture and the page of the response of an axis or of a stage."""
+    from hysteresis_ros.designs.stage_frequency_response import StageResponse, save_stage_response
+    from hysteresis_ros.identification.frequency_response import save_response
+
+    for output in outputs:
+        if isinstance(found, StageResponse):
+            save_stage_response(output, found)
+        else:
+            save_response(output, found.plant, found.columns, found.figures)
+    if plot is None and report is None:
+        return
+    from hysteresis_ros.analysis.response_plots import write_response_picture, write_response_report
+    from hysteresis_ros.analysis.stage_response_plots import write_matrix_picture, write_matrix_report
+
+    of_stage = isinstance(found, StageResponse)
+    with Progress(err=True).during("drawing"):
+        if plot is not None:
+            (write_matrix_picture if of_stage else write_response_picture)(plot, found)
+        if report is not None:
+            (write_matrix_report if of_stage else write_response_report)(report, title, found)
 
 
 def _with_units(options: dict) -> dict:
@@ -140,17 +160,17 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
             )
     plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
     with Progress(err=True).during(f"reading {path.name}"):
-        _require_single(path, namespace)
+        period = _with_units(options).get("period")
+        if _of_stage_whole(path, namespace):
+            return _of_stage_recording(path, plan, period, options)
         run = load_run(path, namespace, further=True)
         # a table from another program may have only the required columns
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
-        return recorded_response(
-            run, plan, options["loop"], options["at"], _with_units(options).get("period"), options["kind"]
-        )
+        return recorded_response(run, plan, options["loop"], options["at"], period, options["kind"])
 
 
-def _require_single(path: pathlib.Path, namespace) -> None:
-    """Refuse the recording of a stage in which other actuators also move the measured axis."""
+def _of_stage_whole(path: pathlib.Path, namespace) -> bool:
+    """Return whether the response matrix of a stage is wanted; refuse one axis of it if others move it too."""
     import numpy as np
 
     from hysteresis_ros.errors import ConfigurationError, RecordingError
@@ -159,20 +179,47 @@ def _require_single(path: pathlib.Path, namespace) -> None:
 
     try:
         if not is_stage(path):
-            return
+            return False
     except RecordingError:
-        return  # a bag of independent axes
-    whole, chosen = load_run(path), (namespace or "").rsplit("/", 1)[-1]
+        return False  # a bag of independent axes
+    whole = load_run(path)
     if not whole.axes:
-        return  # a table from another program
+        return False  # a table from another program
+    if not namespace:
+        return True
+    chosen = namespace.rsplit("/", 1)[-1]
     sizes = {axis: float(np.nanstd(whole[f"{axis}/{INPUT}"])) for axis in whole.axes}
     others = [axis for axis, size in sizes.items() if axis != chosen and size > STILL * sizes.get(chosen, 0.0)]
-    if chosen not in sizes or others:
-        why = f"{', '.join(others)} moves too" if chosen in sizes else "frf measures a single axis"
+    if chosen in sizes and others:
         raise ConfigurationError(
-            f"{path}: is the recording of a stage, and {why}; its response matrix: hysteresis identify {path} "
-            "-o STAGE.yaml --report PAGE.html"
+            f"{path}: is the recording of a stage, and {', '.join(others)} moves too, so a response of {chosen} alone "
+            "would be wrong: omit --namespace for the response matrix of all axes"
         )
+    return False
+
+
+def _of_stage_recording(path: pathlib.Path, plan, period: float | None, options: dict):
+    """Return the response matrix of the recording of a stage."""
+    from hysteresis_ros.designs.stage_frequency_response import recorded_stage_response
+    from hysteresis_ros.identification.stage_data import read_stage
+
+    _require_open(path, options)
+    return recorded_stage_response(read_stage(path), plan, period, options["settle"])
+
+
+def _require_open(source, options: dict) -> None:
+    """Refuse options that the response matrix of a stage does not have."""
+    from hysteresis_ros.errors import ConfigurationError
+
+    allowed = {"loop": "open", "at": "voltage", "kind": "multisine"}
+    for name in (*allowed, "offset", "low", "high", "duration"):
+        value = allowed.get(name)
+        if options[name] not in (None, value):
+            option = "excitation" if name == "kind" else name
+            raise ConfigurationError(
+                f"--{option} {options[name]}: {source} is of a stage, whose response matrix is measured in open loop "
+                "at the voltages, about the middle of the ranges, with multisines up to half the sample rate: omit it"
+            )
 
 
 def _of_configuration(source, namespace, options: dict):
@@ -183,23 +230,19 @@ def _of_configuration(source, namespace, options: dict):
     from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench, require_sound
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.designs.frequency_response import ResponseRequest, axis_response, plan_file, response_run
-    from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.identification.excitations import Experiment
     from hysteresis_ros.loop.reach import single_axis
     from hysteresis_ros.recordings.files import save_run
 
-    names = ("periods", "settle", "realisations", "points", "seed")
-    kind = options["kind"] or "multisine"
-    experiment = Experiment(kind, **{name: options[name] for name in names}, **_with_units(options))
-    chosen = {name: options[name] for name in ("at", "amplitude", "offset")}
-    asked = ResponseRequest(experiment, options["loop"] or "open", **chosen)
     configuration = load_configuration(source)
     if configuration.stage is not None:
-        raise ConfigurationError(
-            f"{source}: describes a stage of coupled axes, and frf measures a single axis. Its response matrix: "
-            f"hysteresis excite {source} --recipe multisine --record FILE, then hysteresis identify FILE -o STAGE.yaml "
-            "--report PAGE.html"
-        )
+        return _of_stage(configuration, namespace, options)
+    names = ("periods", "settle", "realisations", "points", "seed")
+    kind = options["kind"] or "multisine"
+    given = {name: options[name] for name in names if options[name] is not None}
+    experiment = Experiment(kind, **given, **_with_units(options))
+    chosen = {name: options[name] for name in ("at", "amplitude", "offset")}
+    asked = ResponseRequest(experiment, options["loop"] or "open", **chosen)
     external = options["plant"] == "external"
     if external:
         configuration = configuration.override("", external_plant=True)
@@ -221,3 +264,37 @@ def _of_configuration(source, namespace, options: dict):
             save_run(run, kept)
         own = single_axis(configuration, namespace)
         return axis_response(run, plan, own)
+
+
+def _of_stage(configuration, namespace, options: dict):
+    """Excite all axes of a stage together, and return its response matrix."""
+    import tempfile
+
+    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench, require_sound, run_samples
+    from hysteresis_ros.designs.frequency_response import plan_file
+    from hysteresis_ros.designs.stage_frequency_response import recorded_stage_response, stage_response_run
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.stage_data import read_stage
+    from hysteresis_ros.recordings.files import save_run
+    from hysteresis_ros.references.recipes import write_samples
+
+    source, kept = configuration.source, options["record"]
+    if namespace or options["plant"] == "external":
+        raise ConfigurationError(f"{source}: a stage is excited as a whole: omit --namespace and --plant")
+    _require_open(source, options)
+    if options["rate"]:
+        configuration = configuration.override("", time_mode=options["rate"])
+    more = {name: options[name] for name in ("periods", "settle", "realisations", "seed") if options[name] is not None}
+    period = _with_units(options).get("period")
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        path = pathlib.Path(folder) / "multisine"
+        found, plan = stage_response_run(configuration, options["amplitude"], period, more, path)
+        bench = OfflineBench() if options["offline"] else GraphBench(False)
+        words = f"{found.words}: {found.duration:.4g} s at {found.stage.sample_rate:g} Hz"
+        click.echo(f"{words} …", err=True)
+        with Progress(err=True).during("measuring the response matrix"):
+            run = require_sound(bench.run(found.stage), run_samples(found.stage))
+        if kept:
+            save_run(run, kept)
+            write_samples(plan_file(kept), found.voltages[:, 0], found.stage.sample_rate, plan=plan.text)
+        return recorded_stage_response(read_stage(run), plan)

@@ -260,15 +260,14 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
     from hysteresis_ros.identification.frequency_response import load_response
     from hysteresis_ros.identification.parameter_file import write_file
 
+    measured = load_response(data)
     if into is None:
         raise ConfigurationError(
             f"{data}: a frequency response determines only the dynamics; give --into CONFIG, the axis with the "
             "hysteresis"
         )
     with Progress(err=True).during("fitting dynamics to the response"):
-        found = with_measured_dynamics(
-            load_configuration(into), namespace, load_response(data), pathlib.Path(data).name, order
-        )
+        found = with_measured_dynamics(load_configuration(into), namespace, measured, pathlib.Path(data).name, order)
     write_file(params, found.text)
     summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
     write_json(summary, json_path, format_figures(summary))

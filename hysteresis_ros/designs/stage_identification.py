@@ -38,16 +38,20 @@ from hysteresis_ros.control.margins import REQUIRED, loop_of, plant_state_space
 from hysteresis_ros.designs.controller import AxisDesign, DesignRequest
 from hysteresis_ros.designs.coupled import Uncertainties, controllers_file, design_controllers, stage_lines
 from hysteresis_ros.designs.measured import entries
+from hysteresis_ros.designs.stage_frequency_response import (
+    correlated_by_name,
+    decoupled_responses,
+    level_responses,
+    response_without_periods,
+)
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, IdentificationError, ParameterError, Problem
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.coupled import StructureData, StructureEstimator
 from hysteresis_ros.identification.data import DataError, IdentificationData
 from hysteresis_ros.identification.frequency_response import (
-    LINE,
     Analysis,
     FrequencyResponse,
     ResponseMatrix,
-    response_matrix,
 )
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel
 from hysteresis_ros.identification.parameter_file import SECTION, block_mapping, rate_of, write_file
@@ -71,8 +75,6 @@ WORTH = 10.0
 #: A lower order of the structure suffices if its error is at most this factor times the smallest error: further states
 #: only describe the creep and the hysteresis of the actuators.
 STRUCTURE_ENOUGH = 1.1
-#: Approximate number of lines for the fit of a structure, if the inputs do not repeat.
-MOST_LINES = 500
 #: Number of steps of the refinement on the response, for each order and for the chosen order.
 STEPS, LAST_STEPS = 15, 100
 #: Largest modulus of a pole of a structure.
@@ -282,10 +284,12 @@ def identify_stage(
     if loops is not None and (loops.inputs, loops.outputs) != (reading.inputs, reading.outputs):
         raise DataError("columns", f"{loops.source}: has other inputs or outputs than {reading.source}")
     kind = _kind(data, request, loops)
-    if data is not None:
-        responses, judged = _responses(data, request.held_out)
-    else:
-        responses, judged = (_without_periods(reading),), None
+    judged = None
+    with correlated_by_name(reading):
+        if data is None:
+            responses: tuple[ResponseMatrix, ...] = (response_without_periods(reading),)
+        else:
+            responses, judged = level_responses(data, request.held_out)
     warnings = [text for one in responses for text in one.response.warnings]
     if kind == INTERNAL and data is not None:
         ends = responses[-1].response.frequency[[0, -1]]
@@ -396,40 +400,6 @@ def _names(reading: StageReading, request: StageRequest, into: Configuration | N
         allowed = f"'{twice[0]}' occurs more than once: give each actuator its own name"
         raise IdentificationError(str(Problem("axes", names, allowed)))
     return tuple(names)
-
-
-def _responses(data: StructureData, held_out: int) -> tuple[tuple[ResponseMatrix, ...], list | None]:
-    """Return the response of each level without the held-out realisations, and these realisations."""
-    m, found, judged = data.u.shape[2], [], []
-    for chosen in data.levels:
-        if len(chosen) < m + held_out:
-            raise DataError(
-                "short",
-                f"{len(chosen)} realisations of a level: {m} inputs and {held_out} held out need {m + held_out}",
-            )
-        kept = chosen[: len(chosen) - held_out]
-        matrix = response_matrix(data.u[kept], data.y[kept], data.sample_time, data.period)
-        found.append(matrix.at(_excited(data.u[kept], matrix, data)))
-        judged.append(data.part(chosen[len(chosen) - held_out :]) if held_out else None)
-    return tuple(found), judged if held_out else None
-
-
-def _excited(u: np.ndarray, found: ResponseMatrix, data: StructureData) -> np.ndarray:
-    """Return which lines are excited; other lines contain only the effects of converters and late samples."""
-    places = np.rint(found.response.frequency * data.period * data.sample_time).astype(int)
-    mean = u.reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
-    strength = np.abs(np.fft.rfft(mean, axis=1)).max(axis=(0, 2))[places]
-    return strength > LINE * strength.max()
-
-
-def _without_periods(reading: StageReading) -> ResponseMatrix:
-    from hysteresis_ros.identification.local_polynomial import local_polynomial_response
-
-    shortest = min(len(u) for u, _ in reading.runs)
-    u, y = (np.array([run[place][:shortest] for run in reading.runs]) for place in (0, 1))
-    found = local_polynomial_response(u, y, reading.sample_time)
-    # the windows of neighbouring lines overlap, so only some of them are kept
-    return found.at(np.arange(len(found.condition)) % max(len(found.condition) // MOST_LINES, 1) == 0)
 
 
 def _hammerstein(found: ResponseMatrix, judged, reading, loops, names, request: StageRequest):
@@ -594,31 +564,6 @@ def _loops(loops: StageReading, names, request: StageRequest) -> list[workflow.I
 def _named(error: IdentificationError, where: str) -> tuple:
     text = f"{where}: {error}"
     return (error.check, text) if isinstance(error, DataError) else (text,)
-
-
-def decoupled_responses(found: ResponseMatrix, gain: np.ndarray) -> tuple[Analysis, ...]:
-    """Return the response of each axis from its command, decoupled by the static gain [m/V]."""
-    return tuple(_decoupled(found, gain, i) for i in range(len(gain)))
-
-
-def _decoupled(found: ResponseMatrix, gain: np.ndarray, i: int) -> Analysis:
-    """Return the response of an axis from its decoupled command, with its variances."""
-    into = np.linalg.inv(gain)[:, i]
-    response = found.response
-
-    def variance(values):
-        return None if values is None else (values[:, i, :] * into**2).sum(axis=1)[:, None, None]
-
-    one = FrequencyResponse(
-        response.frequency,
-        (response.response[:, i, :] @ into)[:, None, None],
-        response.sample_time,
-        variance(response.total_variance),
-        variance(response.noise_variance),
-        input_unit="m",
-        degrees=response.degrees,
-    )
-    return Analysis(one, None, "multisine")
 
 
 def _noise(found: ResponseMatrix, data: StructureData | None) -> np.ndarray | None:

@@ -427,7 +427,7 @@ def detected(U, Y, harmonics, response) -> Distortion:
     for name, parity in (("odd", 1), ("even", 0)):
         seen = left[left % 2 == parity] if np.all(harmonics % 2 == 1) else left[:0]
         clear = power[seen] - noise[seen] if seen.size else np.zeros(0)
-        levels[name] = _near(harmonics, seen, clear)
+        levels[name] = near_level(harmonics, seen, clear)
     return Distortion(np.sqrt(noise[harmonics]), **levels)
 
 
@@ -450,7 +450,7 @@ def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
     return power, noise
 
 
-def _near(harmonics, seen, clear) -> np.ndarray:
+def near_level(harmonics, seen, clear) -> np.ndarray:
     """Return the RMS of the significant levels at the detection lines nearest to each excited line."""
     if not seen.size:
         return np.full(harmonics.size, np.nan)
@@ -652,28 +652,41 @@ def require_response_file(path) -> None:
 
 def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
     """Write a response in the format of the suffix."""
+    table = response_columns(found)
+    extra = {} if pathlib.Path(path).suffix.lower() == ".yaml" else columns
+    write_response_file(path, _arrays(found, columns), table | extra, figures)
+
+
+def write_response_file(path, arrays: dict[str, Any], table: dict[str, np.ndarray], figures: dict) -> None:
+    """Write arrays into an NPZ file, or a table and figures into a CSV or YAML file, according to the suffix."""
     require_response_file(path)
     write = WRITERS[pathlib.Path(path).suffix.lower()]
     with replacing(path, RecordingError) as beside, beside.open("wb") as stream:
-        write(stream, found, columns, figures)
+        write(stream, arrays, table, figures)
 
 
 def load_response(path) -> Analysis:
     """Return the response of an NPZ file written by :func:`save_response`."""
     path = pathlib.Path(path)
     try:
-        return _response_of(read_arrays(path))
+        held = read_arrays(path)
+        if "axes" not in held:
+            return _response_of(held)
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
     except (OSError, ValueError, KeyError):
         raise RecordingError(
             f"{path}: contains no frequency response; give the NPZ file that hysteresis frf wrote"
         ) from None
+    raise RecordingError(
+        f"{path}: is the response matrix of a stage, and a response of a single axis is needed; hysteresis design "
+        "STAGE --response takes the matrix, and hysteresis identify takes the recording of the stage"
+    )
 
 
 def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     """Return the response in arrays; ValueError or KeyError if they contain none."""
-    frequency, sample_time = _real(held, "frequency"), _real(held, "sample_time")
+    frequency, sample_time = real_array(held, "frequency"), real_array(held, "sample_time")
     input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
     if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
         raise ValueError("no frequencies or no sample time")
@@ -685,16 +698,18 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     )
     shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
     spreads: dict[str, Any] = {
-        name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held
+        name: real_array(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held
     }
-    degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
+    degrees = float(real_array(held, "degrees", 1)[0]) if "degrees" in held else None
     if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
         raise ValueError("degrees of freedom without a variance")
-    levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
+    levels = (
+        [real_array(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
+    )
     return Analysis(replace(response, **spreads, degrees=degrees), Distortion(*levels) if levels else None, kind)
 
 
-def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
+def real_array(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
     """Return an array of real numbers as a vector; ValueError if it has another type or size."""
     array = held[name]
     if (
@@ -734,7 +749,8 @@ def response_columns(found: Analysis) -> dict[str, np.ndarray]:
     return columns
 
 
-def _npz(stream, found: Analysis, columns, figures) -> None:
+def _arrays(found: Analysis, columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return the arrays of an NPZ file, from which :func:`load_response` reads the response."""
     response = found.response
     arrays: dict[str, Any] = {"kind": np.array(found.kind), "response": response.single}
     arrays |= {name: np.asarray(getattr(response, name)) for name in NEEDED if name not in arrays}
@@ -744,21 +760,23 @@ def _npz(stream, found: Analysis, columns, figures) -> None:
             arrays[name] = np.squeeze(value) if name != "degrees" else np.array(value)
     if found.distortion is not None:
         arrays |= {name: getattr(found.distortion, name) for name in LEVELS}
-    arrays |= {name.split(" ")[0]: values for name, values in columns.items()}
+    return arrays | {name.split(" ")[0]: values for name, values in columns.items()}
+
+
+def _npz(stream, arrays, table, figures) -> None:
     np.savez(stream, **arrays)
 
 
-def _csv(stream, found: Analysis, columns, figures) -> None:
-    table = response_columns(found) | columns
+def _csv(stream, arrays, table, figures) -> None:
     stream.write((",".join(table) + "\n").encode())
     np.savetxt(stream, np.column_stack(list(table.values())), delimiter=",", fmt="%.9g")
 
 
-def _yaml(stream, found: Analysis, columns, figures) -> None:
+def _yaml(stream, arrays, table, figures) -> None:
     import yaml
 
-    table = {name: [float(f"{value:.6g}") for value in values] for name, values in response_columns(found).items()}
-    text = yaml.safe_dump({"figures": figures, "lines": table}, sort_keys=False, allow_unicode=True, width=120)
+    lines = {name: [float(f"{value:.6g}") for value in values] for name, values in table.items()}
+    text = yaml.safe_dump({"figures": figures, "lines": lines}, sort_keys=False, allow_unicode=True, width=120)
     stream.write(text.encode())
 
 

@@ -30,11 +30,11 @@ from hysteresis_ros.configuration import load_configuration  # noqa: E402
 from hysteresis_ros.designs import stage_identification  # noqa: E402
 from hysteresis_ros.designs.coupled import stage_rows  # noqa: E402
 from hysteresis_ros.designs.stage_excitation import StageExcitation, excited_stage  # noqa: E402
+from hysteresis_ros.designs.stage_frequency_response import level_responses  # noqa: E402
 from hysteresis_ros.designs.stage_identification import (  # noqa: E402
     USED,
     StageRequest,
     _ranges,
-    _responses,
     identify_stage,
     put_into,
 )
@@ -216,14 +216,14 @@ def test_what_is_held_out_does_not_change_the_response():
     data = realisations(recorded(excitation()))
     disturbed = data.y.copy()
     disturbed[-1] += 1e-6 * np.random.default_rng(9).standard_normal(disturbed[-1].shape)
-    (plain,), kept = _responses(data, 1)
-    (other,), judged = _responses(replace(data, y=disturbed), 1)
+    (plain,), kept = level_responses(data, 1)
+    (other,), judged = level_responses(replace(data, y=disturbed), 1)
     np.testing.assert_array_equal(other.response.response, plain.response.response)
     np.testing.assert_array_equal(judged[0].y, disturbed[-1:])
     np.testing.assert_array_equal(kept[0].y, data.y[-1:])
     # without a realisation that is held out, all of them count
-    assert _responses(data, 0)[1] is None
-    assert not np.array_equal(_responses(data, 0)[0][0].response.response, plain.response.response)
+    assert level_responses(data, 0)[1] is None
+    assert not np.array_equal(level_responses(data, 0)[0][0].response.response, plain.response.response)
 
 
 def test_noise_is_told_from_the_response(linear):

@@ -24,10 +24,10 @@ from hysteresis_ros.cli.commissioning.situation import SECTION as PLAN_SECTION
 from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.coupling import disk_margins
 from hysteresis_ros.designs.coupled import response_uncertainties, stage_lines
+from hysteresis_ros.designs.stage_frequency_response import decoupled_responses
 from hysteresis_ros.designs.stage_identification import (
     IdentifiedStage,
     StageRequest,
-    decoupled_responses,
     design_identified,
     identify_stage,
     put_into,
