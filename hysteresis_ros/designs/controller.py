@@ -443,7 +443,7 @@ def _gains(
         aimed = replace(REQUIRED, command_noise_gain=quiet)
         return design_robust(control, name, sample_time, request.robust, q, aimed=aimed)
     aimed = replace(AIMED, command_noise_gain=quiet)
-    plants = () if request.damping in (None, NONE) else around.closed(control, sample_time)
+    plants = () if control.damping.type == NONE else around.closed(control, sample_time)
     return design_gains(control, name, sample_time, request.bandwidth, q, aimed=aimed, plants=plants), None
 
 

@@ -308,10 +308,14 @@ def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
 
 @pytest.mark.slow
 def test_the_bandwidth_without_damping_is_that_of_the_design_without_damping(tmp_path):
-    def rows(*options):
-        result = run("kim2009", "--controller", "pid", *options, "-o", tmp_path / "f.yaml")
+    def rows(*options, config="kim2009"):
+        result = run(config, "--controller", "pid", *options, "-o", tmp_path / "f.yaml")
         return {line.split("  ")[0]: line.split("  ", 1)[-1].strip() for line in result.output.splitlines()}
 
     plain, none, damped = rows(), rows("--damping", "none"), rows("--damping", "irc")
     assert plain["bandwidth reached"] == none["bandwidth reached"]
     assert damped["bandwidth without damping"].startswith(plain["bandwidth reached"] + ";")
+    # a damping that the file already has is kept, and the design without it is the same
+    kept = rows(config=tmp_path / "f.yaml")
+    for name in ("damping", "bandwidth reached", "bandwidth without damping", "requirements"):
+        assert kept[name] == damped[name]
