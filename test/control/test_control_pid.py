@@ -158,6 +158,21 @@ def test_long_saturation_does_not_wind_up(method, beyond, own):
     assert late[0] <= late[1] + 15 < late[2]
 
 
+@pytest.mark.parametrize(
+    ("gains", "part"),
+    [
+        ({"Kp": 1.0, "Ki": 20.0, "Kd": 0.05}, 0.2),  # √(K_d/K_i) = 50 ms
+        ({"Kp": 1.0, "Ki": 20.0}, 0.2),  # K_p/K_i
+        ({"Ki": 20.0}, 1.0),
+        ({"Ki": 20.0, "tracking_time": 0.04}, 0.25),
+        ({"Ki": 20.0, "tracking_time": 0.1 * T}, 1.0),  # not faster than a sample
+        ({"Ki": 20.0, "tracking_time": 0.04, "anti_windup": "clamping"}, 0.0),
+    ],
+)
+def test_the_integral_follows_the_achieved_command_in_the_tracking_time(gains, part):
+    assert PidParameters(**gains).tracking(T) == pytest.approx(part)
+
+
 def test_small_differences_of_an_approximate_inverse_do_not_stop_the_integral():
     c = block({"Kp": 0.5, "Ki": 20.0, "anti_windup": "clamping", "anti_windup_threshold": 0.1}, MODEL)
     plant = LinearDynamics(LinearParameters(**{k.rsplit(".", 1)[1]: v for k, v in MODEL.items()}), T)
@@ -191,16 +206,17 @@ def test_feedforward_is_added_and_the_integral_leaves_it_alone():
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.floats(0.1, 3.0), st.floats(0.0, 30.0), st.floats(0.0, 1.0), st.floats(-1e-6, 1e-6))
-def test_new_gains_do_not_move_the_command(Kp, Ki, weight, offset):
+@given(st.floats(0.1, 3.0), st.floats(0.0, 30.0), st.floats(0.0, 1.0), st.floats(-1e-6, 1e-6), st.floats(0.5, 2.0))
+def test_new_gains_do_not_move_the_command(Kp, Ki, weight, offset, scale):
     c = block({"Kp": 1.0, "Ki": 10.0, "Kd": 0.02, "derivative_filter": 50.0})
     for k in range(30):
         before = c.step(1e-6 * np.sin(k), 1e-7 * k)
     entries = {"type": "pid", "pid.Kp": Kp, "pid.Ki": Ki, "pid.setpoint_weight": weight, "pid.derivative_filter": 50.0}
     entries |= {"model.preload.A1": offset, "pid.Kd": 0.02}
-    c.retune(ControllerParameters.from_mapping(entries | FREE))
+    other = {"model.dynamics.input_scale": scale * 1e-6}
+    c.retune(ControllerParameters.from_mapping(entries | FREE | other))
     x = c.x
-    now = (x[module.PROPORTION] + x[module.INTEGRAL] + x[module.DERIVATIVE]) * 1e-6
+    now = (x[module.PROPORTION] + x[module.INTEGRAL] + x[module.DERIVATIVE]) * scale * 1e-6
     assert now == pytest.approx(before, rel=1e-9, abs=1e-18)
 
 

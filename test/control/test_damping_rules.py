@@ -16,16 +16,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from damping_support import T, stage
+from damping_support import T, controller, stage
 
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
 from hysteresis_ros.control.damping.inner_loop import KINDS, DampingParameters, damped, modes
+from hysteresis_ros.control.damping.inner_loop import inner_loop as loop_of
+from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.designs.damping import (
     RESONANCE,
     DampedDesign,
     around_model,
     damping_plants,
     design_damping,
+    judge_damping,
     mode_to_damp,
 )
 from hysteresis_ros.errors import ParameterError
@@ -219,3 +222,25 @@ def test_plants_around_the_model_are_as_far_from_it_as_was_asked():
         assert found.resonance == part
         turns = [modes(one.plant.poles.astype(complex), T)[0][0] for one in found.plants]
         np.testing.assert_allclose(np.sort(turns) / 700.0, [1 / (1 + part), 1.0, 1 / (1 - part)], rtol=1e-3)
+
+
+def test_the_loops_of_a_damping_are_cut_where_their_names_say():
+    """1 - F P of the inner loop, 1 + C γ P/(1 - F P) of the law's loop, 1 + (γ C - F) P of both, on each plant."""
+    control = replace(controller("irc"), type="pid", pid=PidParameters(Kp=0.1, Ki=200.0))
+    around = around_model(control, T, SimpleNamespace(robust=None, damping=None))
+    found = judge_damping(control, T, around, None)
+    z = np.exp(1j * np.geomspace(1e-4, np.pi, 20001))
+    loop = loop_of(control.damping, control.model.dynamics, T)
+    F = loop.filter.response(z)[:, 0, 0]
+    # the gain is that of the model, in volts per micrometre
+    C = (0.1 + 200.0 * T * 0.5 * (z + 1.0) / (z - 1.0)) * control.model.dynamics.resolved_input_scale / 1e-6
+    for number, one in enumerate(around.plants):
+        P = one.plant.response(z)[:, 0, 0]
+        differences = {
+            "inner": 1.0 - F * P,
+            "outer": 1.0 + C * loop.forward * P / (1.0 - F * P),
+            "whole": 1.0 + (loop.forward * C - F) * P,
+        }
+        for name, difference in differences.items():
+            peak = getattr(found, name)[number].sensitivity_peak
+            assert peak == pytest.approx(np.max(1.0 / np.abs(difference)), rel=2e-3), name

@@ -67,6 +67,11 @@ def test_other_gains_of_the_same_filter_do_not_move_an_axis_that_rests(kind, cha
     np.testing.assert_allclose(fed(between, rest, rest), rest, rtol=1e-12)
     between.retune(controller(kind, **changes))
     np.testing.assert_allclose(fed(between, rest, rest), rest, rtol=1e-9)
+    # neither where the displacement differs from the output of the law, because the model's gain is wrong
+    apart = damping_block(controller(kind), T)
+    fed(apart, 0.8 * rest, rest)
+    apart.retune(controller(kind, **changes))
+    assert np.ptp(fed(apart, 0.8 * rest, rest)) < 1e-15
     # and a filter that was not at rest continues from its state
     other = damping_block(controller(kind), T)
     step = np.concatenate([np.zeros(5), np.full(5, 1e-6)])

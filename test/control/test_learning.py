@@ -155,6 +155,8 @@ def test_whatever_the_loop_answers_and_whatever_is_asked_it_stays_within_its_max
 def test_a_period_that_is_no_whole_number_of_samples_is_refused_with_its_neighbours():
     with pytest.raises(ParameterError, match=r"40\.3 samples.*0\.04 s \(25 Hz\) and 0\.041 s"):
         learning(period=0.0403)
+    with pytest.raises(ParameterError, match=f"is 1 samples; must be 2 … {at.LONGEST}"):
+        learning(period=1.0 / RATE)
     with pytest.raises(ParameterError, match="has a lead of 40 samples: must be less than the period of 40"):
         learning(error_filter=(1.0,) * 41, lead=40)
 
@@ -213,6 +215,10 @@ def test_what_was_learned_is_a_file_that_goes_on_where_it_ended(tmp_path):
     again = learning(error_filter=(1.1,), lead=1, file=str(path), active=False)
     repeated, _ = followed(again, (0.0, 0.8), 2)
     assert np.array_equal(repeated, [m[-1], m[-1]])
+    # what is saved in the middle of a period begins with the period too
+    for k in range(N // 3):
+        learned_correction(again.p, again.x, REFERENCE[k], 0.0)
+    assert np.array_equal(again.learned().correction, m[-1]) and np.array_equal(again.learned().reference, REFERENCE)
 
 
 def test_a_file_of_another_axis_is_refused(tmp_path):
@@ -226,6 +232,9 @@ def test_a_file_of_another_axis_is_refused(tmp_path):
     ):
         with pytest.raises(ParameterError, match=words):
             learning(**{"file": str(path)} | values)
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, -2e-6), np.zeros(N)))
+    with pytest.raises(ParameterError, match="a correction of 2e-06 m.*at most learning.maximum = 1e-06 m"):
+        learning(file=str(path), maximum=1e-6)
     # as many samples, but of half the period each
     write_learned(path, Learned(0.5 * N / RATE, 0.5 / RATE, np.zeros(N), np.zeros(N)))
     with pytest.raises(ParameterError, match="40 samples of 0.0005 s, but the axis needs 40 samples of 0.001 s"):
@@ -311,6 +320,7 @@ def test_filters_and_period_are_fixed_while_running(other):
 
 def test_the_limit_is_reached_when_the_correction_is_there_whatever_the_errors_are():
     frozen, learns = (learning(error_filter=(1.0,), lead=1, maximum=2e-7, active=active) for active in (False, True))
-    for block, there in ((frozen, False), (learns, True)):
-        _, e = followed(block, (0.0, 0.3), 5)
+    down = learning(error_filter=(1.0,), lead=1, maximum=2e-7)
+    for block, there, sign in ((frozen, False, 1.0), (learns, True, 1.0), (down, True, -1.0)):
+        _, e = followed(block, (0.0, 0.3), 5, sign * np.abs(REFERENCE))
         assert np.max(np.abs(e[-1])) > 2e-7 and block.at_maximum == there

@@ -9,11 +9,17 @@
 
 """Hysteresis, creep, lag and delay are distinguished in synthetic recordings with a known truth."""
 
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.dynamics import TURNS, TurnSearch
+from hysteresis_ros.identification.hammerstein import finished
+from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import simulate_chain
 from hysteresis_ros.identification.play_fit import radii, smooth_weights
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
@@ -99,6 +105,44 @@ def test_lag_and_creep_are_told_from_hysteresis():
     other = decaying()
     error = fit.simulate(other) - record(stack(), truth, other)
     assert np.std(error[200:]) < 4e-3 * fit.stroke
+
+
+def test_a_constant_error_goes_into_the_offset_of_the_hysteresis():
+    """The creep that has settled multiplies the offset by its gain at rest, here 1.4."""
+    part = LinearPart(creep_rate=0.1, longest_time=20.0, settled=True)
+    assert part.settled_gain == pytest.approx(1.4, abs=0.1)
+    voltage, found = sine(2), {"settled": True, "synchronous": True}
+    y = simulate_chain(stack(), part.creep, part.dynamics(SAMPLE_TIME), voltage, SAMPLE_TIME, **found)
+    data = SimpleNamespace(
+        voltage=voltage, sample_time=SAMPLE_TIME, skipped=0, drifts=False, history=(), stroke=float(np.ptp(y))
+    )
+    words = {"deviations": {}, "warnings": (), "converged": True, "numbers": {}, "constants": np.zeros(2)}
+    fit = SimpleNamespace(data=data, part=part, parameters=stack, **words)
+    fit = finished(fit, voltage, y + 3e-6, SAMPLE_TIME)
+    np.testing.assert_allclose(fit.simulate(voltage), y + 3e-6, rtol=0.0, atol=1e-15)
+
+
+@dataclass
+class Late:
+    """A fit whose dynamics are later than the hysteresis, by a lag, a delay and a mode."""
+
+    linear_part: LinearPart
+    dynamics: Any = None
+    synchronous: bool = False
+    structure: Any = None
+    rmse: float = 1.0
+
+    def simulate(self, voltage):
+        return voltage
+
+
+def test_spectra_are_compared_where_the_movement_is_and_not_where_the_voltage_was(monkeypatch):
+    """A delay of 38 ms, half of a lag of 12 ms and half of 2 ζ/ω = 9.5 ms of a mode: 10 samples of 5 ms."""
+    part = LinearPart(lag=12e-3, delay=38e-3, modes=(Mode(10.0, 0.3, 0.5),), hold=SAMPLE_TIME)
+    late = []
+    search = TurnSearch(lambda *data, **options: Late(part), sine(2), sine(2), SAMPLE_TIME, ("lag", "modes"), None)
+    monkeypatch.setattr(search, "choose", lambda moved, samples: late.append(samples) or part)
+    assert search.settled(Late(part)) and late == [10] * TURNS
 
 
 def test_a_quasi_static_sweep_gets_no_dynamics():

@@ -119,6 +119,10 @@ def test_periods_and_realisations_are_found_in_one_recording():
     np.testing.assert_array_equal(data.u[1], u[137 + 1500 + 500 : 137 + 3000])
     assert realisations(recorded(u), StageColumns(settle=2)).u.shape == (4, 500, 2)
     assert realisations(recorded(np.random.default_rng(0).standard_normal((4000, 2)))) is None
+    # a run-in of part of a period repeats too: the whole periods are those at the end
+    run_in = np.concatenate([u[:137], u[137 + 380 : 137 + 500], u[137 : 137 + 1500], np.zeros((80, 2))])
+    found = realisations(recorded(run_in), StageColumns(settle=0))
+    np.testing.assert_array_equal(found.u[0], u[137 : 137 + 1500])
     with pytest.raises(DataError, match=r"do not repeat with a period of 0.0301 s"):
         realisations(recorded(u), StageColumns(period=0.0301))
 

@@ -416,9 +416,11 @@ def test_hysteresis_inside_the_structure_remembers_its_return_points():
 
 def test_readings_become_degrees_of_freedom():
     tip = [0.5, 0.5, 1.0, -1.0]  # mean and difference of two sensors
-    plain, turned = linear_stage(decoupling=[]), linear_stage(decoupling=[], sensor_matrix=tip)
+    noisy = LINEAR | {"plant_simulator": LINEAR["plant_simulator"] | {"sensor__noise": 1e-8}}
+    plain, turned = (stage(**noisy, stage={"decoupling": [], **own}) for own in ({}, {"sensor_matrix": tip}))
     setpoints = {"x": np.full(300, 4e-6), "y": np.full(300, 1e-6)}
     one, other = plain.run(setpoints), turned.run(setpoints)
+    assert np.std(one["x"]["measured"] - one["x"]["displacement"]) > 1e-9
     for name in ("displacement", "measured"):
         expected = np.reshape(tip, (2, 2)) @ [one["x"][name], one["y"][name]]
         np.testing.assert_allclose([other["x"][name], other["y"][name]], expected, atol=1e-18)
