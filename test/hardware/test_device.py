@@ -202,6 +202,27 @@ def test_a_driver_that_knows_its_output_says_what_is_left(declared, monkeypatch)
     assert "the output is still at 40 V" in device.close()
 
 
+def test_a_device_that_is_no_longer_to_be_made_safe_is_left_alone(declared):
+    device = Device(declared, Parameters(), 100.0)
+    device.write([5.0])
+    device._insist(threading.Event(), 0.0, lambda: False, lambda: pytest.fail("it is not safe"))
+    assert "make_safe" not in Stage.calls and device.left_at == 5.0
+
+
+@pytest.mark.parametrize("forces", [(), (1.0, 2.0)])
+def test_another_number_of_forces_than_said_is_refused(forces):
+    class Pushed(Stage):
+        def open(self, parameters, sample_rate):
+            return Capabilities(1, 1, -10.0, 100.0, 1000.0, forces=1)
+
+        def read(self):
+            return Reading((0.0,), forces)
+
+    device = Device(HardwareDriver("a", "of a test", Parameters, Pushed, contextlib.nullcontext), Parameters(), 100.0)
+    with pytest.raises(DriverError, match=rf"{len(forces)} forces, but Capabilities\.forces is 1"):
+        device.read()
+
+
 def test_one_infinite_position_of_several_is_no_reading(monkeypatch):
     class Two(Stage):
         def open(self, parameters, sample_rate):

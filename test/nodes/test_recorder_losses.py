@@ -203,6 +203,28 @@ def test_a_recorder_exits_after_the_end_of_the_run_and_a_silence_only():
     assert not tending(runner=SimpleNamespace(exact=True)), "in lockstep is_done decides"
 
 
+@pytest.mark.parametrize(
+    ("exact", "ended", "lacking", "done"),
+    [
+        (False, {"motion_controller"}, {"plant_simulator"}, False),
+        (False, {"motion_controller"}, set(), True),
+        (False, set(), {"plant_simulator"}, True),  # the axis continues without its recorder
+        (True, set(), {"plant_simulator"}, False),  # in lockstep all nodes are stopped together
+    ],
+)
+def test_a_recorder_that_is_stopped_waits_for_the_logs_that_will_still_end(exact, ended, lacking, done):
+    recorder = SimpleNamespace(
+        _arrived=False,
+        _last_arrival=time.monotonic() - 1e6,
+        runner=SimpleNamespace(exact=exact),
+        _ended=ended,
+        _lacking_changes=lambda: lacking,
+    )
+    assert RecorderNode.drained(recorder) == done
+    recorder._arrived = True
+    assert not RecorderNode.drained(recorder), "a message has just arrived"
+
+
 def test_every_stride_of_samples_is_acknowledged_once():
     sent = []
     recorder = recorder_of(
@@ -217,6 +239,7 @@ def test_every_stride_of_samples_is_acknowledged_once():
     for _ in range(4 * STRIDE):
         for index in (0, 1):
             RecorderNode._note(recorder, index)
+    assert recorder.sample == 4 * STRIDE - 1, "samples count from 0"
     assert recorder.sent == [STRIDE, 2 * STRIDE, 3 * STRIDE, 4 * STRIDE]
 
 
@@ -237,12 +260,12 @@ def test_messages_that_the_recording_lacks_are_said_with_their_topic_and_number(
     assert len(said) == 1
 
 
-def health(age=0.0, free=1e9, end=-1, stopped=""):
-    """Return level and text of the health of a recorder at 100 Hz whose last sample is so old [s]."""
+def health(age=0.0, free=1e9, end=-1, stopped="", rate=100.0):
+    """Return level and text of the health of a recorder at a rate [Hz] whose last sample is so old [s]."""
     opened = SimpleNamespace(message_count=7, stopped=stopped, free=free, path="bag")
     recorder = SimpleNamespace(
         pace=SimpleNamespace(age=age),
-        parameters=SimpleNamespace(sample_rate=100.0, min_space=1e6, warn_space=2e6),
+        parameters=SimpleNamespace(sample_rate=rate, min_space=1e6, warn_space=2e6),
         end_of_run=end,
         _opened=opened,
         _acknowledged=3,
@@ -254,6 +277,8 @@ def health(age=0.0, free=1e9, end=-1, stopped=""):
 def test_the_health_of_a_recorder_tells_what_is_lost_before_what_may_be():
     assert health() == (0, "")
     assert health(age=1e3) == (2, "joint_states is stale") and health(age=1e3, end=20) == (0, "")
+    # at 0.5 Hz three samples last 6 s
+    assert health(age=5.9, rate=0.5) == (0, "") and health(age=6.1, rate=0.5) == (2, "joint_states is stale")
     assert health(free=1.5e6) == (1, "only 1.5 MB are free on the disk of bag")
     assert health(age=1e3, free=0.0, stopped="the disk is full") == (2, "recording ended: the disk is full")
 

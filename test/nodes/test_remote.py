@@ -15,6 +15,7 @@ import itertools
 import json
 import signal
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -25,6 +26,7 @@ from nodes_support import InProcess, axis_parameters, compose  # noqa: E402
 from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
 from hysteresis_ros.nodes.remote.commands import (  # noqa: E402  # noqa: E402
+    _require_moving,
     call,  # noqa: E402
     echo,  # noqa: E402
     get,
@@ -327,3 +329,28 @@ def test_status_says_how_long_it_looked_for_a_node(axis, client, capsys, monkeyp
     client.timeout = 1.0
     assert status(client, as_json=False) == 1
     assert "hysteresis_compensator  absent                    not found within 1 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("setpoints", [(1e-6, 5e-6), (5e-6 * (1.0 + 1e-15),), (1e-6,), ()])
+def test_a_setpoint_is_in_force_when_a_sample_has_it_and_not_when_a_sample_has_any(setpoints):
+    state: dict[str, float] = {}
+    coming = list(setpoints)
+
+    def until(made, seconds):
+        while coming:
+            state["setpoint"] = coming.pop(0)
+            if made():
+                return True
+        return False
+
+    publishers = SimpleNamespace(count_publishers=lambda topic: 0)
+    client = SimpleNamespace(timeout=1.0, until=until, node=publishers)
+    if setpoints == (1e-6,):
+        with pytest.raises(AbsentError, match=r"another one replaced it: 1 µm is in force"):
+            _require_moving(client, "/a/reference_generator", 5e-6, state)
+    elif not setpoints:
+        with pytest.raises(AbsentError, match=r"/a/joint_states has no publisher"):
+            _require_moving(client, "/a/reference_generator", 5e-6, state)
+    else:
+        _require_moving(client, "/a/reference_generator", 5e-6, state)
+        assert not coming and state["setpoint"] == pytest.approx(5e-6)
