@@ -351,6 +351,8 @@ class AskedReference:
         In a stage, only the axis in ``namespace`` follows it, if a namespace is given.
         """
         from hysteresis_ros.errors import ConfigurationError
+        from hysteresis_ros.references.scans import SCANS
+        from hysteresis_ros.references.waveforms import WAVEFORMS
 
         if self.kind is None:
             self.refuse_others()
@@ -359,6 +361,11 @@ class AskedReference:
             raise ConfigurationError(
                 f"--reference {self.kind}: {configuration.source} describes an inchworm motor, which "
                 "cannot follow a waveform; give it setpoints with `hysteresis setpoint`"
+            )
+        if configuration.stage is not None and self.kind in SCANS.keys() - WAVEFORMS.keys():
+            raise ConfigurationError(
+                f"--reference {self.kind}: is a scan of several axes, not the waveform of one; give --scan {self.kind} "
+                "NAME=VALUE …, see hysteresis scan"
             )
         values = {f"waveform.{name}": value for name, value in self.values().items()}
         only = f"{namespace.strip('/')}/" if namespace and configuration.stage is not None else ""
@@ -437,6 +444,27 @@ def reference_options(command):
     for option in reversed(options):
         with_reference = option(with_reference)
     return with_reference
+
+
+def scan_options(command):
+    """Add the option and the values of a scan to a command, which gets them as ``scan`` and ``values``."""
+    text = "Scan that a stage follows; NAME=VALUE are its parameters, see `hysteresis scan`."
+    return click.argument("values", nargs=-1, metavar="[NAME=VALUE]...")(
+        click.option("--scan", metavar="KIND", help=text)(command)
+    )
+
+
+def scanning(configuration, scan: str | None, values: tuple[str, ...], reference: AskedReference):
+    """Return the configuration of a stage that follows a scan; without a scan it is unchanged."""
+    from hysteresis_ros.loop.stage_simulation import with_scan
+
+    if scan is None:
+        if values:
+            raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
+        return configuration
+    if reference.kind:
+        raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")
+    return with_scan(configuration, scan, values)
 
 
 def trigger_option(command):

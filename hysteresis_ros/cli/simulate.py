@@ -22,6 +22,8 @@ from hysteresis_ros.cli.options import (
     laid_under,
     params_file_option,
     reference_options,
+    scan_options,
+    scanning,
     trigger_option,
     triggering,
 )
@@ -30,7 +32,6 @@ from hysteresis_ros.cli.progress import shown
 
 @click.command(short_help="Simulate a configuration without ROS.")
 @click.argument("config", type=ConfigurationName())
-@click.argument("values", nargs=-1, metavar="[NAME=VALUE]...")
 @click.option("-o", "--output", required=True, type=RunFile(), help="File to write: .npz, .csv or .mcap.")
 @params_file_option
 @click.option("--duration", type=Quantity("s"), help="Length of the run [s]; by default that of the configuration.")
@@ -60,9 +61,7 @@ from hysteresis_ros.cli.progress import shown
     metavar="GAIN OPENING",
     help="Relative change of gain and loop width of the plant's hysteresis over the run, such as 0.2 -0.1.",
 )
-@click.option(
-    "--scan", metavar="KIND", help="Scan that a stage follows; NAME=VALUE are its parameters, see `hysteresis scan`."
-)
+@scan_options
 @reference_options
 @trigger_option
 @click.option(
@@ -95,19 +94,13 @@ def simulate(
     from hysteresis_ros.loop.reach import reach_warnings, single_axis
     from hysteresis_ros.loop.simulation import mode_lines
     from hysteresis_ros.loop.simulation import simulate as run_offline
-    from hysteresis_ros.loop.stage_simulation import with_scan
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.dataset import requests_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
 
     configuration = reference.put_into(laid_under(config, laid_over), namespace)
     configuration = triggering(configuration, triggers, namespace)
-    if values and scan is None:
-        raise click.UsageError(f"{values[0]} belongs to a scan: choose a scan, for instance --scan raster")
-    if scan is not None:
-        if reference.kind:
-            raise click.UsageError("--scan and --reference exclude each other: a stage can follow only one of them")
-        configuration = with_scan(configuration, scan, values)
+    configuration = scanning(configuration, scan, values, reference)
     if configuration.stage is not None:
         refused = {"--learned": learned, "--drift": drift, "--quiet": quiets}
         for option, value in refused.items():

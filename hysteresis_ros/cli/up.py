@@ -24,6 +24,8 @@ from hysteresis_ros.cli.options import (
     laid_under,
     params_file_option,
     reference_options,
+    scan_options,
+    scanning,
     split_options,
     splitting,
     trigger_option,
@@ -75,6 +77,7 @@ from hysteresis_ros.cli.options import (
     metavar="NAME:START:DURATION[:VALUE]",
     help="Inject this fault; repeatable.",
 )
+@scan_options
 @reference_options
 @trigger_option
 @click.option(
@@ -102,10 +105,15 @@ def up(
     verify,
     faults,
     log_level,
+    scan,
+    values,
     reference,
     triggers,
 ):
     """Start all nodes of CONFIG and stop them together.
+
+    A stage may follow a scan, as in `hysteresis simulate`: `hysteresis up xy_scanner --scan raster width=20um
+    depth=20um lines=32 line_rate=5Hz`.
 
     Exit code 0: after --duration or Ctrl-C; 1: a node has died; 2: wrong input.
     """
@@ -121,6 +129,7 @@ def up(
     coupled = configuration.stage is not None
     configuration = reference.put_into(configuration, namespace if coupled else None)
     configuration = triggering(configuration, triggers, namespace if coupled else None)
+    configuration = scanning(configuration, scan, values, reference)
     configuration = _overridden(configuration, rate, factor, force, plant)
     configuration = splitting(configuration, max_bag_size, max_bag_duration)
     stage = None

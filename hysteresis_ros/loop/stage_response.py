@@ -33,6 +33,7 @@ from hysteresis_ros.models.linear import StateSpace
 from hysteresis_ros.models.linear_algebra import product
 from hysteresis_ros.references.scan import OCCUPIED, rounded_down
 from hysteresis_ros.references.waveforms.scan import repetition
+from hysteresis_ros.units import readable
 
 #: Angle [rad per sample] used for rest, because the response of an integrator at 0 is infinite.
 RESTING = 1e-7
@@ -150,7 +151,10 @@ def scanned_paths(parameters: StageParameters) -> np.ndarray:
 
 
 def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
-    """Return a sentence for each axis whose path in the scan is beyond the bandwidth of its loop, without learning."""
+    """Return a sentence for each axis that cannot follow its path in the scan, without learning.
+
+    The path is beyond the bandwidth of the loop, or is followed late, by the preview of a feedforward.
+    """
     scan = parameters.scan
     if scan is None:
         return ()
@@ -160,7 +164,14 @@ def scan_warnings(parameters: StageParameters) -> tuple[str, ...]:
     for name in parameters.scanning_axes:
         place = parameters.names.index(name)
         control = parameters.axes[place].motion_controller
-        if control.learning.in_use or control.feedforward.type != "none" or needed[place] <= followed[place]:
+        fed = control.feedforward
+        if not control.learning.in_use and fed.type != "none" and fed.preview:
+            found.append(
+                f"{name}: its feedforward follows the scan {fed.preview} samples, "
+                f"{readable(fed.preview / parameters.sample_rate, 's')}, late, which is an error in the plane; "
+                "to follow without delay, learn the scan (hysteresis design --learning) without feedforward"
+            )
+        if control.learning.in_use or fed.type != "none" or needed[place] <= followed[place]:
             continue
         rate = rounded_down(scan.rate * followed[place] / needed[place])
         found.append(

@@ -574,20 +574,26 @@ def check_limits(scan: Scan, limits: ScanLimits) -> None:
 
 
 def _beyond_range(scan: Scan, limits: ScanLimits) -> Iterable[Problem]:
-    """Yield a Problem for each end of a range that a scan exceeds."""
+    """Yield a Problem for each axis whose range a scan exceeds, at one end or at both."""
     lowest, highest = scan.extent()
     low, high = limits.of_axes("low", scan.axes), limits.of_axes("high", scan.axes)
     for axis in range(scan.axes):
-        slack = ROUNDING * (highest[axis] - lowest[axis])
-        for value, excess in ((lowest[axis], low[axis] - lowest[axis]), (highest[axis], highest[axis] - high[axis])):
-            if excess > slack:
-                lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
-                upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
-                text = (
-                    f"the path with its turns exceeds the range by {excess:.4g} m, allowed: "
-                    f"{' and '.join(filter(None, (lower, upper)))}; make the scan smaller, or move its centre"
-                )
-                yield Problem(f"position of {AXES[axis]}", float(value), text, "m")
+        size, room = highest[axis] - lowest[axis], high[axis] - low[axis]
+        ends = {float(lowest[axis]): low[axis] - lowest[axis], float(highest[axis]): highest[axis] - high[axis]}
+        beyond = {value: excess for value, excess in ends.items() if excess > ROUNDING * size}
+        if not beyond:
+            continue
+        lower = f"≥ {low[axis]:g} m" if math.isfinite(low[axis]) else ""
+        upper = f"≤ {high[axis]:g} m" if math.isfinite(high[axis]) else ""
+        allowed = " and ".join(filter(None, (lower, upper)))
+        value, excess = max(beyond.items(), key=lambda one: one[1])
+        if size > room:
+            remedy = f"make the scan at most {rounded_down(room / size, 3):.3g} times as large"
+        else:
+            remedy = "make the scan smaller, or move its centre"
+        other = ", and the other end too" if len(beyond) > 1 else ""
+        text = f"the path with its turns exceeds the range by {excess:.4g} m{other}, allowed: {allowed}; {remedy}"
+        yield Problem(f"position of {AXES[axis]}", value, text, "m")
 
 
 def _excesses(scan: Scan, limits: ScanLimits) -> Iterable[str]:

@@ -231,9 +231,14 @@ def trigger_problems(
     step = 1.0 / sample_rate
     for position in (*given.up, *given.down):
         if not low - 1e-12 * (high - low) <= position <= high + 1e-12 * (high - low):
-            name = "step" if given.step and position in given._given else "positions"
-            remedy = f"reaches {position:g} m; allowed: {low:g} … {high:g} m (minimum … maximum)"
-            yield Problem(f"triggers.{name}", position if name == "positions" else given.step, remedy, "m")
+            name, value = "down_positions" if position in given.down_positions else "positions", position
+            if given.step and position in given._given:
+                name, value = ("start", given.start) if position == given.start else ("stop", given.stop)
+            remedy = (
+                f"reaches {position:g} m; allowed: {low:g} … {high:g} m (minimum … maximum): trigger within this "
+                "range, or widen it"
+            )
+            yield Problem(f"triggers.{name}", value, remedy, "m")
             return
     least = max(step, 1.0 / given.rate if given.rate else 0.0)
     limit = "a sample" if least == step else f"1/triggers.rate = {least:g} s"

@@ -129,6 +129,16 @@ def test_verify_repeats_the_recording_of_a_stage(tmp_path, run):
         (("--namespace", "x"), "run together: --namespace only selects the axis of --fault"),
         (("--fault", "stale:0.1:0.1"), "a fault of a stage needs the name of its axis, one of x, y"),
         (("--plant", "external", "--factor", "0.01"), "external_plant"),
+        (("width=20um",), "width=20um belongs to a scan: choose a scan, for instance --scan raster"),
+        (
+            ("--scan", "raster", "width=90um", "depth=10um"),
+            ", and the other end too, allowed: ≥ -2e-05 m and ≤ 2e-05 m",
+        ),
+        (("--reference", "raster"), "give --scan raster NAME=VALUE"),
+        (
+            ("--trigger", "positions=200um"),
+            "reaches 0.0002 m; allowed: 0 … 4e-05 m (minimum … maximum): trigger within",
+        ),
     ],
 )
 def test_up_refuses_what_a_stage_cannot_do(words, message):

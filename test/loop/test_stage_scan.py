@@ -79,6 +79,14 @@ def test_axes_are_chosen_by_name_and_the_others_hold():
     assert "must name 3 different axes" in refused((*RASTER, "axes=3"))
 
 
+def test_a_feedforward_that_follows_the_scan_late_is_warned_of():
+    late = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 20}
+    values = ("width=2um", "depth=2um", "lines=5", "frame_rate=2Hz")
+    for warning in scan_warnings(following("lissajous", values, motion_controller=late)):
+        assert re.search(r"^[xy]: its feedforward follows the scan 20 samples, 2 ms, late", warning), warning
+    assert len(scan_warnings(following("lissajous", values, motion_controller=late))) == 2
+
+
 def test_the_text_of_a_run_gives_the_scan_back():
     parameters = following()
     text = parameters.configuration_text()

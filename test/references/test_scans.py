@@ -218,6 +218,19 @@ def test_the_range_names_axis_excess_and_what_is_allowed():
     with pytest.raises(ParameterError, match="position of y") as refused:
         check_limits(scan, ScanLimits(high=(100e-6, 65e-6)))
     assert len(refused.value.problems) == 1 and "exceeds the range by 5e-06 m" in str(refused.value)
+    # both ends in one line, with a factor that fits
+    low, high = scan.extent()
+    limits = ScanLimits(low=(low[0] + 5e-6, 0.0), high=(high[0] - 2e-6, 100e-6))
+    with pytest.raises(
+        ParameterError, match="range by 5e-06 m, and the other end too, allowed: ≥ .* and ≤ "
+    ) as refused:
+        check_limits(scan, limits)
+    assert len(refused.value.problems) == 1
+    factor = float(re.search(r"make the scan at most (\S+) times as large", str(refused.value))[1])
+    assert factor == pytest.approx(1.0 - 7e-6 / (high[0] - low[0]), rel=2e-3)
+    smaller = {name: factor * ALL["raster"][name] for name in ("width", "depth")}
+    middle = {"centre_x": 0.5 * (low[0] + high[0]) + 1.5e-6}
+    check_limits(made("raster", rotation=0.0, **smaller, **middle), limits)
     with pytest.raises(ParameterError, match="has 3 values for 2 axes"):
         check_limits(scan, ScanLimits(velocity=(1.0, 1.0, 1.0)))
     with pytest.raises(ParameterError, match="acceleration jumps.*minimum_jerk"):

@@ -240,7 +240,7 @@ SCAN = {
         (WAVEFORM | {"triggers.positions": (-1e-6, 3e-6)}, r"positions = -1e-06 m: reaches -1e-06 m; allowed: 0 "),
         (
             WAVEFORM | {"triggers.start": 1e-6, "triggers.step": 1e-6, "triggers.stop": 20e-6},
-            r"triggers.step = 1e-06 m: reaches",
+            r"triggers.stop = 2e-05 m: reaches 1.3e-05 m; allowed: 0 … 1.2e-05 m \(minimum … maximum\): trigger within",
         ),
         (
             WAVEFORM | {"triggers.start": 1e-6, "triggers.step": 0.1e-6, "triggers.stop": 5e-6},
