@@ -13,11 +13,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from hysteresis_ros.analysis.metrics import limited_text
 from hysteresis_ros.analysis.report import render_report, sampling_text
+from hysteresis_ros.cli.main import main
 from hysteresis_ros.loop.watch import STALE
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import save_run
 
 N = 2000
 
@@ -51,6 +54,17 @@ def test_the_page_of_a_run_says_it_before_its_figures():
 @pytest.mark.parametrize(("samples", "said"), [(0, False), (19, False), (20, False), (21, True), (101, True)])
 def test_a_moment_is_not_mentioned(samples, said):
     assert bool(limited_text(run(np.arange(N) < samples))) == said
+
+
+@pytest.mark.parametrize("samples", [0, 1340])
+def test_a_report_warns_of_a_limited_run_and_of_no_other(samples, tmp_path):
+    cut = run(np.arange(N) < samples)
+    path = 5e-6 * (1.0 - np.cos(20.0 * cut.time))
+    names = ("reference", "displacement", "measured")
+    save_run(Recording(cut.time, {**cut.signals, **dict.fromkeys(names, path)}, {}, {}), tmp_path / "run.npz")
+    result = CliRunner().invoke(main, ["report", str(tmp_path / "run.npz")])
+    assert result.exit_code == 0
+    assert ("hysteresis: warning: the output was limited for 67 %" in result.output) == (samples > 0)
 
 
 def test_the_range_and_the_way_to_safe_are_named():

@@ -34,8 +34,9 @@ from hysteresis_ros.cli.commissioning.closed_loop import (
 )
 from hysteresis_ros.cli.commissioning.fitting import MOVED, excited
 from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
-from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome
+from hysteresis_ros.cli.commissioning.situation import CommissioningError, Folder, Outcome
 from hysteresis_ros.control.learning import LearningParameters
+from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Expected values of the new axis: 100 µm over 100 V, at 2 kHz.
@@ -67,6 +68,53 @@ def test_a_gain_may_be_off_by_a_factor_of_three_to_both_sides(situation, factor)
     else:
         with pytest.raises(CommissioningError, match="the gain is .* µm/V, but 1 µm/V were expected"):
             judge_gain(situation, step)
+
+
+@pytest.mark.parametrize("size", [0.3, 0.4])
+def test_a_stage_that_still_moves_after_the_step_does_not_settle(situation, size):
+    """A quarter of the step is allowed as RMS of what is left, so 0.35 of it as the amplitude of an oscillation."""
+    step = recorded(volts.small_step(situation.plan, 0.0, RATE))
+    moved = GAIN * volts.step_size(situation.plan, 0.0)
+    ringing = np.where(step["voltage"] > 0.0, size * moved * np.sin(2.0 * np.pi * 40.0 * step.time), 0.0)
+    step.signals["measured"] = step["measured"] + ringing
+    if size < 0.35:
+        assert judge_gain(situation, step).figures["gain_m_per_v"] == pytest.approx(GAIN, rel=0.01)
+    else:
+        with pytest.raises(CommissioningError, match=r"does not settle after a step of \+5 V: .* µm RMS"):
+            judge_gain(situation, step)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-100.0, 0.0)])
+def test_a_reversed_sign_is_refused_whichever_way_the_step_goes(situation, low, high):
+    situation.plan = replace(situation.plan, minimum=low, maximum=high)
+    voltages = volts.small_step(situation.plan, 0.0, RATE)
+    assert judge_gain(situation, recorded(voltages)).figures["gain_m_per_v"] == pytest.approx(GAIN, rel=0.01)
+    with pytest.raises(CommissioningError, match="the sign is reversed"):
+        judge_gain(situation, recorded(voltages, -GAIN))
+
+
+@pytest.mark.parametrize(("low", "high", "words"), [(20e-6, 1.0, "lowest reading of 20"), (-1.0, 8e-5, "highest")])
+def test_a_sensor_whose_range_ends_within_that_of_the_stack_is_refused(situation, low, high, words):
+    cycles = recorded(volts.decaying_cycles(situation.plan, 0.0, RATE))
+    judge_hysteresis(situation, cycles)
+    cycles.signals["measured"] = np.clip(cycles["measured"], low, high)
+    with pytest.raises(CommissioningError, match=f"the sensor stays at its {words}"):
+        judge_hysteresis(situation, cycles)
+
+
+def test_the_response_is_that_of_the_periods_after_the_first_one(situation):
+    """In the first period the stage still settles, here from 10 µm beside."""
+    period = round(volts.PERIOD * RATE)
+    phases = np.exp(2j * np.pi * np.random.default_rng(2).uniform(size=period // 2 + 1))
+    one = np.fft.irfft(20.0 * phases)
+    rest = np.zeros(round((volts.REST + volts.WAY) * RATE))
+    sines = recorded(np.concatenate([rest, np.tile(one, volts.PERIODS), rest]))
+    steady, length = volts.steady_periods(situation, sines)
+    assert length == period and steady.stop - steady.start == 4 * period
+    since = (np.arange(len(sines)) - steady.start + period) / RATE
+    sines.signals["measured"] = sines["measured"] + np.where(since >= 0.0, 1e-5 * np.exp(-since / 0.1), 0.0)
+    found = volts.judge_resonance(situation, sines)
+    assert found.figures["gain_m_per_v"] == pytest.approx(GAIN, rel=1e-3)
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.5, 1.0, 2.0, 3.5])
@@ -160,6 +208,19 @@ def test_the_amplifier_is_as_fast_as_its_slower_limit(situation):
     charging = {"current": 0.1, "capacitance": 1e-5}
     assert speed() == 0.0 and speed(slew_rate=2e3) == 2e3 and speed(**charging) == pytest.approx(1e4)
     assert speed(slew_rate=2e3, **charging) == 2e3 and speed(slew_rate=2e4, **charging) == pytest.approx(1e4)
+    for given, missing in (("current", "capacitance"), ("capacitance", "current")):
+        assert [problem.name for problem in replace(situation.plan, **{given: 1e-5}).check()] == [missing]
+
+
+def test_a_commissioning_is_resumed_with_the_same_file_on_the_same_bench(tmp_path):
+    kept = tmp_path / "kept"
+    Folder(kept, "a file", "nodes", False)
+    Folder(kept, "a file", "nodes", True)
+    for text, bench, words in (("another", "nodes", "file has changed"), ("a file", "offline", "'nodes', not 'offline'")):
+        with pytest.raises(ConfigurationError, match=words):
+            Folder(kept, text, bench, True)
+    with pytest.raises(ConfigurationError, match="exists already"):
+        Folder(kept, "a file", "nodes", False)
 
 
 @pytest.mark.parametrize("preview", [0, 7])

@@ -39,6 +39,8 @@ def test_once_the_zero_of_the_sensor_is_known_a_device_is_held_to_what_its_volta
     voltages = np.linspace(0.0, 40.0, 50)
     before = situation.driven_axis("noise", voltages).plant_simulator
     assert before.allowed_travel == (-np.inf, np.inf), "the zero of the sensor is unknown"
+    # a device with a narrower range than the plan is refused by the first stage, before anything moves
+    assert (before.limits.minimum, before.limits.maximum) == (0.0, 100.0)
     situation.found["noise"] = Outcome(["quiet"], {"noise_rms_m": 3e-9, "sensor_zero_m": zero})
     low, high = situation.driven_axis("gain", voltages).plant_simulator.allowed_travel
     # 40 of 100 V

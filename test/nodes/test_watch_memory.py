@@ -77,6 +77,13 @@ def test_the_error_is_the_root_of_its_mean_square_and_its_largest():
     assert figures["rms"] == pytest.approx(np.sqrt(10.0 / 5.0) * 1e-6) and figures["largest"] == pytest.approx(3e-6)
 
 
+def test_the_spectrum_shows_an_error_at_its_frequency():
+    memory = Memory(rate=1000.0)
+    memory.add(block(0, measured=1e-9 * np.sin(2.0 * np.pi * 125.0 * np.arange(8000) / 1000.0)))
+    found = memory.spectrum()
+    assert found["frequency"][np.argmax(found["density"])] == pytest.approx(125.0, rel=0.03)
+
+
 @pytest.mark.parametrize("cut", [1, 4, 9])
 def test_under_a_preview_the_error_is_against_the_reference_of_so_many_samples_before(cut):
     """The stage follows the published reference three samples late, without any other error."""
@@ -108,6 +115,11 @@ def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_you
         collector.add(node, said(2, 2_001 + PART_PATIENCE, node))
     found = collector.take()
     assert found.stamps.tolist() == [1_000, 2_000] and found.table[signals.MEASURED].tolist() == [0.0, 1.0]
+    # a part that comes after its sample was shown does not show it again
+    assert collector.take().numbers.size == 0
+    collector.add(NODES[-1], said(0, 1_000, NODES[-1]))
+    collector.add(NODES[0], said(3, 2_002 + 3 * PART_PATIENCE, NODES[0]))
+    assert 1_000 not in collector.take().stamps
     assert np.isnan(found.table[signals.VOLTAGE]).all()
 
 

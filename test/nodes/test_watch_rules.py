@@ -69,6 +69,7 @@ def test_garbage_is_refused_in_words_and_nothing_else_happens(garbage):
         ('{"id": 1, "do": "set", "node": "motion_controller", "values": {}}', "1 … 50 parameters"),
         ('{"id": 1, "do": "marker", "text": "   "}', "1 … 200 characters"),
         ('{"id": 1, "do": "record", "on": 1}', "true or false"),
+        ('{"id": -1, "do": "stop"}', "id = -1: must be a whole number"),
     ],
 )
 def test_what_is_wrong_with_a_request_is_named(asked, words):
