@@ -33,6 +33,7 @@ from hysteresis_ros.analysis.report import render_report
 from hysteresis_ros.analysis.run_charts import error_chart, judged, loops_chart
 from hysteresis_ros.analysis.tables import format_table
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.cli.recording import _bounds
 from hysteresis_ros.configuration import config_path, load_configuration, parse_configuration
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -111,6 +112,13 @@ def test_times_have_units(text, value):
 def test_what_is_no_time_is_refused(text):
     with pytest.raises(RecordingError, match=f"--skip {text}: "):
         seconds(text, "--skip")
+    for option, words in (
+        ("--skip", (None, text)),
+        ("--range", (f"{text}:2s", None)),
+        ("--range", (f"0:{text}", None)),
+    ):
+        with pytest.raises(RecordingError, match=f"{option} {text}: "):
+            _bounds(*words)
 
 
 def test_small_lengths_are_nanometres_and_large_ones_are_not():

@@ -216,7 +216,10 @@ def test_a_commissioning_is_resumed_with_the_same_file_on_the_same_bench(tmp_pat
     kept = tmp_path / "kept"
     Folder(kept, "a file", "nodes", False)
     Folder(kept, "a file", "nodes", True)
-    for text, bench, words in (("another", "nodes", "file has changed"), ("a file", "offline", "'nodes', not 'offline'")):
+    for text, bench, words in (
+        ("another", "nodes", "file has changed"),
+        ("a file", "offline", "'nodes', not 'offline'"),
+    ):
         with pytest.raises(ConfigurationError, match=words):
             Folder(kept, text, bench, True)
     with pytest.raises(ConfigurationError, match="exists already"):

@@ -70,6 +70,8 @@ def test_corners_are_at_the_ends_and_draws_within_and_equal_for_equal_seeds():
     gains = [one.plant.dc_gain for one in plants]
     assert sorted(set(np.round(gains[1 : 1 + CORNERS], 9))) == [0.76, 1.26]
     assert sorted({one.late for one in plants[1 : 1 + CORNERS]}) == [0.0, 1.5]
+    turns = [np.max(np.angle(one.plant.poles.astype(complex))) for one in plants[: 1 + CORNERS]]
+    assert sorted(set(np.round(turns[1:] / turns[0], 6))) == pytest.approx([1.0 / 1.1, 1.0 / 0.9], rel=1e-3)
     drawn = plants[1 + CORNERS :]
     assert all(0.76 <= round(gain, 9) <= 1.26 for gain in gains) and np.ptp(gains[1 + CORNERS :]) > 0.2
     assert all(0.0 <= one.late <= 1.5 for one in drawn) and np.ptp([one.late for one in drawn]) > 1.0
@@ -94,6 +96,10 @@ def test_the_worst_of_plants_counts_and_delay_only_once():
     alone = [judge(integral, one.plant, T) for one in plants]
     worst = judge_worst(integral, plants, T)
     assert worst.sensitivity_peak == max(one.sensitivity_peak for one in alone) == alone[1].sensitivity_peak
+    for name in ("late_sensitivity_peak", "noise_gain", "command_noise_gain"):
+        assert (
+            getattr(worst, name) == max(getattr(one, name) for one in alone) > min(getattr(one, name) for one in alone)
+        )
     assert worst.bandwidth == alone[0].bandwidth
     assert worst.delay_margin == pytest.approx(min(alone[0].delay_margin, alone[1].delay_margin + 1.0))
     unstable = PossiblePlant(plants[0].plant.scaled(9.0))

@@ -9,7 +9,9 @@
 
 """Bags: the topics of the nodes become the columns of a run, for any writer and any end of the bag."""
 
+import contextlib
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -20,8 +22,8 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import COLUMNS, Recording, cdr
-from hysteresis_ros.recordings.align import align, read_recording, setpoints_per_sample
-from hysteresis_ros.recordings.bag_reader import read_bag
+from hysteresis_ros.recordings.align import _within_run, align, read_recording, setpoints_per_sample
+from hysteresis_ros.recordings.bag_reader import SMALL, _of_whole_pages, most, read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.run_bag import write_recording
 
@@ -169,6 +171,12 @@ def test_an_uncompressed_chunk_gives_its_messages_up_to_the_last_whole_one(tmp_p
     for cut, count in ((place, 58), (place - 1, 57), (place + 1, 58)):
         (tmp_path / "cut.mcap").write_bytes(content[:cut])
         assert len(read_bag(tmp_path / "cut.mcap")) == count
+
+
+def test_a_chunk_of_any_size_that_did_not_get_smaller_by_packing_is_unpacked_as_a_whole():
+    for size in (0, 1, SMALL // 200, SMALL, 10 * SMALL):
+        assert most(size) >= max(size, 2**20)
+    assert most(10 * SMALL) < 1000 * 10 * SMALL, "a few bytes must not fill the memory"
 
 
 @settings(max_examples=100)
@@ -342,14 +350,22 @@ def test_setpoints_are_given_for_every_sample_of_a_replay(tmp_path):
     assert setpoints.tolist() == [0.0] * 10 + [5e-6] * 40
 
 
-def test_of_several_runs_the_longest_is_shown(tmp_path):
+@pytest.mark.parametrize(("first", "second"), [(20, 40), (40, 20)])
+def test_of_several_runs_the_longest_is_shown(tmp_path, first, second):
     with BagWriter(tmp_path / "bag") as bag:
-        axis(bag, "", samples=20)
-        axis(bag, "", samples=40, received=lambda k: (k + 20) * 1_000_000)
+        axis(bag, "", samples=first)
+        axis(bag, "", samples=second, received=lambda k: (k + first) * 1_000_000)
     run = read_recording(tmp_path / "bag")
     assert len(run) == 40
     assert run["reference"].tolist() == [2e-6 * k for k in range(40)]
     assert any("decreased 1 times" in note for note in run.notes)
+
+
+def test_what_an_external_plant_measured_before_and_after_the_run_is_left_out():
+    notes, reference = [], np.array([np.nan, 1.0, np.nan, 3.0, np.nan, np.nan])
+    stamps, columns = _within_run(np.arange(6), {"reference": reference, "measured": np.arange(6.0)}, notes)
+    assert stamps.tolist() == [1, 2, 3] == columns["measured"].tolist()
+    assert notes == ["3 measurements before or after the run are omitted"]
 
 
 def test_a_wrong_joint_is_named(tmp_path):
@@ -486,6 +502,15 @@ def test_a_recording_of_which_nothing_is_left_is_called_damaged(tmp_path):
     copy_bag(tmp_path / "bag", tmp_path / "copy", StoragePlugin.SQLITE3)
     database = (tmp_path / "copy" / "copy.db3").read_bytes()
     said = "damaged"
+    # of pages of any size the partial one at the end is left out, for sqlite would fill it with zeros
+    for page in (4096, 65536):
+        with contextlib.closing(sqlite3.connect(tmp_path / "copy" / "copy.db3")) as connection:
+            connection.execute(f"PRAGMA page_size = {page}")
+            connection.execute("VACUUM")
+        whole = (tmp_path / "copy" / "copy.db3").read_bytes()
+        (tmp_path / "part.db3").write_bytes(whole[:-100])
+        with _of_whole_pages(tmp_path / "part.db3") as file:
+            assert file.read_bytes() == whole[:-page]
     for size in (0, 10, 100, 4096, 8192, 20000):
         (tmp_path / "cut.db3").write_bytes(database[:size])
         with pytest.raises(RecordingError, match=said):

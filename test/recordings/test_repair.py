@@ -32,7 +32,7 @@ from hysteresis_ros.recordings import repair as mcap_repair
 from hysteresis_ros.recordings.align import align
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.repair import repair
+from hysteresis_ros.recordings.repair import repair, whole_mcap
 from hysteresis_ros.recordings.run_bag import SampleWriter
 
 BEGIN = 1_700_000_000_000_000_000
@@ -178,7 +178,15 @@ def test_a_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path):
     content = bytearray((tmp_path / "run" / "run.mcap").read_bytes())
     with (tmp_path / "run" / "run.mcap").open("rb") as stream:
         chunk = make_reader(stream).get_summary().chunk_indexes[5]
+    moved = bytearray(content)
+    moved[chunk.chunk_start_offset] = 0
     content[chunk.chunk_start_offset + 60] ^= 0xFF
+    # the end of a file says nothing of what is before it
+    (tmp_path / "moved.mcap").write_bytes(moved)
+    assert whole_mcap(tmp_path / "run" / "run.mcap").count == 120 and whole_mcap(tmp_path / "moved.mcap") is None
+    (tmp_path / "inside.mcap").write_bytes(content)
+    found = read_bag(tmp_path / "inside.mcap")
+    assert not found.complete and "inside.mcap: 1 chunks are damaged and omitted" in found.notes
     (tmp_path / "run.mcap").write_bytes(content[:-20])
     assert repair(tmp_path / "run.mcap").messages == 110
     values = cdr.decode_float64s(read_bag(tmp_path / "run_repaired").topics["/voltage"].data, "/voltage")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references.recipes import asked_waveform, played
 from hysteresis_ros.references.waveforms import WAVEFORMS, WaveformParameters
-from hysteresis_ros.units import quantity, quantity_in
+from hysteresis_ros.units import quantity, quantity_in, readable
 
 
 @given(
@@ -33,6 +33,41 @@ def test_a_quantity_is_its_number_over_how_many_make_one_in_si(number, unit):
 def test_what_is_no_quantity_is_refused(text):
     with pytest.raises(ValueError, match="finite number|unknown unit"):
         quantity(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("2 min", "s", 120.0),
+        ("3kV", "V", 3000.0),
+        ("5 %", "", 0.05),
+        ("180deg", "rad", 3.14159265),
+        ("2bar", "Pa", 2e5),
+        ("1.5cm", "m", 0.015),
+        ("4mm/s^2", "m/s^2", 0.004),
+        ("0", "m", 0.0),  # nothing is nothing in any unit
+    ],
+)
+def test_a_quantity_in_other_units_is_that_in_si(text, unit, value):
+    assert quantity_in(text, unit) == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (-5e-3, "V", "-5 mV"),
+        (-2e-5, "s", "-20 µs"),
+        (-1.5, "V", "-1.5 V"),
+        (-3e-9, "m", "-3 nm"),
+        (0.99e-7, "m", "99 nm"),
+        (-2.5e-7, "m", "-0.25 µm"),
+        (-4e-3, "m", "-4 mm"),
+        (0.0, "m", "0 µm"),
+        (7.0, "", "7"),
+    ],
+)
+def test_a_quantity_is_shown_with_few_zeros_whatever_its_sign(value, unit, text):
+    assert readable(value, unit) == text
 
 
 def test_units_as_people_write_them_are_the_numbers_in_si():

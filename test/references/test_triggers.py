@@ -22,6 +22,7 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
 from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.references.approach import ApproachParameters
 from hysteresis_ros.references.scan import frame_marks, line_marks, pixel_marks
 from hysteresis_ros.references.scan_clock import LEVELS, ScanClock
 from hysteresis_ros.references.scans import parsed_scan
@@ -34,10 +35,13 @@ from hysteresis_ros.references.triggers import (
     TriggerInputParameters,
     TriggerParameters,
     compare,
+    longest_path,
     makes_triggers,
     step_setpoint,
     trigger_arrays,
 )
+from hysteresis_ros.references.waveforms import WaveformParameters
+from hysteresis_ros.references.waveforms.steps import StepsParameters
 
 STEP = 1e-3
 OF_LEVEL = dict(zip(LEVELS[1:], (frame_marks, line_marks, pixel_marks), strict=True))
@@ -303,6 +307,15 @@ def test_a_motor_has_positions_and_no_waveform():
             refuse(InchwormSequencerNodeParameters, {"sample_rate": 1000.0} | values)
 
 
+@pytest.mark.parametrize("steps", [False, True])
+def test_a_jump_takes_one_sample_unless_the_approach_limits_it(steps):
+    values = StepsParameters(values=(0.0, 5e-6), times=(0.0, 0.1))
+    waveform = WaveformParameters(type="steps", steps=values)
+    approach = ApproachParameters(maximum_velocity=1e-3, maximum_acceleration=10.0, steps=steps)
+    path, cause = longest_path(waveform, approach, 1e-5, STEP)
+    assert path == pytest.approx(1e-3 * STEP if steps else 5e-6) and ("approach" in cause) == steps
+
+
 def test_a_grid_has_both_ends_and_a_direction_alone_has_its_positions():
     grid = TriggerParameters(start=1e-6, step=0.1e-6, stop=2e-6)
     assert len(grid.up) == len(grid.down) == 11 and grid.up[-1] == pytest.approx(2e-6, rel=1e-12)
@@ -311,5 +324,10 @@ def test_a_grid_has_both_ends_and_a_direction_alone_has_its_positions():
     assert grid.rearmed(0.0, 1e-5) == pytest.approx(0.025e-6)
     assert TriggerParameters(positions=(1e-6,)).rearmed(0.0, 1e-5) == pytest.approx(1e-7)
     assert TriggerParameters(positions=(1e-6,)).rearmed(-4e-6, 6e-6) == pytest.approx(1e-7)
+    # the least distance is that of the direction in which the positions are closer
+    near, far = (1e-6, 1.2e-6, 3e-6), (1e-6, 2e-6)
+    for up, down in ((near, far), (far, near)):
+        assert TriggerParameters(positions=up, down_positions=down).gap == pytest.approx(0.2e-6)
+    assert makes_triggers({"triggers.down_positions": far})
     assert not TriggerParameters().asked and not makes_triggers({"triggers.each": "none", "triggers.step": 0.0})
     assert trigger_arrays(grid, 1e-8, 0.0, STEP, None).x[NUMBER] == 0.0

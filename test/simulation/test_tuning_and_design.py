@@ -301,6 +301,8 @@ def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
         result = run(PICMA, "--controller", "pid", "--noise", written, "-o", tmp_path / "f.yaml")
         rows = {line[:24].strip(): line[24:].strip() for line in result.output.splitlines()}
         reached[noise] = float(rows["noise in command"].split()[0])
+        samples, milliseconds = (float(words.split()[0]) for words in rows["delay margin"].split(", "))
+        assert milliseconds == pytest.approx(1e3 * samples / picma().motion_controller.sample_rate, rel=0.01)
     low, high = reachable_displacements(picma())
     stroke = high - low
     assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]

@@ -32,7 +32,7 @@ from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
 from hysteresis_ros import executors
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.laboratory.sweeps.plan import DEVIATIONS, make_plan, parse_variations, varied
 from hysteresis_ros.laboratory.sweeps.plan import settings as settings_of
@@ -482,3 +482,14 @@ def test_a_sweep_is_shown(config, tmp_path):
 def test_what_is_refused_before_anything_is_made_is_a_parameter():
     with pytest.raises(ParameterError, match="--vary plant_simulator.gain"):
         parse_variations(["plant_simulator.gain=2"], axis())
+
+
+@pytest.mark.parametrize(("fault", "tripped"), [(False, 0.0), (True, 1.0)])
+def test_a_run_whose_axis_is_stopped_on_its_way_counts_as_tripped(fault, tripped):
+    values = {"faults": ["lost_voltage:0.005:0.015"] if fault else [], "late_limit": 3}
+    own = {"late_limit": values.pop("late_limit")}
+    configuration = parse_configuration(AXIS, "axis.yaml").override("", **values).override("plant_simulator", **own)
+    one = single_axis(configuration)
+    variations = parse_variations(PRODUCT, one)
+    found = Study(one, variations, ("rms_error_m",)).runs(0, np.array([[0.5, 0.5]]))
+    assert [row[-1] for row in found.rows] == [tripped] and not found.refused
