@@ -22,13 +22,14 @@ from hysteresis_ros.configuration import Configuration, dump_configuration, matc
 from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, design_of
 from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
 from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
+from hysteresis_ros.control.laws.pid import LITTLE_DAMPING
 from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.linearisation import linear_loop, margins, whole_loop
 from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins, judge
 from hysteresis_ros.control.uncertainty import KEPT, Borne, ResponseUncertainty, Uncertainty
 from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
 from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
-from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.identification.parameter_file import SECTION, SMALL_LOOP_GAIN
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis import Axis
@@ -139,6 +140,8 @@ def _belongs(pattern: str, full: str) -> bool:
 HALVINGS, RAISED = 18, 3
 #: Variances of the input noise that are tried for a slower observer, relative to the measurement noise.
 OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
+#: Response of a model without an identification.
+KNOWN = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
 
@@ -198,16 +201,18 @@ def is_certain(found: Designed, response: ResponseUncertainty, sample_time: floa
 
 #: Corners of a roll-off per decade, and decades below half the sample rate; steps of the search for the gain at each.
 CORNERS, CORNER_DECADES, GAIN_STEPS = 8, 3.5, 12
-#: Smallest gain of the integral, relative to that without a roll-off, at which a roll-off is used.
-WORTH = 1.1
+#: Smallest gain of the integral, relative to that without a roll-off, at which a roll-off is used; smallest part of a
+#: requested bandwidth that counts as reached.
+WORTH, REACHED = 1.1, 0.97
 
 
 def rolled_off_design(
-    first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float
+    first: Designed, quiet: float, response: ResponseUncertainty, sample_time: float, bandwidth: float | None = None
 ) -> Designed | None:
     """Return the certain integral controller with the largest gain, of all corners of its roll-off, or None.
 
-    Units: ``sample_time`` [s]; ``quiet``: largest gain from the sensor's noise to the command.
+    Units: ``sample_time`` [s]; ``quiet``: largest gain from the sensor's noise to the command; ``bandwidth``: largest
+    one [Hz].
     """
     own = first.parameters.before_damping(sample_time)
     unit = 1.0 / (own.model.dynamics.matrices.dc_gain * sample_time)
@@ -218,8 +223,12 @@ def rolled_off_design(
         gains = replace(plain, Ki=float(f"{unit * gain:.6g}"), roll_off=corner)
         changed: dict = {"pid": gains}
         found = Designed(replace(first.parameters, **changed), first.margins)
-        meets = judge(*linear_loop(found.parameters, sample_time), sample_time).meets(aimed)
-        return found if meets and is_certain(found, response, sample_time) else None
+        try:
+            judged = judge(*linear_loop(found.parameters, sample_time), sample_time)
+        except ParameterError:  # unstable on the model
+            return None
+        slow = bandwidth is None or judged.bandwidth <= bandwidth
+        return found if slow and judged.meets(aimed) and is_certain(found, response, sample_time) else None
 
     best, largest = None, 0.0
     for corner in np.pi / sample_time * 10.0 ** np.linspace(-CORNER_DECADES, -0.3, int(CORNERS * CORNER_DECADES)):
@@ -237,6 +246,36 @@ def rolled_off_design(
                 break
         largest = low
     return None if best is None else replace(best, margins=margins(best.parameters, sample_time))
+
+
+def _pid(
+    design: Design, request: DesignRequest, response: ResponseUncertainty, sample_time: float, quiet: float
+) -> Designed:
+    """Return a pid, with a roll-off where only that reaches a bandwidth, or where light modes limit one without it."""
+    asked = request.bandwidth
+    try:
+        first = design(asked, request.q)
+    except ParameterError:
+        if asked is None:
+            raise
+        plain = design(None, request.q)
+        rolled = rolled_off_design(plain, quiet, response, sample_time, asked)
+        if rolled is None or rolled.margins.bandwidth <= plain.margins.bandwidth:
+            raise
+        if rolled.margins.bandwidth < REACHED * asked:
+            said = (
+                f"a PID reaches at most {rolled.margins.bandwidth:.4g} Hz on this model, with its roll-off; "
+                "request a lower bandwidth, or none for the fastest gains"
+            )
+            raise ParameterError([Problem("bandwidth", asked, said)]) from None
+        return rolled
+    own = first.parameters.before_damping(sample_time).model.dynamics.state_space
+    light = [damping for _, damping in modes(own.poles, sample_time) if damping < LITTLE_DAMPING]
+    # a pid cancels one mode; an uncertain one is designed anew anyway
+    if asked is not None or len(light) < 2 or not is_certain(first, response, sample_time):
+        return first
+    rolled = rolled_off_design(first, quiet, response, sample_time)
+    return first if rolled is None or rolled.margins.bandwidth < WORTH * first.margins.bandwidth else rolled
 
 
 def certain_design(
@@ -272,14 +311,17 @@ def certain_design(
                     return found
         return None
 
-    slower = None
+    slower, advice = None, "request a lower bandwidth or none"
     if not request.criterion and response.crossover > 0.0:
-        slower = found_with(request.bandwidth)
-        if slower is None and request.bandwidth is None:
+        asked = request.bandwidth
+        slower = found_with(asked)
+        if slower is None and asked is None:
             slower = _slower(found_with, min(first.margins.bandwidth, 0.4 / sample_time))
-        if first.parameters.type == "pid" and request.bandwidth is None:
-            rolled = rolled_off_design(first, quiet, response, sample_time)
-            if rolled is not None and (
+        if first.parameters.type == "pid" and (slower is None or asked is None):
+            rolled = rolled_off_design(first, quiet, response, sample_time, asked)
+            if rolled is not None and asked is not None and rolled.margins.bandwidth < REACHED * asked:
+                advice = f"request at most {rolled.margins.bandwidth:.3g} Hz, or no bandwidth"
+            elif rolled is not None and (
                 slower is None or abs(rolled.parameters.pid.Ki) > WORTH * abs(slower.parameters.pid.Ki)
             ):
                 slower = rolled
@@ -289,11 +331,11 @@ def certain_design(
     limited = certain.frequency > response.crossover
     if not limited and (certain.frequency <= response.known_to or not known):
         known = f"the response is known only to {100.0 * certain.uncertainty:.0f} % at this frequency"
+    if first.parameters.type != "pid":
+        advice += ", choose another controller (pid)"
     raise ConfigurationError(
-        f"the model is not accurate enough for this feedback at {certain.frequency:.4g} Hz: "
-        f"{known}; request a lower bandwidth or none, choose another controller (pid), or identify from a recording "
-        "with content at this frequency (hysteresis excite "
-        "--recipe multisine)"
+        f"the model is not accurate enough for this feedback at {certain.frequency:.4g} Hz: {known}; {advice}, or "
+        "identify from a recording with content at this frequency (hysteresis excite --recipe multisine)"
     )
 
 
@@ -412,7 +454,11 @@ def design_axis(
         asked = replace(request, bandwidth=bandwidth, q=q, robust=None)
         return _gains(control, asked, sample_time, quiet, around)[0]
 
-    first, robust = _gains(control, request, sample_time, quiet, around)
+    robust = None
+    if request.robust is not None or request.criterion or control.damping.type != NONE or request.controller != "pid":
+        first, robust = _gains(control, request, sample_time, quiet, around)
+    else:
+        first = _pid(design, request, response or KNOWN, sample_time, quiet)
     tuned = None
     if request.criterion:
         tuned = _tuned(axis, first.parameters, request, request.criterion)
@@ -618,10 +664,13 @@ def doubts(result: AxisDesign) -> list[str]:
         )
     if result.limited is not None:
         rests = result.limited.assumption(result.sample_time) or "the recording does not determine the response"
+        asked, reached = result.request.bandwidth, result.margins.bandwidth
+        change = f"bandwidth reduced to {_hertz(reached)}"
+        if asked is not None and reached >= REACHED * asked:
+            change = "a roll-off was added"
         found.append(
-            f"bandwidth reduced to {_hertz(result.margins.bandwidth)}, so that the loop is stable "
-            f"with every plant that is consistent with the recording: {rests}; a recording with "
-            "content at these frequencies (hysteresis excite --recipe multisine) may allow more"
+            f"{change}, so that the loop is stable with every plant that is consistent with the recording: {rests}; "
+            "a recording with content at these frequencies (hysteresis excite --recipe multisine) may allow more"
         )
     if result.damped is not None:
         found += result.damped.doubts()

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.margins import close, margins_of
 from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty, fastest_integral
 from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_lines, doubts, response_uncertainty
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.response_check import MeasuredPlant
 from hysteresis_ros.loop.reach import single_axis
@@ -35,9 +37,9 @@ KNOWN = ResponseUncertainty(np.array([1.0, 1500.0]), np.array([0.01, 0.01]), np.
 CONTROLLERS = ("pid", "offset_free", "integral_smc")
 
 
-def axis(step: float = STEP):
-    """Return an axis whose model is a lag."""
-    dynamics = LinearPart(lag=LAG, hold=step).dynamics(step)
+def axis(step: float = STEP, *modes: Mode):
+    """Return an axis whose model is a lag, with modes if given."""
+    dynamics = LinearPart(modes=modes, lag=LAG, hold=step).dynamics(step)
     values = {
         f"model.dynamics.{name}": list(value) if isinstance(value, tuple) else value
         for name, value in dynamics.to_mapping().items()
@@ -156,6 +158,21 @@ def crossover_of(parameters) -> float:
     return float(frequencies[np.flatnonzero(gain >= 1.0)[-1]])
 
 
+def test_a_bandwidth_that_needs_a_roll_off_gets_one():
+    """A pid cancels one of two light modes, and the other one limits its M_s long before this bandwidth."""
+    light = axis(STEP, Mode(250.0, 0.005), Mode(400.0, 0.003))
+    design = design_axis(light, DesignRequest("pid", bandwidth=20.0), FAST)
+    controller, plant = whole_loop(design.parameters, STEP)
+    assert design.parameters.pid.roll_off > 0.0 and not design.misses()
+    assert margins_of(controller, plant, STEP).bandwidth == pytest.approx(20.0, rel=0.03)
+    assert not [text for text in doubts(design) if "reduced" in text or "cancels" in text]
+    with pytest.raises(ParameterError, match="with its roll-off; request a lower bandwidth, or none") as refused:
+        design_axis(light, DesignRequest("pid", bandwidth=290.0))
+    most = float(re.search(r"reaches at most ([\d.]+) Hz", str(refused.value))[1])
+    assert most > 60.0
+    assert design_axis(light, DesignRequest("pid")).margins.bandwidth == pytest.approx(most, rel=0.02)
+
+
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_no_loop_is_faster_than_a_recording_that_rings_permits(controller):
     known = ResponseUncertainty(KNOWN.frequencies, KNOWN.relative, np.inf, crossover=8.4)
@@ -165,7 +182,7 @@ def test_no_loop_is_faster_than_a_recording_that_rings_permits(controller):
     assert found.limited is known and "no crossover above 8.4 Hz is known to be safe" in known.assumption(STEP)
     asked = DesignRequest(controller, bandwidth=100.0)
     if controller == "pid":  # the others are as fast in their response to the reference with less feedback
-        with pytest.raises(ConfigurationError, match="no crossover above 8.4 Hz is known to be safe; request a lower"):
+        with pytest.raises(ConfigurationError, match="above 8.4 Hz is known to be safe; request at most 16"):
             design_axis(axis(), asked, known)
     else:
         assert crossover_of(design_axis(axis(), asked, known).parameters) < 8.6

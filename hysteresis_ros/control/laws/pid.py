@@ -616,7 +616,9 @@ def rows(parameters, sample_time: float):
 
 
 def doubts(parameters, sample_time: float, tuned: bool):
-    """Yield a warning about cancelled poles with little damping."""
+    """Yield a warning about cancelled poles with little damping; without zeros nothing is cancelled."""
+    if not (parameters.pid.Kp or parameters.pid.Kd):
+        return
     pole = slowest_poles(parameters.model.dynamics.state_space)[0]
     logarithm = np.log(pole) if abs(pole) > 0.0 else -np.inf
     damping = -np.real(logarithm) / abs(logarithm) if np.isfinite(logarithm) else 1.0
