@@ -471,19 +471,26 @@ class LinearPart:
 
         Units: ``sample_time`` [s].
         """
+        return self.behind_creep(self.crept(columns, sample_time), columns, sample_time)
+
+    def crept(self, columns, sample_time: float) -> np.ndarray:
+        """Return the columns behind creep alone, without their first row if creep had settled there, shape (N, m)."""
+        table = _table(columns)
+        moved = table - table[:1] if self.settled else table
+        if self.creep_rate < SMALLEST_RATE:
+            return moved
+        feedthrough, weights, time_constants = self.creep.resolved()
+        sections = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
+        return filtered(moved, [Section(feedthrough), *sections])
+
+    def behind_creep(self, crept, columns, sample_time: float) -> np.ndarray:
+        """Return the response to columns whose response to creep, :meth:`crept`, is known; in the form of columns."""
         columns = np.asarray(columns, dtype=float)
-        table = columns[:, None] if columns.ndim == 1 else columns
-        first = table[:1] if self.settled else np.zeros((1, table.shape[1]))
-        moved = table - first if self.settled else table
-        if self.creep_rate >= SMALLEST_RATE:
-            feedthrough, weights, time_constants = self.creep.resolved()
-            crept = [_lag_section(*one, sample_time) for one in zip(time_constants, weights, strict=True)]
-            moved = filtered(moved, [Section(feedthrough), *crept])
         held = bool(self.hold) and abs(self.hold - sample_time) < 1e-6 * sample_time
         sections, late = _held_stage(self, sample_time) if held else _linear_stage(self, sample_time)
-        moved = _delayed(filtered(moved, sections), late)
+        moved = _delayed(filtered(crept, sections), late)
         if self.settled:
-            moved += first * self.settled_gain
+            moved = moved + _table(columns)[:1] * self.settled_gain
         return moved.reshape(columns.shape)
 
     @property
@@ -588,6 +595,12 @@ class LinearPart:
         A = scipy.linalg.block_diag(*(block[0] for block in blocks))
         B, C = (np.concatenate([block[i] for block in blocks]) for i in (1, 2))
         return A, B[:, None], C, direct
+
+
+def _table(columns) -> np.ndarray:
+    """Return columns, shape (N,) or (N, m), as a table, shape (N, m)."""
+    columns = np.asarray(columns, dtype=float)
+    return columns[:, None] if columns.ndim == 1 else columns
 
 
 def _delayed(columns, samples: float) -> np.ndarray:

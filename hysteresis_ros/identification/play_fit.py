@@ -21,12 +21,15 @@ residual permits.
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from hysteresis_ros.identification.hammerstein import PartSearch, PartTrial, search_linear_part, split_values
+from hysteresis_ros.identification.linear_systems import SMALLEST_RATE
 from hysteresis_ros.identification.preprocessing import Condensed
 from hysteresis_ros.identification.thresholds import SMOOTHER_WEIGHTS
 from hysteresis_ros.models.hysteresis import HysteresisParameters
@@ -34,8 +37,8 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters
 #: Weight of the smoothness penalty during the search of the linear part and the shape.
 SEARCH_STRENGTH = 1e-2
 
-#: Small diagonal that is added to the normal equations of columns of unit length.
-GRAM_FLOOR = 1e-13
+#: Small diagonals to add to the normal equations of columns of unit length; the first that suffices is used.
+GRAM_FLOORS = (1e-13, 1e-12, 1e-11, 1e-10)
 #: Tried weights of the smoothness penalty, from almost none to one that makes the weights almost linear.
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
@@ -51,6 +54,8 @@ class PlayFit(ABC):
     def __init__(self, data: Condensed):
         self.data = data
         self.numbers: dict[str, float] = {}
+        #: Shape and case of creep of the columns that :meth:`moved` keeps, the columns, and their response to creep.
+        self.crept: tuple[tuple, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     @abstractmethod
     def columns(self, shape: dict[str, float]) -> np.ndarray:
@@ -70,12 +75,27 @@ class PlayFit(ABC):
         ``strength`` is the penalty on rough weights; None: as large as the residual allows.
         """
         data = self.data
-        moved = data.counted(part.apply(self.columns(shape), data.sample_time))
+        moved = data.counted(self.moved(part, shape))
         target = data.counted(data.displacement)
         self.weights, self.constants, residual, self.strength = smooth_weights(
             moved, data.counted(data.constants), target, self.roughness, strength
         )
         return residual
+
+    def moved(self, part, shape) -> np.ndarray:
+        """Return the columns behind the linear part, shape (N, m).
+
+        Creep is most of the work, and it is linear in its rate: the response for the rate 1 is kept until the shape
+        changes.
+        """
+        step = self.data.sample_time
+        case = shape, part.longest_time, part.settled, part.creep_rate >= SMALLEST_RATE
+        if self.crept is None or self.crept[0] != case:
+            columns = self.columns(shape)
+            still, full = (replace(part, creep_rate=rate).crept(columns, step) for rate in (0.0, float(case[-1])))
+            self.crept = case, columns, still, full - still
+        _, columns, still, growth = self.crept
+        return part.behind_creep(still + part.creep_rate * growth, columns, step)
 
     def fit(self, linear, progress):
         """Search the linear part and the shape, then compute the weights."""
@@ -138,6 +158,17 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
     return weights, coefficients, residual, strength
 
 
+def cholesky_factor(gram) -> np.ndarray:
+    """Return the Cholesky factor of a Gram matrix of columns of unit length, of which some may be equal.
+
+    The diagonal that is added is as small as rounding errors allow, far below any noise.
+    """
+    for floor in GRAM_FLOORS[:-1]:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.linalg.cholesky(gram + floor * np.eye(len(gram)))
+    return np.linalg.cholesky(gram + GRAM_FLOORS[-1] * np.eye(len(gram)))
+
+
 class WeightSolver:
     """Constrained least squares for several penalties, compressed by the Cholesky factor R."""
 
@@ -150,8 +181,7 @@ class WeightSolver:
         sizes = np.sqrt(np.diag(gram))
         sizes[sizes == 0.0] = 1.0
         gram /= np.outer(sizes, sizes)
-        # the small diagonal separates equal columns; it is far below any noise
-        compressed = np.linalg.cholesky(gram + GRAM_FLOOR * np.eye(len(gram))).T * sizes
+        compressed = cholesky_factor(gram).T * sizes
         self.r, self.t = compressed[:, :-1], compressed[:, -1]
         self.ridge = np.zeros(free.shape[1]) if ridge is None else np.asarray(ridge, dtype=float)
         self.size = float(np.linalg.norm(self.r[:, : self.count]) / np.sqrt(self.count))

@@ -371,9 +371,9 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
         if density == "exponential":
             return competitors[0]
         competitors.append(FreeWeights(competitors[0].data, play_count, 0).fit(linear, progress))
-    # dead zones with the best linear part found without them; if accepted, their linear part is searched again
-    part = min(competitors, key=lambda fit: fit.rms).part
-    zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(part)
+    # dead zones with the best linear part found without them; if accepted, its numbers are searched again
+    nearest = min(competitors, key=lambda fit: fit.rms)
+    zones = FreeWeights(competitors[0].data, play_count, ZONES).behind(nearest.part)
     competitors.append(zones)
     alone = simple_loops(data) and density == "auto"
     thresholds = [LOOPS_OF_ONE_SIZE if alone else STRUCTURE] * len(competitors)
@@ -384,7 +384,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     competitors = kept
     chosen, errors = survivor(competitors, thresholds=thresholds)
     if chosen is zones:
-        zones.fit(linear, progress)
+        zones.settle(nearest, progress)
     chosen.numbers["held_out_rmse_m"] = errors[competitors.index(chosen)]
     return chosen
 

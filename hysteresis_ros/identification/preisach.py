@@ -36,8 +36,8 @@ WIDTHS = 24
 NODES = 33
 #: Cells of a free density over the range of the recording, on each side, and largest number of nodes of its map.
 FREE_CELLS, MOST_NODES = 16, 65
-#: Number of samples on which the linear part behind a free density is searched.
-SEARCHED = 1500
+#: Numbers of samples and of cells on each side with which the linear part behind a free density is searched.
+SEARCHED, SEARCHED_CELLS = 1500, 8
 #: Fraction of the range by which the map exceeds the data on each side.
 BEYOND = 0.01
 #: Largest magnitude of κ, the dependence of the density on the bias. g(V), see above, is monotone up to 0.5.
@@ -155,11 +155,11 @@ class FreeDensity(PlayFit):
         return FreeDensity(data, self.cell_count)
 
     def fit(self, linear, progress):
-        """Search the linear part on coarse data, then compute the weights on all data."""
-        coarse = coarser(self.data, SEARCHED)
-        if coarse is self.data:
+        """Search the linear part with few cells on coarse data, then compute all weights on all data."""
+        if self.cell_count <= SEARCHED_CELLS:
             return super().fit(linear, progress)
-        found = FreeDensity(coarse, self.cell_count).fit(linear, progress)
+        coarse = coarser(self.data, SEARCHED)
+        found = FreeDensity(coarse, SEARCHED_CELLS).fit(linear, progress)
         self.kept, self.base, self.found, self.part, self.shape = (
             found.kept, found.base, found.found, found.part, found.shape
         )  # fmt: skip

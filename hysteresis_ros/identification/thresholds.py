@@ -77,7 +77,7 @@ ANOTHER_KIND = Threshold(
 )
 #: If the simplest structure leaves more than this fraction of the stroke, a free Preisach density is tried too: loops
 #: that saturate, or whose branches have different shapes. Piezo stacks have far smaller values.
-POOR = 0.01
+POOR = 0.005
 DENSITY_DECAY = Threshold(
     0.1,
     RESIDUAL,

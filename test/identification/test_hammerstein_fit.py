@@ -9,7 +9,7 @@
 
 """Hysteresis, creep, lag and delay are distinguished in synthetic recordings with a known truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,10 +18,11 @@ import pytest
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.dynamics import TURNS, TurnSearch
+from hysteresis_ros.identification.generalised_play import GeneralisedPlays
 from hysteresis_ros.identification.hammerstein import finished
 from hysteresis_ros.identification.linear_systems import LinearPart, Mode
 from hysteresis_ros.identification.plant_model import simulate_chain
-from hysteresis_ros.identification.play_fit import radii, smooth_weights
+from hysteresis_ros.identification.play_fit import cholesky_factor, radii, smooth_weights
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.prediction import recover_voltage
 from hysteresis_ros.identification.preisach import fit_preisach
@@ -61,6 +62,25 @@ def test_play_columns_equal_the_kernel_of_the_nodes():
     np.testing.assert_allclose(
         plays(voltage, np.array(RADII)) @ np.array(WEIGHTS), block.simulate(voltage), rtol=0.0, atol=1e-18
     )
+
+
+def test_the_kept_response_to_creep_is_that_of_the_filters():
+    data = condense(decaying() + 20.0, 1e-7 * decaying(), SAMPLE_TIME, skip=0)
+    fit = GeneralisedPlays(data, 6, ("bend", "spread"))
+    lagging = LinearPart(lag=0.01, delay=0.002, longest_time=8.0)
+    parts = [replace(lagging, creep_rate=rate) for rate in (0.0, 0.01, 0.04)]
+    parts += [replace(parts[-1], settled=True), parts[-1], replace(parts[-1], longest_time=80.0), parts[1]]
+    for part in parts:
+        for bend in (0.0, 0.2, 0.0):
+            shape = {"bend": bend, "spread": 0.1}
+            expected = part.apply(fit.columns(shape), SAMPLE_TIME)
+            np.testing.assert_allclose(fit.moved(part, shape), expected, rtol=0.0, atol=1e-9)
+
+
+def test_columns_that_are_equal_up_to_rounding_have_a_factor():
+    gram = np.ones((3, 3)) - 3e-12 * np.eye(3)  # no longer positive
+    factor = cholesky_factor(gram)
+    np.testing.assert_allclose(factor @ factor.T, gram, rtol=0.0, atol=2e-10)
 
 
 def test_weights_come_back_and_are_never_negative():
