@@ -52,8 +52,10 @@ TRIMMED = 0.1
 #: A recording is bipolar if its voltage goes below 0 V by this fraction of the largest voltage.
 BIPOLAR = 0.1
 #: A start at rest is accepted if the error at the beginning is below this factor times the error of the remaining
-#: samples, or below this fraction of the stroke.
+#: samples, or, for models whose fit needs the beginning, below this fraction of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
+#: If more than this fraction of the recording would be omitted, a start at rest is tried first: assumed.
+MOST_OMITTED = 0.3
 #: A recording is closed if input and output return to their start within this fraction of their range.
 CLOSED_PART = 0.02
 
@@ -102,7 +104,8 @@ def find_start(
     wiped = wiped_out(data.input)
     if wiped is None:
         return _remembered(data, trials)
-    if whole and trials.at_rest(wiped):
+    rested = trials.at_rest(wiped) if whole else wiped > MOST_OMITTED * len(data) and trials.begins_at_rest(wiped)
+    if rested:
         return Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
     seconds = wiped * data.sample_time
     note = (
@@ -156,6 +159,14 @@ class _PastTrials:
         return first == 0 or _trimmed(error[:first]) <= max(
             AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
         )
+
+    def begins_at_rest(self, first: int) -> bool:
+        """Whether rest at 0 V explains all samples about as well as a fit to those after ``first`` explains them.
+
+        A fit from a wrong history adapts to the longer part of the recording, so both parts count.
+        """
+        error, alone = self.error(), self.error(Start("zero", first))
+        return max(_trimmed(error[:first]), _trimmed(error[first:])) <= AS_WELL * _trimmed(alone)
 
     def remanent(self) -> tuple[float, float]:
         """Return the voltage [V] whose remanence fits best, and its error [m]."""

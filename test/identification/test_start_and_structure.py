@@ -109,6 +109,18 @@ def test_an_unknown_past_is_left_out_where_a_cycle_remains():
     assert 0 < decaying.skip == wiped_out(DECAYING)
 
 
+def test_a_start_at_rest_counts_where_much_would_be_left_out():
+    rng = np.random.default_rng(5)
+    levels = np.concatenate([rng.uniform(30.0, 70.0, 12), [100.0, 0.0], rng.uniform(0.0, 100.0, 6)])
+    steps = np.repeat(levels, 40)
+    assert wiped_out(steps) > 0.5 * len(steps)
+    rested = find_start(data(steps, recorded(steps)))
+    assert rested.skip == 0 and "explains its beginning" in rested.note
+    for history in ((150.0, 0.0), (100.0, 50.0)):  # mid-history: remanent, and halfway down a loop
+        unknown = find_start(data(steps, recorded(steps, history)))
+        assert unknown.skip == wiped_out(steps) and "omitted" in unknown.note
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "model, history", [("prandtl_ishlinskii", ()), ("prandtl_ishlinskii", (150.0, 0.0)), ("preisach", ())]
