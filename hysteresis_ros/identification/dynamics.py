@@ -713,13 +713,16 @@ class TurnSearch:
         self.voltage, self.displacement = (np.asarray(values, dtype=float) for values in (voltage, displacement))
         coarse = condense(self.voltage, self.displacement, sample_time, skip)
         self.first, self.samples = coarse.skipped, len(coarse.voltage)
+        self.creeps = tuple(part for part in self.parts if part == "creep")
 
     def run(self) -> HammersteinFit:
         """Return the fit with the smallest residual."""
-        found = []
+        found, kept = [], {}
         if self.samples <= FAST_SAMPLES:
             together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
             found.append(together)
+            # sufficient for a hysteresis from which the dynamics are chosen; the structure is chosen again behind them
+            kept = {"like": together.structure} if together.structure is not None else {}
             # if the samples do not resolve a lag or delay of one sample, they resolve no faster dynamics
             if not together.synchronous:
                 found += self.settled(together, sharp=True)
@@ -728,8 +731,7 @@ class TurnSearch:
         start = self.choose(self.voltage, zeros=False)
         with contextlib.suppress(ParameterError, IdentificationError):
             if start.modes:
-                creep = tuple(part for part in self.parts if part == "creep")
-                found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
+                found += self.settled(self.fit(SEARCHED, linear=Known(start, self.creeps), **kept))
             elif not found:
                 # a lag of the spectra alone would contain the phase of the loops
                 together = self.fit(SEARCHED, linear=tuple(part for part in self.parts if part != "modes"))
@@ -783,7 +785,7 @@ class TurnSearch:
         return False
 
     def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
-        """Alternately choose the dynamics after the hysteresis and refit the hysteresis.
+        """Alternately choose the dynamics after the hysteresis and refit the hysteresis and its creep.
 
         With ``sharp``, only if there is a resonance that the present fit cannot represent. The first iteration chooses
         the structure of the hysteresis.
@@ -801,7 +803,7 @@ class TurnSearch:
             )
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
-                fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
+                fit = self.fit(SETTLED, linear=Known(replace(part, **creep), self.creeps), **kept)
             except (ParameterError, IdentificationError):  # with these dynamics, the hysteresis has no valid weights
                 break
             if not found or fit.rmse < found[0].rmse:

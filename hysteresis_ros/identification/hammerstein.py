@@ -22,6 +22,7 @@ loops, and the comparison should not test extrapolation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ import numpy as np
 
 from hysteresis_ros.errors import HysteresisError, IdentificationError, ParameterError
 from hysteresis_ros.identification.data import clipped_samples
+from hysteresis_ros.identification.drift import Drift, drift_beside_creep
 from hysteresis_ros.identification.linear_systems import Known, LinearPart
 from hysteresis_ros.identification.plant_model import PlantModel, simulate_chain
 from hysteresis_ros.identification.preprocessing import (
@@ -74,6 +76,8 @@ class HammersteinFit(PlantModel):
     converged: bool = True  #: False: the optimiser reached its limit of evaluations, and this is the best point found.
     skipped: int = 0  #: First samples of the recording that the fit omits.
     drift: float = 0.0  #: Drift of the output that is independent of the voltage [m/s]; not part of the model.
+    #: Standard deviation of the drift [m/s], also where none is found: a smaller drift cannot be told from creep.
+    drift_deviation: float = math.nan
     numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
     structure: Any = None  #: Chosen structure, for a repeated fit.
 
@@ -322,8 +326,11 @@ def robust_fit(
 
     kept, found = repeated(fit, look, ~clipped if clipped.any() else None)
     outliers = 0 if kept is None else int(np.count_nonzero(~kept & ~clipped))
-    if outliers:
-        found = replace(found, numbers={**found.numbers, "outliers": float(outliers)})
+    deviation = seen_drift(structure).deviation
+    numbers = (
+        found.numbers | {"drift_deviation_m_per_s": deviation} | ({"outliers": float(outliers)} if outliers else {})
+    )
+    found = replace(found, drift_deviation=deviation, numbers=numbers)
     return found, structure
 
 
@@ -393,5 +400,15 @@ def require_rising(scale: float) -> None:
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, with a drift if held-out blocks show the same drift."""
-    return survivor(usable([fit(data), fit(replace(data, drifts=True))]), stretches=1, thresholds=(DRIFT,))[0]
+    """Return ``fit(data)``, with a drift if it is more than creep, and held-out blocks show the same drift."""
+    still = fit(data)
+    if invalid(still) is None and not seen_drift(still).certain:
+        return still
+    return survivor(usable([still, fit(replace(data, drifts=True))]), stretches=1, thresholds=(DRIFT,))[0]
+
+
+def seen_drift(fit) -> Drift:
+    """Return the drift that the residual of a fit shows besides creep."""
+    output, data = fit.output(), fit.data
+    moved = output - data.constants @ fit.constants
+    return drift_beside_creep(data, moved, data.counted(data.displacement - output), fit.part.settled)

@@ -245,14 +245,18 @@ def parameter_covariance(
     if truncated is None and not known.all():
         raise DataError("rank", f"the data does not determine all {d} parameters")
     root = Vt[known].T / values[known] / length[:, None]
-    inflation = 1.0
-    if correlated:
-        e = e - e.mean()
-        correlation = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * N)) ** 2)[: N // 4]
-        below = np.flatnonzero(correlation < 0.05 * correlation[0])
-        reach = int(below[0]) if below.size else N // 4
-        inflation += 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
-    return inflation * float(e @ e) / (N - d - others) * root @ root.T
+    grown = inflation(e) if correlated else 1.0
+    return grown * float(e @ e) / (N - d - others) * root @ root.T
+
+
+def inflation(residual) -> float:
+    """Return the factor by which the correlation of a residual, shape (N,), raises the variance of a mean."""
+    e = np.asarray(residual, dtype=float)
+    e, N = e - e.mean(), len(e)
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * N)) ** 2)[: N // 4]
+    below = np.flatnonzero(correlation < 0.05 * correlation[0])
+    reach = int(below[0]) if below.size else N // 4
+    return 1.0 + 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
 
 
 def covariance_or_infinite(jacobian, residual, others: int = 0) -> np.ndarray:

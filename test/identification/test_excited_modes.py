@@ -211,6 +211,21 @@ def test_of_two_turns_the_better_one_is_kept(monkeypatch):
         assert kept.rmse == 1e-9
 
 
+def test_creep_is_searched_again_behind_modes(monkeypatch):
+    monkeypatch.setattr(TurnSearch, "choose", lambda *_, **__: LinearPart(modes=(Mode(180.0, 0.02),), hold=1e-3))
+    asked = []
+
+    def answer(linear):
+        asked.append(linear)
+        return Fit(1e-9, linear_part=LinearPart(lag=2e-3, creep_rate=0.05, longest_time=8.0))
+
+    voltage = loops_then_chirp(3.0)
+    search(voltage, 1e-7 * voltage, answer).run()
+    behind = [linear for linear in asked if isinstance(linear, Known)]
+    assert len(behind) == 5 and all(linear.parts == ("creep",) for linear in behind)
+    assert all(linear.part.creep_rate == 0.05 for linear in (*behind[:2], *behind[3:]))
+
+
 def test_the_density_keeps_its_default_where_another_one_is_a_few_percent_better():
     voltage = loops_then_chirp(0.0)
     data = condense(voltage, 1e-7 * voltage, 1.0 / RATE, enough=1500)

@@ -1,0 +1,65 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Drift and creep: a straight line in time, and how much of it creep could be.
+
+A drift is independent of the voltage. Creep with time constants beyond the recording moves almost as straight, because
+the mean voltage of a recording differs from its first. The line in the residual is therefore fitted together with slow
+relaxations of the modelled displacement. Each of them may be as large as in known materials (:data:`CREEP`), so what
+the recording does not distinguish becomes part of the deviation of the drift.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.validation import inflation
+
+#: Time constants of the relaxations, as fractions of the duration of the recording.
+SLOW = (0.1, 0.3, 1.0, 3.0, 10.0)
+#: Standard deviation of the relaxation with each of them, as a fraction of a step, beyond the fitted creep: assumed;
+#: creep of 2 % per decade has relaxations of 0.01 in such distances.
+CREEP = 0.01
+#: A drift differs from zero if it is beyond this number of its standard deviations.
+CERTAIN = 2.0
+
+
+class Drift(NamedTuple):
+    """A line in the residual of a fit."""
+
+    value: float  #: [m/s]
+    deviation: float  #: Standard deviation [m/s], including creep that the recording does not distinguish from a drift.
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than creep."""
+        return abs(self.value) > CERTAIN * self.deviation
+
+
+def drift_beside_creep(data, moved, residual, settled: bool) -> Drift:
+    """Return the line in a residual, shape (n,), fitted together with slow relaxations of a displacement.
+
+    ``data`` is condensed; ``moved`` is the modelled displacement without constants, shape (N,). Units: ``moved`` [m],
+    ``residual`` [m].
+    """
+    duration = len(moved) * data.sample_time
+    relaxed = [LinearPart(lag=part * duration, settled=settled).apply(moved, data.sample_time) for part in SLOW]
+    line = np.linspace(0.0, duration, len(moved))
+    table = data.counted(np.column_stack([line, np.ones(len(moved)), moved, *relaxed]))
+    expected = np.append(np.zeros(3), np.full(len(SLOW), CREEP**-2))
+    left = residual - table @ np.linalg.lstsq(table, residual, rcond=1e-9)[0]
+    variance = inflation(left) * float(np.var(left))
+    size = np.linalg.norm(table, axis=0)
+    size[size == 0.0] = 1.0
+    covariance = np.linalg.pinv(table.T @ table / np.outer(size, size) + np.diag(variance * expected / size**2))
+    found = covariance @ (table.T @ residual / size) / size
+    return Drift(float(found[0]), float(np.sqrt(variance * covariance[0, 0]) / size[0]))

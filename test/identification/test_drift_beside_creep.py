@@ -1,0 +1,66 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Drift is told from creep: a line in time counts only where it is more than slow creep could be."""
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.identification.drift import drift_beside_creep
+from hysteresis_ros.identification.hammerstein import seen_drift
+from hysteresis_ros.identification.linear_systems import LinearPart
+from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
+from hysteresis_ros.identification.preprocessing import condense
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+
+STEP = 0.005
+TIME = np.arange(1000) * STEP
+VOLTAGE = 50.0 - 50.0 * np.exp(-0.3 * TIME) * np.cos(2.0 * np.pi * TIME)
+PLAYS = PrandtlIshlinskiiParameters((0.0, 10.0, 20.0, 30.0, 40.0), (60e-9, 8e-9, 8e-9, 8e-9, 8e-9))
+
+
+def recorded(creep=0.0, time_constant=1.0, drift=0.0, seed=1):
+    """Displacement [m] of plays with one relaxation, a drift [m/s], and 10 nm of noise."""
+    moved = PrandtlIshlinskiiHysteresis(PLAYS, STEP).simulate(VOLTAGE)
+    relaxed = LinearPart(lag=time_constant).apply(moved, STEP)
+    return moved + creep * relaxed + drift * TIME + 10e-9 * np.random.default_rng(seed).standard_normal(len(TIME))
+
+
+def seen(displacement):
+    """Drift that a fit without creep shows."""
+    return seen_drift(FreeWeights(condense(VOLTAGE, displacement, STEP), 20, 0).behind(LinearPart()))
+
+
+@pytest.mark.parametrize("time_constant", [5.0, 15.0, 50.0])
+def test_creep_beyond_the_recording_is_no_drift(time_constant):
+    found = seen(recorded(0.01, time_constant))
+    assert not found.certain and abs(found.value) < 2.0 * found.deviation
+
+
+@pytest.mark.parametrize("drift", [-0.3e-6, 0.3e-6])
+def test_a_drift_beyond_creep_is_certain_and_within_its_deviation(drift):
+    found = seen(recorded(0.01, 15.0, drift))
+    assert found.certain and abs(found.value - drift) < 2.0 * found.deviation
+
+
+def test_the_deviation_is_that_of_a_line_where_nothing_creeps():
+    data = condense(VOLTAGE, recorded(), STEP, skip=0)
+    noise = 10e-9 * np.random.default_rng(3).standard_normal((200, len(TIME)))
+    found = [drift_beside_creep(data, np.zeros(len(TIME)), values, False) for values in noise]
+    assert np.mean([one.deviation for one in found]) == pytest.approx(10e-9 * (12.0 / len(TIME)) ** 0.5 / 5.0, rel=0.1)
+    within = np.mean([abs(one.value) < 2.0 * one.deviation for one in found])
+    assert 0.9 <= within <= 0.99
+
+
+def test_an_identification_takes_slow_creep_for_no_drift_and_finds_a_drift_beside_it():
+    # held-out blocks alone prefer a drift of 20 nm/s to this creep
+    still = fit_prandtl_ishlinskii(VOLTAGE, recorded(0.03, 5.0), STEP, density="exponential", linear=("lag",))
+    assert still.drift == 0.0 and "drift_m_per_s" not in still.numbers and still.drift_deviation > 0.0
+    moving = fit_prandtl_ishlinskii(VOLTAGE, recorded(0.01, 5.0, 0.3e-6), STEP, density="exponential")
+    assert moving.drift == pytest.approx(0.3e-6, abs=2.0 * moving.drift_deviation)
