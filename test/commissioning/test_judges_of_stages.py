@@ -175,6 +175,16 @@ def test_one_measurement_in_twenty_may_be_missing_no_more(missing):
             require_sound(recording, 1000)
 
 
+def test_samples_at_irregular_times_are_taken_to_regular_ones():
+    recording = recorded(np.linspace(0.0, 10.0, 1000))
+    late = 2e-4 * np.random.default_rng(3).uniform(size=1000)
+    recording.time[1:-1] += late[1:-1]
+    recording.signals["measured"] = 0.02 * GAIN * recording.time * RATE
+    found = require_sound(recording, 1000)
+    assert np.ptp(np.diff(found.time)) < 1e-9
+    np.testing.assert_allclose(found["measured"], 0.02 * GAIN * found.time * RATE, atol=1e-12)
+
+
 @pytest.mark.parametrize("kept", [940, 960])
 def test_a_run_that_was_cut_off_lacks_its_last_samples(kept):
     recording = recorded(np.linspace(0.0, 10.0, kept))

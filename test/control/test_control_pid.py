@@ -109,6 +109,9 @@ def test_roll_off_is_two_low_passes_before_the_controller(gains):
     plain = block({**gains, "derivative_weight": 1.0})
     expected = plain.simulate(1e-6 * filtered, np.zeros(200))
     assert c.simulate(1e-6 * error, np.zeros(200)) == pytest.approx(expected, rel=1e-9, abs=1e-15)
+    c, plain = (block({**gains, "derivative_weight": 1.0, "roll_off": f}) for f in (30.0, 0.0))
+    measured = plain.simulate(np.zeros(200), 1e-6 * filtered)
+    assert c.simulate(np.zeros(200), 1e-6 * error) == pytest.approx(measured, rel=1e-9, abs=1e-15)
     z = np.exp(1j * np.geomspace(1e-3, np.pi, 50))
     rolled, bare = (pid_state_space(PidParameters(**gains, roll_off=f), T).response(z)[:, 0, 1] for f in (30.0, 0.0))
     assert rolled == pytest.approx(bare * ((1 - a) * z / (z - a)) ** 2, rel=1e-9)
@@ -139,15 +142,15 @@ def test_long_saturation_does_not_wind_up(method, beyond, own):
     limits = {"output_minimum": -4.0, "output_maximum": 4.0} if own else {}
     most = np.inf if own else 4e-6
 
-    def growth(anti_windup):
+    def growth(anti_windup, sign=1.0):
         grown = []
         for samples in (100, 500):
             controller = block(gains | limits | {"anti_windup": anti_windup}, MODEL)
-            run(controller, np.full(samples, beyond * 1e-6), most=most)
-            grown.append(controller.x[module.INTEGRAL])
+            run(controller, np.full(samples, sign * beyond * 1e-6), least=-most, most=most)
+            grown.append(sign * controller.x[module.INTEGRAL])
         return grown[1] - grown[0]
 
-    assert abs(growth(method)) < 0.3
+    assert abs(growth(method)) < 0.3 and growth(method, -1.0) == pytest.approx(growth(method), abs=1e-9)
     assert growth("none") > 15.0 * (beyond - 4.0), "the integral of the error continues to grow"
     reference = np.concatenate([np.full(500, beyond * 1e-6), np.full(300, 1e-6)])
     _, ideal = run(block(gains, MODEL), np.concatenate([np.full(500, 4e-6), np.full(300, 1e-6)]))

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fused_support import ANY_LATE, STAGE_SLOWLY, assert_twin, change, made_loop, whole
@@ -18,9 +20,11 @@ from loop_support import assert_same_bits, axis, steps
 from waiting import until
 
 from hysteresis_ros.control import law as header
+from hysteresis_ros.control.controller import BIAS, ControllerParameters, successor
 from hysteresis_ros.control.damping import inner_loop
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.parameters import part as part_of
 
 NOTCH = {"damping.notch.frequencies": (700.0,), "damping.notch.damping": (0.05,), "damping.notch.width": (0.5,)}
 SETPOINTS = np.repeat([2e-6, 6e-6, 3e-6, 3e-6], 300)
@@ -64,6 +68,18 @@ def test_changes_of_damping_neither_jump_nor_leave_anything_behind():
     made.apply(Change(0, "motion_controller", "retune", axis("stage700").controller.parameters.to_mapping()))
     made.reset()
     assert_same_bits(made.run(SETPOINTS[:400]), {name: values[:400] for name, values in plain.items()})
+
+
+def test_a_law_that_takes_over_behind_a_damping_is_handed_over_in_units_of_the_command():
+    """The laws differ by their outputs; behind the damping this is γ times as much."""
+    made = axis("stage700")
+    made.run(SETPOINTS[200:400])
+    part, given = made.controller, part_of(made.controller.parameters, ControllerParameters)
+    own = replace(given, type="open_loop").without_preload.before_damping(part.controller.sample_time)
+    _, lasting = successor(own, part.controller.sample_time, part.controller, part.history)
+    made.apply(Change(made.sample, "motion_controller", "retune", {"type": "open_loop"}))
+    assert part.damping.direct == pytest.approx(0.6) and lasting != 0.0
+    assert part.handover.x[BIAS] == lasting * part.damping.direct
 
 
 def test_a_damping_that_would_be_unstable_is_refused_and_the_axis_does_not_notice():

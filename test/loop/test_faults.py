@@ -223,13 +223,13 @@ def test_a_sequencer_and_a_controller_miss_the_same_measurements():
 
 
 def test_faults_add_up_in_the_order_they_are_given():
-    p = fault_parameters(("offset:0:1:2", "spike:0:1:10", "frozen:0.5:1"), (faults.MEASUREMENT,), 10.0)
+    p = fault_parameters(("offset:0:1:2", "spike:0.2:1:10", "frozen:0.5:1"), (faults.MEASUREMENT,), 10.0)
     x = fault_state(p)
     given = []
     for k in range(12):
         faults.begin_sample(x)
         given.append(faults.corrupt(p, x, faults.MEASUREMENT, float(k)))
-    np.testing.assert_array_equal(given, [12, 3, 4, 5, 6, 5, 5, 5, 5, 5, 5, 5])
+    np.testing.assert_array_equal(given, [2, 3, 14, 5, 6, 5, 5, 5, 5, 5, 5, 5])
 
 
 def test_a_part_is_given_only_faults_of_what_it_takes_in():

@@ -56,6 +56,14 @@ def test_a_reading_becomes_a_displacement_by_the_formula(count):
     assert sensor().step(count) == pytest.approx(expected, abs=1e-18)
 
 
+@pytest.mark.parametrize("bend", [-0.002, 0.002])
+@given(count=st.floats(0.0, 100.0))
+def test_the_reading_of_a_displacement_is_the_one_within_the_range(bend, count):
+    """A second reading with the same displacement is beyond the range, above or below it."""
+    block = sensor(polynomial=[0.0, 1.0, bend], minimum=0.0, maximum=100.0)
+    assert block.reading(block.step(count)) == pytest.approx(count, abs=1e-6)
+
+
 @given(st.floats(-20.0, 120.0))
 def test_an_amplifier_puts_out_the_voltage_that_was_wanted(voltage):
     # for v it outputs 1 V - 15 V/V · u, where v = u + 0.01 u² corrects its nonlinearity
