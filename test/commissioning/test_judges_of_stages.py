@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from sitting_support import sitting
 
+from hysteresis_ros.cli.commissioning import closed_loop as closed
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound
 from hysteresis_ros.cli.commissioning.closed_loop import (
@@ -115,6 +116,29 @@ def test_the_response_is_that_of_the_periods_after_the_first_one(situation):
     sines.signals["measured"] = sines["measured"] + np.where(since >= 0.0, 1e-5 * np.exp(-since / 0.1), 0.0)
     found = volts.judge_resonance(situation, sines)
     assert found.figures["gain_m_per_v"] == pytest.approx(GAIN, rel=1e-3)
+
+
+@pytest.mark.parametrize(("left", "expected", "settles"), [(5e-7, 1e-7, True), (7e-7, 1e-7, False), (4e-8, 1e-9, True)])
+@pytest.mark.parametrize("step", range(len(closed.STEPS)))
+def test_a_loop_settles_if_little_is_left_after_each_step(situation, monkeypatch, step, left, expected, settles):
+    """Six times the error of the simulation are allowed, and 5 % of the first step, here 50 nm of 1 µm."""
+    held, length = round(STEP_HOLD * RATE), round((STEP_HOLD + STEP_WAY) * RATE)
+    end = 3 * held + (step + 1) * length
+    error = np.zeros(4 * held + len(closed.STEPS) * length)
+    error[end - held : end] = left
+    errors = iter((error, np.full(error.size, expected)))
+    reach = 1e-6 / (closed.STEPS[0] - closed.FIRST_STEP)
+    monkeypatch.setattr(closed, "designed", lambda situation: situation.configuration)
+    monkeypatch.setattr(closed, "loop_axis", lambda situation: None)
+    monkeypatch.setattr(closed, "simulate", lambda axis: None)
+    monkeypatch.setattr(closed, "error_of", lambda *run: next(errors))
+    monkeypatch.setattr(closed, "_reach", lambda *given: (0.0, reach))
+    run = recorded(np.zeros(error.size))
+    if settles:
+        assert closed.judge_loop(situation, run).figures["rest_rms_m"] == pytest.approx(left)
+    else:
+        with pytest.raises(CommissioningError, match="the closed loop does not settle: the error after a step of 1 µm"):
+            closed.judge_loop(situation, run)
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.5, 1.0, 2.0, 3.5])

@@ -150,6 +150,15 @@ def test_a_range_wider_than_the_reach_is_a_warning():
     assert reach_warnings(axis()) == ()
     low, high = reach_warnings(axis(reference_generator={"minimum": -4e-6, "maximum": 15e-6}))
     assert "minimum = -4 µm" in low and "maximum = 15 µm" in high and "12.3 µm" in high
+    # from 20 V on, 0 is beyond the lower end
+    limits = {"limits__minimum": 20.0, "safe_voltage": 20.0}
+    bounded = axis(
+        plant_simulator=limits,
+        hysteresis_compensator=limits,
+        reference_generator={"minimum": 0.0, "maximum": 8e-6, "initial_setpoint": 4e-6},
+    )
+    (found,) = reach_warnings(bounded)
+    assert "minimum = 0 µm" in found and reachable_displacements(bounded)[0] > 1e-6
 
 
 def test_a_short_preview_is_a_warning_of_the_axis():
