@@ -291,6 +291,8 @@ def test_an_unknown_signal_or_axis_is_named():
     with pytest.raises(ParameterError, match="signal = 'volt': .*did you mean voltage"):
         array["volt"]
     run = array.run([0.0], signals=("voltage",))
+    with pytest.raises(ParameterError, match=r"axis = -1: the axes are 0 … 1"):
+        run.axis(-1)
     for ask in (lambda: run["displacement"], lambda: run.axis(2), lambda: array.run([0.0], signals=("front_force",))):
         with pytest.raises(ParameterError, match=r"signal = |axis = 2: the axes are 0 … 1"):
             ask()

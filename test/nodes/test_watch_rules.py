@@ -192,6 +192,8 @@ def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change()
     assert given_values["learning.type"] == "none" and {"learning.type", "learning.gain"} & set(rows) <= {
         "learning.type"
     }
+    # a block that is off can be switched on where that is possible while running
+    assert given_values["damping.type"] == "none" and "damping.type" in rows and "damping.irc.k" not in rows
     assert "pid.Kp" in rows and not any(name.startswith("sliding_mode.") for name in rows)
     table = NODE_PARAMETERS["motion_controller"].table()
     fixed = {row.name for row in table if row.read_only} - {row.name for row in NodeParameters.table()}

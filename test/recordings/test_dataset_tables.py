@@ -17,6 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import COLUMNS, Recording, load_run, save_run
+from hysteresis_ros.recordings.dataset import requests_per_sample
 
 FLOATS = arrays(np.float64, 5, elements=st.floats(allow_nan=True, allow_infinity=True, width=64))
 
@@ -150,3 +151,13 @@ def test_the_sample_time_holds_over_a_million_stamps_of_whole_nanoseconds():
     for stamps in (time, gaps):
         run = Recording(stamps, {"reference": np.zeros(stamps.size)})
         assert run.sample_time == pytest.approx(1.0 / 3000.0, rel=1e-9)
+
+
+def test_in_missing_samples_a_motor_is_asked_for_nothing():
+    """Samples 3 and 4 are missing: no request, and no speed, which would stop the motor if it were 0."""
+    time, speed = np.array([0.0, 1.0, 2.0, 5.0]) * 1e-3, [np.nan, 2e-6, np.nan, 1e-6]
+    run = Recording(time, {"request": np.array([0.0, 1.0, np.nan, 2.0]), "speed": np.array(speed)}, {}, {})
+    found = requests_per_sample(run)
+    np.testing.assert_array_equal(found["requests"], [0.0, 1.0, 0.0, 0.0, 0.0, 2.0])
+    np.testing.assert_array_equal(found["speeds"], [np.nan, 2e-6, np.nan, np.nan, np.nan, 1e-6])
+    assert requests_per_sample(Recording(time, {"request": np.zeros(4)}, {}, {})) == {}

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references.recipes import asked_waveform, played
 from hysteresis_ros.references.waveforms import WAVEFORMS, WaveformParameters
-from hysteresis_ros.units import quantity, quantity_in, readable
+from hysteresis_ros.units import conversion, quantity, quantity_in, readable
 
 
 @given(
@@ -50,6 +50,14 @@ def test_what_is_no_quantity_is_refused(text):
 )
 def test_a_quantity_in_other_units_is_that_in_si(text, unit, value):
     assert quantity_in(text, unit) == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [("10um/V", ("m", 1e5)), ("2 um/mV", ("m", 500.0)), ("mm/V", ("m", 1e3)), ("10um/A", None), ("0um/V", None)],
+)
+def test_a_sensitivity_is_what_a_volt_stands_for(unit, factor):
+    assert conversion(unit) == (None if factor is None else pytest.approx(factor))
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
-from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
+from hysteresis_ros.hardware.tracker import CameraParameters, Tracker, find_edge
 
 #: A small frame: methods and refusals do not depend on the size.
 SMALL = {"width": 160, "height": 96, "zero": 80.0, "scale": 1.0e-6}
@@ -166,6 +166,16 @@ def test_a_relative_place_counts_from_the_first_frames():
     assert eye.see(scene.frame(8.0e-6, 5))[0] == pytest.approx(4.0e-6, abs=0.05e-6)
     eye.reset()
     assert eye.see(scene.frame(8.0e-6, 6))[1].refusal == "homing"
+
+
+@pytest.mark.parametrize(("straight", "found"), [(9, False), (10, True)])
+def test_an_edge_that_less_than_half_of_the_rows_show_is_refused(straight, found):
+    """Of 20 rows one shows an edge 4 pixels beside, and the others none."""
+    rows, columns = 7 * np.arange(120)[:, np.newaxis] % 20, np.arange(90)
+    place = np.where(rows < straight, 40, np.where(rows == straight, 44, 90))
+    frame = gaussian_filter(np.where(columns >= place, 160.0, 60.0), (0.0, 1.0))
+    edge = find_edge(frame, 20.0, 3.0)
+    assert edge.pixels == pytest.approx(39.5, abs=1e-6) if found else "only 45% of the rows" in edge.refusal
 
 
 def test_the_renderer_covers_as_many_pixels_as_the_tip_is_long():
