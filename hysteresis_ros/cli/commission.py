@@ -29,12 +29,28 @@ QUESTIONS = {
 
 @click.command(short_help="Write a safe parameter file for a new axis.")
 @click.argument("file", type=click.Path(path_type=pathlib.Path))
-@click.option("--stroke", "--range", metavar="LENGTH", help="Displacement over the voltage range, such as 100um.")
-@click.option("--voltage", metavar="MIN:MAX", help="Range of voltage, such as 0:100V or -30..120V.")
+@click.option(
+    "--axes", metavar="NAMES", help="Names of the coupled axes of a stage, such as x,y; by default a single axis."
+)
+@click.option(
+    "--stroke",
+    "--range",
+    metavar="LENGTH",
+    help="Displacement over the voltage range, such as 100um; for several axes also one for each, such as 100um,80um.",
+)
+@click.option(
+    "--voltage",
+    metavar="MIN:MAX",
+    help="Range of voltage, such as 0:100V or -30..120V; for several axes also one for each, separated by commas.",
+)
 @click.option("--rate", metavar="FREQUENCY", help="Sample rate, such as 2kHz.")
 @click.option("--driver", metavar="NAME|PATH", default="", help="Driver of the device; by default the simulated plant.")
 @click.option(
-    "--driver-option", "options", metavar="NAME=VALUE", multiple=True, help="Option of the driver; repeatable."
+    "--driver-option",
+    "options",
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Option of the driver; repeatable. {axis} in it is the name of the axis of a stage.",
 )
 @click.option(
     "--plant",
@@ -43,11 +59,13 @@ QUESTIONS = {
     show_default=True,
     help="external: your own node publishes joint_states instead of plant_simulator.",
 )
-@click.option("--joint", default="stage", show_default=True, help="Name of the joint in joint_states.")
-def new(file, driver, options, plant, joint, **given):
+@click.option("--joint", help="Name of the joint in joint_states.  [stage; for several axes their names]")
+def new(file, axes, driver, options, plant, joint, **given):
     """Write FILE, a commented and safe parameter file: open loop, no inverse, small limits, slow motion.
 
-    Missing values are asked for on a terminal. The next step is `hysteresis commission FILE`.
+    With --axes it is the file of a stage of coupled axes: `hysteresis new stage.yaml --axes x,y --stroke 100um
+    --voltage 0:100V --rate 5kHz`. Missing values are asked for on a terminal. The next step is `hysteresis commission
+    FILE`.
     """
     from hysteresis_ros.cli.commissioning.new_file import NewAxis, parsed, parsed_range, write_new
     from hysteresis_ros.errors import ConfigurationError
@@ -59,19 +77,43 @@ def new(file, driver, options, plant, joint, **given):
             given[name] = click.prompt(words, default=example)
         elif given[name] is None:
             raise ConfigurationError(f"{option} is missing: {words} Give it, such as {option} {example}")
-    low, high = parsed_range("--voltage", given["voltage"], "V")
-    axis = NewAxis(
-        stroke=parsed("--stroke", given["stroke"], "m"),
-        minimum=low,
-        maximum=high,
-        sample_rate=parsed("--rate", given["rate"], "Hz"),
-        driver=driver,
-        driver_options=options,
-        external=plant == "external",
-        joint=joint,
-    )
-    write_new(file, axis)
+    names = [""] if axes is None else [name.strip() for name in axes.split(",")]
+    if axes is not None and (joint is not None or plant == "external"):
+        raise ConfigurationError(
+            "--axes: the joints of a stage have the names of its axes, and a stage has no external plant: omit --joint "
+            "and --plant"
+        )
+    strokes, ranges = (_for_each(names, option, given[option]) for option in ("stroke", "voltage"))
+    made = {}
+    for name, stroke, voltage in zip(names, strokes, ranges, strict=True):
+        if name in made:
+            raise ConfigurationError(f"--axes {axes}: '{name}' occurs more than once: give each axis its own name")
+        low, high = parsed_range("--voltage", voltage, "V")
+        made[name] = NewAxis(
+            stroke=parsed("--stroke", stroke, "m"),
+            minimum=low,
+            maximum=high,
+            sample_rate=parsed("--rate", given["rate"], "Hz"),
+            driver=driver,
+            driver_options=tuple(option.replace("{axis}", name) if name else option for option in options),
+            external=plant == "external",
+            joint=joint or "stage",
+        )
+    write_new(file, made[""] if axes is None else made)
     click.echo(f"{file}: written; next: hysteresis commission {file}")
+
+
+def _for_each(names: list[str], option: str, text: str) -> list[str]:
+    """Return the text of an option for each axis: one for all, or one for each, separated by commas."""
+    from hysteresis_ros.errors import ConfigurationError
+
+    texts = text.split(",") if len(names) > 1 else [text]
+    if len(texts) not in (1, len(names)):
+        raise ConfigurationError(
+            f"--{option} {text}: has {len(texts)} values for the {len(names)} axes {', '.join(names)}; give one, "
+            "or as many as there are axes"
+        )
+    return texts * len(names) if len(texts) == 1 else texts
 
 
 #: Exit code when the error of the scan is much larger than predicted; the files are written nevertheless.

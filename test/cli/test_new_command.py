@@ -19,11 +19,14 @@ import yaml
 from click.testing import CliRunner
 
 from hysteresis_ros.cli.commission import new
+from hysteresis_ros.cli.commissioning import new_file
 from hysteresis_ros.cli.commissioning.situation import plan_of
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.loop.stage_parameters import StageParameters
+from hysteresis_ros.loop.stage_simulation import simulate_stage
 
 STAGE = ("--stroke", "100um", "--voltage", "-20..80 V", "--rate", "2kHz")
 
@@ -138,3 +141,75 @@ def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path, monkeypatch):
     plan = plan_of(load_configuration(path), single_axis(load_configuration(path)))
     assert (plan.minimum, plan.maximum, plan.stroke) == (-10.0, 90.0, 30e-6)
     assert not list(answers)
+
+
+COUPLED = ("--axes", "x,y", "--stroke", "50um,40um", "--voltage", "0:100V", "--rate", "5kHz")
+
+
+def test_several_axes_are_a_stage_in_open_loop_whose_manual_commands_stay_in_a_tenth_of_the_range(tmp_path):
+    path = tmp_path / "stage.yaml"
+    answer = called(path, *COUPLED)
+    assert answer.exit_code == 0, answer.output
+    assert 'axes: ["x", "y"]' in path.read_text(), "the parser of ROS reads y without quotes as true"
+    parameters = StageParameters.from_configuration(load_configuration(path))
+    assert parameters.names == ("x", "y") and parameters.sample_rate == 5000.0
+    for axis, stroke in zip(parameters.axes, (50e-6, 40e-6), strict=True):
+        assert axis.motion_controller.type == "open_loop" and axis.hysteresis_compensator.inverse.type == "none"
+        assert axis.plant_simulator.joint == axis.namespace.strip("/")
+        limits = axis.hysteresis_compensator.limits
+        assert (limits.minimum, limits.maximum, limits.slew_rate) == (0.0, 10.0, 100.0)
+        assert axis.reference_generator.maximum == pytest.approx(0.1 * stroke)
+        assert axis.hysteresis_compensator.hysteresis.proportional.gain == pytest.approx(stroke / 100.0)
+    far = {
+        name: np.full(3000, axis.reference_generator.maximum) for name, axis in zip("xy", parameters.axes, strict=True)
+    }
+    run = simulate_stage(parameters, setpoints=far, duration=0.6)
+    for name in "xy":
+        assert 0.0 < run[f"{name}/voltage"].max() <= 10.0
+        assert np.abs(np.diff(run[f"{name}/voltage"])).max() <= 100.0 / 5000.0 * (1.0 + 1e-9)
+        # each actuator moves its own sensor
+        gain = parameters.axes["xy".index(name)].plant_simulator.hysteresis.proportional.gain
+        assert run[f"{name}/displacement"].max() == pytest.approx(gain * run[f"{name}/voltage"].max(), rel=0.05)
+
+
+def test_the_stage_is_commissioned_in_its_whole_range(tmp_path):
+    path = tmp_path / "stage.yaml"
+    assert called(path, *COUPLED).exit_code == 0
+    stages = [word for stage in ("noise", "gain", "resonance", "multisine") for word in ("--stage", stage)]
+    answer = CliRunner().invoke(main, ["commission", str(path), "--offline", "--yes", *stages])
+    assert answer.exit_code == 0, answer.output
+    # 5 % of 100 V, not of the tenth that manual commands have
+    assert "x: +5 V moved the stage by 2.5 µm" in answer.output and "y: +5 V moved the stage by 2 µm" in answer.output
+    # the slew rate of manual commands would reduce the multisines
+    assert "at most x ±5 µm, y ±4 µm" in " ".join(answer.output.split())
+
+
+def test_each_axis_of_a_stage_has_its_own_driver_option(tmp_path, monkeypatch):
+    taken = {}
+    monkeypatch.setattr(new_file, "write_new", lambda path, made: taken.update(made))
+    words = ("--driver", "lib.so", "--driver-option", "name=/stage_{axis}", "--driver-option", "rate=1")
+    assert called(tmp_path / "stage.yaml", *COUPLED, *words).exit_code == 0
+    nodes = yaml.safe_load(new_file.new_stage_text(taken))
+    for name in "xy":
+        plant = nodes[f"/{name}/plant_simulator"]["ros__parameters"]
+        assert plant["driver"] == "lib.so" and plant["driver_options"] == [f"name=/stage_{name}", "rate=1"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--axes", "x,x"), "--axes x,x: 'x' occurs more than once"),
+        (("--axes", "x,2"), "'2' is not a valid namespace"),
+        (("--axes", "x,"), "'' is not a valid namespace"),
+        (("--axes", "x,y,z", "--stroke", "1um,2um"), "has 2 values for the 3 axes x, y, z"),
+        (("--axes", "x,y", "--voltage", "0:9V,0:9V,0:9V"), "--voltage 0:9V,0:9V,0:9V: has 3 values for the 2 axes"),
+        (("--axes", "x,y", "--joint", "a"), "omit --joint and --plant"),
+        (("--axes", "x,y", "--plant", "external"), "omit --joint and --plant"),
+        (("--axes", "x,y", "--stroke", "1um,-2um"), "--stroke"),
+    ],
+)
+def test_a_stage_that_cannot_be_is_refused_and_not_written(tmp_path, words, said):
+    path = tmp_path / "stage.yaml"
+    answer = called(path, "--stroke", "50um", "--voltage", "0:100V", "--rate", "5kHz", *words)
+    assert answer.exit_code == 2 and said in answer.output and len(answer.output.splitlines()) == 1, answer.output
+    assert not path.exists()

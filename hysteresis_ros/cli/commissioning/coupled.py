@@ -113,16 +113,22 @@ class StageSituation:
         entries: list[tuple[str, dict]] = []
         for name, axis in zip(self.names, self.parameters.axes, strict=True):
             plan, given = self.plans[name], axis.hysteresis_compensator
-            values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
-            if plan.amplifier > 0.0:
-                values["limits.slew_rate"] = plan.amplifier
+            # a compensator of a new stage limits manual commands more than the amplifier does
+            slew = plan.amplifier or axis.plant_simulator.limits.slew_rate
+            values = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": slew}
             limits = replace(given.limits, minimum=plan.minimum, maximum=plan.maximum)
             narrowed = replace(axis, hysteresis_compensator=replace(given, limits=limits))
             middle = 0.5 * sum(reachable_displacements(narrowed))
+            held = {
+                "minimum": min(axis.generator.minimum, middle),
+                "maximum": max(axis.generator.maximum, middle),
+                "waveform.type": "hold",
+                "initial_setpoint": middle,
+            }
             entries += [
                 (f"{axis.namespace}/plant_simulator", {**values, "overtravel": OVERTRAVEL * plan.stroke}),
                 (f"{axis.namespace}/hysteresis_compensator", values),
-                (f"{axis.namespace}/reference_generator", {"waveform.type": "hold", "initial_setpoint": middle}),
+                (f"{axis.namespace}/reference_generator", held),
             ]
         return replace(self.configuration, entries=(*self.configuration.entries, *entries))
 

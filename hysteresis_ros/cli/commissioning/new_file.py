@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
 import string
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import yaml
@@ -22,6 +24,7 @@ from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.identification.safe_motion import DIGITS, safe_slew
 from hysteresis_ros.loop.parameters import require_message_rate
 from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.units import quantity_in, readable
 
 #: Plausible strokes [m], gains [m/V] and sample rates [Hz]; other values usually come from a wrong unit.
@@ -41,7 +44,7 @@ $external
 /**/plant_simulator:                  # the device, or its simulation offline
   ros__parameters:
 $driver
-    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s: $reason
+    limits: {minimum: $plant_low, maximum: $plant_high, slew_rate: $plant_slew}   # V, V, V/s: $plant_reason
     safe_voltage: $safe               # V: output when commands stop, and at the end
     safe_slew_rate: $slew             # V/s
     hysteresis: {type: proportional, proportional: {gain: $gain}}   # m/V: ASSUMED, stroke over range
@@ -72,6 +75,31 @@ $driver
     minimum: $minimum                 # V
     maximum: $maximum
     stroke: $stroke                   # m, expected over this range
+""")
+
+
+_STAGE_TEMPLATE = string.Template("""\
+# A new, unknown stage of coupled axes, written by `hysteresis new`: open loop, $percent % of the ranges, slow.
+# `hysteresis commission` measures the rest and writes a file with model and controllers. SI units.
+/**:
+  ros__parameters:
+    sample_rate: $rate                # Hz
+    time_mode: realtime
+
+/stage:                               # couples the axes
+  ros__parameters:
+    axes: $names                      # in the order of the inputs and outputs of the structure
+    type: hammerstein                 # hysteresis of each actuator in front of the structure
+    # ASSUMED: each actuator moves only its own sensor, one sample later; modes and cross-talk are identified
+    structure:
+      inputs: $count
+      outputs: $count
+      A: $zeros
+      B: $identity
+      C: $identity
+      sample_time: $step              # s
+    sensor_matrix: []                 # each sensor measures its axis
+    decoupling: []                    # each actuator drives its axis
 """)
 
 
@@ -113,8 +141,12 @@ def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
     return ends
 
 
-def new_text(axis: NewAxis) -> str:
-    """Return the text of the parameter file of a new axis."""
+def new_text(axis: NewAxis, *, coupled: bool = False) -> str:
+    """Return the text of the parameter file of a new axis.
+
+    The plant of an axis that is ``coupled`` has its whole range, within which the movements of `hysteresis commission`
+    must be; its compensator limits the manual commands.
+    """
     if axis.external and axis.driver:
         raise ConfigurationError("--driver and --plant external exclude each other; give one of them")
     if axis.driver_options and not axis.driver:
@@ -134,11 +166,13 @@ def new_text(axis: NewAxis) -> str:
         **{"nearest": gain * low, "farthest": gain * high, "start": gain * safe},
         **{"velocity": velocity, "acceleration": acceleration, "jerk": jerk},
         **{"minimum": axis.minimum, "maximum": axis.maximum, "stroke": axis.stroke},
+        **{"plant_low": axis.minimum if coupled else low, "plant_high": axis.maximum if coupled else high},
+        "plant_slew": 0.0 if coupled else slew,
     }
     text = _TEMPLATE.substitute(
         {name: _number(value) for name, value in numbers.items()},
         percent=f"{100.0 * FIRST_PART:g}",
-        reason=first.reason,
+        plant_reason="of the amplifier, 0: not limited; below, those of manual commands" if coupled else first.reason,
         ramp=f"{4.0 * velocity / acceleration:.{DIGITS}g}",
         joint=_scalar(axis.joint),
         external="    external_plant: true              # your own node publishes joint_states\n"
@@ -146,6 +180,28 @@ def new_text(axis: NewAxis) -> str:
         else "",
         driver=_driver_lines(axis),
     )
+    return text
+
+
+def new_stage_text(axes: Mapping[str, NewAxis]) -> str:
+    """Return the text of the parameter file of a new stage; its axes have their names and one sample rate."""
+    count, rate = len(axes), next(iter(axes.values())).sample_rate
+    identity = [float(i == j) for i in range(count) for j in range(count)]
+    text = _STAGE_TEMPLATE.substitute(
+        percent=f"{100.0 * FIRST_PART:g}",
+        rate=_number(rate),
+        names=json.dumps(list(axes)),  # quoted: the parser of ROS reads y as true
+        count=count,
+        zeros=_scalar([0.0] * count**2),
+        identity=_scalar(identity),
+        step=_number(1.0 / rate),
+    )
+    for name, axis in axes.items():
+        own = new_text(axis, coupled=True)
+        own = own[own.index("/**/plant_simulator") :].replace("/**/", f"/{name}/")
+        joint = f"    joint: {json.dumps(name)}                        # name in joint_states"
+        text += f"\n/{name}/**:\n  ros__parameters:\n{joint}\n\n"
+        text += own.replace("\n/commissioning:", f"\n/{name}/commissioning:")
     return text
 
 
@@ -184,19 +240,22 @@ def _number(value: float) -> str:
     return text if "." in text or "e" in text else f"{text}.0"
 
 
-def _scalar(text: str) -> str:
-    """Return a text as a YAML scalar in one line."""
-    return yaml.safe_dump(text, default_flow_style=True, width=10**6).splitlines()[0]
+def _scalar(value) -> str:
+    """Return a text or a list as YAML in one line."""
+    return yaml.safe_dump(value, default_flow_style=True, width=10**6).splitlines()[0]
 
 
-def write_new(path, axis: NewAxis) -> None:
-    """Write the parameter file of a new axis; delete it if the axis cannot be built; never overwrite a file."""
+def write_new(path, new: NewAxis | Mapping[str, NewAxis]) -> None:
+    """Write the parameter file of a new axis, or of a stage of several axes by their names.
+
+    The file is deleted if they cannot be built, and never overwritten.
+    """
     path = pathlib.Path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"{path}: give a name that ends in .yaml")
     if path.exists():
         raise ConfigurationError(f"{path}: exists already; choose another name or remove it")
-    text = new_text(axis)
+    text = new_text(new) if isinstance(new, NewAxis) else new_stage_text(new)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -204,7 +263,11 @@ def write_new(path, axis: NewAxis) -> None:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
     try:
         # a driver's relative path is relative to the file
-        single_axis(load_configuration(path))
+        configuration = load_configuration(path)
+        if isinstance(new, NewAxis):
+            single_axis(configuration)
+        else:
+            StageParameters.from_configuration(configuration)
     except HysteresisError:
         path.unlink()
         raise
