@@ -56,8 +56,7 @@ class LoopPace:
     @property
     def overruns(self) -> int:
         """Number of skipped samples so far."""
-        loop = self._fused.loop
-        return loop.missed if loop is not None else 0
+        return self._fused.missed
 
     @property
     def age(self) -> float:
@@ -105,6 +104,7 @@ class FusedAxis:
     def __init__(self, first: FusedAxis | None = None, stage: StageParameters | None = None):
         self.nodes: dict = {}
         self.loop: FusedLoop | None = None
+        self._missed = 0
         self.axis: Axis | None = None
         #: The axes that share the loop, in the order of their indices.
         self.together: list[FusedAxis] = [] if first is None else first.together
@@ -246,8 +246,14 @@ class FusedAxis:
             if "recorder" in one.nodes:
                 one.nodes["recorder"].take_samples()
             one.plant.make_safe()
+        missed = self.loop.missed
         for one in self.together:
-            one.loop = None
+            one.loop, one._missed = None, missed
+
+    @property
+    def missed(self) -> int:
+        """Number of skipped samples of the loop, or of the last one after its end."""
+        return self._missed if self.loop is None else self.loop.missed
 
     def lose_a_part(self) -> None:
         """Move all outputs to safe values and end the loop; a new one starts when all nodes are active again."""
@@ -506,8 +512,7 @@ class Fused(RealTime):
     @property
     def late_samples(self) -> int:
         """Number of skipped samples so far."""
-        loop = self.fused.loop
-        return loop.missed if loop is not None else 0
+        return self.fused.missed
 
     def timeliness(self) -> dict:
         """Return the lateness of the samples so far, and their computing time."""

@@ -47,7 +47,9 @@ def change_often(fused, least: int) -> None:
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for this axis")
 @pytest.mark.parametrize("ending", ["stopped", "killed"])
-def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_come(inside, tmp_path, ending):
+def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_come(
+    inside, tmp_path, ending, monkeypatch
+):
     """No node is spun, so messages that a busy machine delays do not arrive at all here."""
     from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.nodes.fused import FusedAxis
@@ -69,9 +71,11 @@ def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_c
         change_often(fused, 2000)
         # after SIGKILL, only the data already given to the operating system remain
         shutil.copytree(tmp_path / "bag", tmp_path / "left")
+    monkeypatch.setattr(type(fused.loop), "missed", property(lambda _: 7))
     for node in reversed(nodes):
         node.leaving = True
         node.release()
+    assert fused.loop is None and fused.plant.late == 7  # the last message of the run says it
     left = tmp_path / ("left" if ending == "killed" else "bag")
     run = load_run(left, further=True)
     assert run.metadata["complete"] == (ending == "stopped") and len(run) >= 600
