@@ -155,6 +155,9 @@ def test_whatever_the_loop_answers_and_whatever_is_asked_it_stays_within_its_max
 def test_a_period_that_is_no_whole_number_of_samples_is_refused_with_its_neighbours():
     with pytest.raises(ParameterError, match=r"40\.3 samples.*0\.04 s \(25 Hz\) and 0\.041 s"):
         learning(period=0.0403)
+    for name in ("period", "maximum"):
+        with pytest.raises(ParameterError, match=f"{name} = 0.0.*: missing"):
+            learning(**{name: 0.0}).parameters.validated()
     with pytest.raises(ParameterError, match=f"is 1 samples; must be 2 … {at.LONGEST}"):
         learning(period=1.0 / RATE)
     with pytest.raises(ParameterError, match="has a lead of 40 samples: must be less than the period of 40"):

@@ -71,6 +71,18 @@ def test_it_is_the_clock_of_the_path(name, rate):
         np.testing.assert_array_equal(np.vstack(alone), rows)
 
 
+@pytest.mark.parametrize("name", SCANS)
+def test_the_edges_of_a_level_end_with_the_first_one_of_the_next_period(name):
+    """The distance over the end of a period counts too: the flyback of a raster lies there."""
+    scan = scan_of(name.split()[0], SCANS[name] | dict(frame_rate=RATES[0]))
+    clock = ScanClock(scan, STEP, "line")
+    for edge, marks in ((Edge.FRAME, frame_marks), (Edge.LINE, line_marks)):
+        time = np.arange(round(2 * scan.period / STEP)) * STEP
+        first = marks(scan, time).time / STEP
+        np.testing.assert_allclose(clock.of_level(edge), first[: len(clock.of_level(edge))], atol=1e-6)
+        assert np.ptp(clock.of_level(edge)) == pytest.approx(scan.period / STEP)
+
+
 def test_far_from_the_beginning_nothing_has_drifted():
     scan = scan_of("raster", SCANS["raster"] | dict(frame_rate=RATES[1]))
     clock = ScanClock(scan, STEP, "pixel")

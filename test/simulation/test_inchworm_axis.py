@@ -192,3 +192,5 @@ def test_doubts_name_their_numbers():
     assert "gait.extend = 0.002 s" in sentence and "455.8 Hz" in sentence
     assert design_warnings(hasty.plant_simulator, [100.0]) == ()
     assert "517 Hz" in design_warnings(hasty.plant_simulator, [50.0, 517.0])[0]
+    # a quarter of 455.8 Hz
+    assert design_warnings(hasty.plant_simulator, [113.0]) == () != design_warnings(hasty.plant_simulator, [115.0])
