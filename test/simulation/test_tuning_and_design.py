@@ -23,6 +23,7 @@ from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.control.linearisation import margins
+from hysteresis_ros.designs import controller
 from hysteresis_ros.designs.controller import DesignRequest, design_axis
 from hysteresis_ros.designs.gains import believed_axis, criterion_of, tune
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
@@ -306,6 +307,20 @@ def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
     low, high = reachable_displacements(picma())
     stroke = high - low
     assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]
+
+
+def test_a_damping_of_the_file_is_compared_with_the_design_that_has_none(monkeypatch):
+    asked, with_damping = [], controller.with_damping
+
+    def noted(control, sample_time, around, request):
+        asked.append(request.damping)
+        if len(asked) > 1:
+            raise ConfigurationError("only its request counts here")
+        return with_damping(control, sample_time, around, request)
+
+    monkeypatch.setattr(controller, "with_damping", noted)
+    result = design_axis(single_axis(load_configuration("stage700")), DesignRequest("pid"))
+    assert asked == [None, "none"] and result.damped.undamped is None
 
 
 @pytest.mark.slow
