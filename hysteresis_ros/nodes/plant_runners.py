@@ -193,6 +193,14 @@ class LockstepPlant(Lockstep):
         return f"more than {limit} voltages were missing in a row or within a second; call ~/start to resume"
 
 
+def remedy_for_late_voltages(device: bool, alone: bool) -> str:
+    """Return what makes voltages come in time, for a device or a simulation, whose node is alone in its process."""
+    remedies = ["lower sample_rate" if device else "lower sample_rate or real_time_factor"]
+    remedies += ["run the nodes composed"] if alone else []
+    remedies += ["use a driver in C in a fused axis" if device else "run in lockstep"]
+    return f"{', '.join(remedies[:-1])}, or {remedies[-1]}"
+
+
 class RealTimePlant(RealTime):
     """Starts each sample at its scheduled time, in a thread with absolute deadlines.
 
@@ -424,10 +432,10 @@ class RealTimePlant(RealTime):
         if answers:
             slow = max(answers[int(0.99 * (len(answers) - 1))], 1e-9)
             text += f"; this graph answers within {1e3 * slow:.3g} ms (99 %), which is enough for {0.5 / slow:.3g} Hz"
-        return (
-            f"{text}; lower sample_rate or real_time_factor, run the nodes composed, or in lockstep; then call ~/start "
-            "(late_limit sets how many may be late)"
-        )
+        executor = self.node.executor
+        alone = executor is None or len(executor.get_nodes()) < 2
+        remedy = remedy_for_late_voltages(bool(parameters.driver), alone)
+        return f"{text}; {remedy}; then call ~/start (late_limit sets how many may be late)"
 
     def _keep_time(self) -> None:
         try:
