@@ -97,7 +97,8 @@ def more(plant, samples: int) -> None:
 def test_the_remedy_for_late_voltages_is_one_that_the_axis_allows():
     from hysteresis_ros.nodes.plant_runners import remedy_for_late_voltages
 
-    assert remedy_for_late_voltages(device=True, alone=False) == "lower sample_rate, or use a driver in C in a fused axis"
+    of_device = "lower sample_rate, or use a driver in C in a fused axis"
+    assert remedy_for_late_voltages(device=True, alone=False) == of_device
     simulated = "lower sample_rate or real_time_factor, run the nodes composed, or run in lockstep"
     assert remedy_for_late_voltages(device=False, alone=True) == simulated
 
