@@ -25,6 +25,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     invalid,
+    judged_again,
     require_rising,
     robust_fit,
     survivor,
@@ -83,7 +84,7 @@ def fit_generalised_play(
         return _chosen(data, play_count, freedom, linear, progress)
 
     def again(before, data):
-        return before.like(data).settle(before, progress)
+        return judged_again(before.like(data).settle(before, progress), before)
 
     return robust_fit(voltage, displacement, sample_time, choose, again, skip=skip, history=history)[0]
 

@@ -351,6 +351,14 @@ def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
     return errors[data.kept]
 
 
+def judged_again(fit, before):
+    """Return a fit with the numbers of the fit before, and its own held-out error if more samples are left out now."""
+    fit.numbers = {**before.numbers, **fit.numbers}
+    if "held_out_rmse_m" in fit.numbers and np.count_nonzero(~fit.data.kept) > np.count_nonzero(~before.data.kept):
+        fit.numbers["held_out_rmse_m"] = float(np.sqrt(np.mean(held_out(fit) ** 2)))
+    return fit
+
+
 def _parts(places, stretches: int) -> list[np.ndarray]:
     """Return the samples of each part."""
     found = np.array_split(places, PARTS * stretches)

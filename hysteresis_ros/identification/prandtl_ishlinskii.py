@@ -43,6 +43,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     PartSearch,
+    judged_again,
     require_rising,
     robust_fit,
     search_linear_part,
@@ -350,9 +351,7 @@ def fit_prandtl_ishlinskii(
         return _chosen(data, play_count, zone_count, density, linear, progress, competitors)
 
     def again(before, data):  # for a repeated fit without outliers, or with other dynamics
-        fit = before.like(data).fit(linear, progress)
-        fit.numbers = {**before.numbers, **fit.numbers}
-        return fit
+        return judged_again(before.like(data).fit(linear, progress), before)
 
     fit, structure = robust_fit(
         voltage, displacement, sample_time, choose, again, skip=skip, history=history, before=like

@@ -17,6 +17,7 @@ from hysteresis_ros.identification.hammerstein import seen_drift
 from hysteresis_ros.identification.linear_systems import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preprocessing import condense
+from hysteresis_ros.identification.procedures import predicted_error
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 
 STEP = 0.005
@@ -64,3 +65,14 @@ def test_an_identification_takes_slow_creep_for_no_drift_and_finds_a_drift_besid
     assert still.drift == 0.0 and "drift_m_per_s" not in still.numbers and still.drift_deviation > 0.0
     moving = fit_prandtl_ishlinskii(VOLTAGE, recorded(0.01, 5.0, 0.3e-6), STEP, density="exponential")
     assert moving.drift == pytest.approx(0.3e-6, abs=2.0 * moving.drift_deviation)
+
+
+def test_the_predicted_error_adds_what_the_recording_does_not_determine():
+    # 3, 4 and 12 nm: held out, other densities, and a line of up to 1.73 times 12 nm after 5 s
+    numbers = {
+        "held_out_rmse_m": 3e-9,
+        "ambiguity_rms_m": 3.0**0.5 * 4e-9,
+        "drift_deviation_m_per_s": 3.0**0.5 * 2.4e-9,
+    }
+    assert predicted_error(numbers, 5.0) == {"predicted_rmse_m": pytest.approx(13e-9, rel=1e-9)}
+    assert predicted_error({"drift_deviation_m_per_s": 1e-9}, 5.0) == {}

@@ -144,6 +144,7 @@ def test_outliers_are_counted_and_leave_the_fit_alone():
     clean, robust = (fit_prandtl_ishlinskii(loops(100.0), x, T, linear=("lag",)) for x in (y, spoilt))
     assert clean.numbers.get("outliers", 0) == 0 and robust.numbers["outliers"] == 8  # the first is too early
     assert robust.linear_part.lag == pytest.approx(clean.linear_part.lag, abs=2e-4)
+    assert robust.numbers["held_out_rmse_m"] == pytest.approx(clean.numbers["held_out_rmse_m"], rel=0.5)
     error = robust.simulate(DECAYING) - clean.simulate(DECAYING)
     assert np.std(error) < 0.01e-6
 
