@@ -41,7 +41,7 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import BEYOND_TRAVEL, PARTNER_LOST
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
-from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage
+from hysteresis_ros.loop.stage_simulation import coupling_errors, simulate_stage, stage_differences
 from hysteresis_ros.loop.watch import RUNNING, STALE, STOPPED
 from hysteresis_ros.models.linear import LinearParameters
 
@@ -558,3 +558,13 @@ def test_a_run_of_a_stage_is_as_long_as_that_of_its_longest_axis():
     holds = {"waveform__type": "hold"}
     for x, y in ((scans, holds), (holds, scans), (scans, scans | {"waveform__cycles": 1})):
         assert stage(x__reference_generator=x, y__reference_generator=y).default_samples() == 400
+
+
+def test_pulses_of_a_recorded_stage_are_repeated():
+    steps = {"triggers__input__action": "step", "triggers__input__distance": 1e-6}
+    own = {"reference_generator": LINEAR.get("reference_generator", {}) | steps}
+    parameters = stage(**LINEAR | own).parameters
+    pulses = np.zeros(60)
+    pulses[[20, 40]] = 1.0
+    run = simulate_stage(parameters, setpoints={name: np.full(60, 2e-6) for name in "xy"}, pulses={"x": pulses})
+    assert np.ptp(run["x/reference"]) > 0.5e-6 and not stage_differences(run, parameters)
