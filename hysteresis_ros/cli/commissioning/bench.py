@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hysteresis_ros.cli.commissioning.situation import CommissioningError
-from hysteresis_ros.loop.parameters import AxisParameters, in_time, require_carried
+from hysteresis_ros.loop.parameters import MESSAGE_RATE, AxisParameters, in_time, require_carried
 from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, PARTNER_LOST, WITHOUT_VOLTAGE
 from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.loop.stage_parameters import StageParameters
@@ -32,8 +32,9 @@ from hysteresis_ros.recordings.files import load_run
 
 #: Causes of a trip of the axis, and remedies.
 TRIPPED = {
-    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the sample rate; lower "
-    "sample_rate, leave a core free, or use a compiled driver (docs/hardware.md)",
+    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not achieve the sample rate; lower sample_rate "
+    f"(messages between nodes are reliable up to {MESSAGE_RATE:g} Hz), leave a core free, or use a driver in C "
+    "(docs/hardware.md)",
     BEYOND_TRAVEL: "the sensor measured more than the actuator's range: check its scaling, sign and cable",
     HALTED: "a stop was requested; start again when the axis may move",
     DEVICE_FAILED: "the device failed, see the line above; repair it and begin again",
