@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import pytest
@@ -111,7 +112,7 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
 def test_the_graph_of_such_an_axis_has_the_camera_beside_the_others(monkeypatch, tmp_path):
     started = []
     monkeypatch.setattr(Graph, "_spawn", lambda self, name, *rest: started.append(name))
-    monkeypatch.setattr(launcher, "started", lambda *words, **options: None)  # without a session on the graph
+    monkeypatch.setattr(launcher, "session", lambda environment: contextlib.nullcontext())
     for composed, external in ((False, False), (True, False), (False, True)):
         Graph([seen_axis(external_plant=external)], composed=composed).start()
     three = ["reference_generator", "motion_controller", "hysteresis_compensator"]

@@ -269,6 +269,8 @@ def pretended_runner(kind=RealTimePlant, given: int = 0, asked: int = 0, **node)
     part = SimpleNamespace(silent=False, tripped=False, failure="", lost="", late=0)
     part.forgive, part.await_voltages, part.count_late = (partial(done.append, name) for name in CALLED)
     values = {"sample_rate": 200.0, "real_time_factor": 0.5, "allowed_late": 10, "wait_for_recorder": True, "lead": 3}
+    values["driver"] = ""
+    node = {"executor": None} | node
     own = {"loop_complete": lambda: True, "patience": 0.1, "leaving": False, "sample": 0, "part": part}
     own |= {"receive": lambda input_, value: setattr(input_, "value", value)}
     runner.node = SimpleNamespace(inputs=[voltage], parameters=SimpleNamespace(**values), **(own | node))

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import subprocess
@@ -169,6 +170,7 @@ def test_the_processes_of_a_stage_say_whose_key_they_have(monkeypatch):
     monkeypatch.setattr(
         "hysteresis_ros.nodes.launcher.started", lambda command, *more, **options: started.append(command)
     )
+    monkeypatch.setattr("hysteresis_ros.nodes.launcher.session", lambda environment: contextlib.nullcontext())
     for mode in ("lockstep", "fused"):
         given = stage(mode)
         Graph(list(given.axes), stage=given).start()
