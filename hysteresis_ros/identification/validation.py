@@ -245,7 +245,10 @@ def parameter_covariance(
     if truncated is None and not known.all():
         raise DataError("rank", f"the data does not determine all {d} parameters")
     root = Vt[known].T / values[known] / length[:, None]
-    grown = inflation(e) if correlated else 1.0
+    grown = 1.0
+    if correlated:
+        e = e - e.mean()
+        grown = inflation(e)
     return grown * float(e @ e) / (N - d - others) * root @ root.T
 
 
