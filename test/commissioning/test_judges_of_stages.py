@@ -12,11 +12,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from sitting_support import sitting
 
+from hysteresis_ros.cli.commissioning import bench as benches
 from hysteresis_ros.cli.commissioning import closed_loop as closed
 from hysteresis_ros.cli.commissioning import measuring as volts
 from hysteresis_ros.cli.commissioning.bench import require_sound
@@ -37,7 +39,9 @@ from hysteresis_ros.cli.commissioning.fitting import MOVED, excited
 from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
 from hysteresis_ros.cli.commissioning.situation import CommissioningError, Folder, Outcome
 from hysteresis_ros.control.learning import LearningParameters
+from hysteresis_ros.control.margins import MeasuredLoop
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Expected values of the new axis: 100 µm over 100 V, at 2 kHz.
@@ -125,7 +129,8 @@ def test_a_loop_settles_if_little_is_left_after_each_step(situation, monkeypatch
     held, length = round(STEP_HOLD * RATE), round((STEP_HOLD + STEP_WAY) * RATE)
     end = 3 * held + (step + 1) * length
     error = np.zeros(4 * held + len(closed.STEPS) * length)
-    error[end - held : end] = left
+    error[end - held : end] = 10.0 * left  # what is left is that of the last fifth of the hold
+    error[end - held // 5 : end] = left
     errors = iter((error, np.full(error.size, expected)))
     reach = 1e-6 / (closed.STEPS[0] - closed.FIRST_STEP)
     monkeypatch.setattr(closed, "designed", lambda situation: situation.configuration)
@@ -135,7 +140,9 @@ def test_a_loop_settles_if_little_is_left_after_each_step(situation, monkeypatch
     monkeypatch.setattr(closed, "_reach", lambda *given: (0.0, reach))
     run = recorded(np.zeros(error.size))
     if settles:
-        assert closed.judge_loop(situation, run).figures["rest_rms_m"] == pytest.approx(left)
+        found = closed.judge_loop(situation, run)
+        assert found.figures == pytest.approx({"rest_rms_m": left, "predicted_rest_rms_m": expected})
+        assert found.lines == [f"settles: error {1e9 * left:.3g} nm RMS, predicted {1e9 * expected:.3g} nm"]
     else:
         with pytest.raises(CommissioningError, match="the closed loop does not settle: the error after a step of 1 µm"):
             closed.judge_loop(situation, run)
@@ -344,3 +351,96 @@ def test_a_scan_that_is_larger_than_the_range_is_refused(situation):
     situation.plan = replace(situation.plan, scan_stroke=2.1e-6)
     with pytest.raises(CommissioningError, match="but the stage reaches 2 µm"):
         scan_reference(situation, configuration)
+
+
+def test_voltages_of_the_stages_are_those_of_the_page_of_commissioning(situation):
+    """From the safe voltage and back to it; the durations [s] and levels [V] are those of the table there."""
+    plan = situation.plan
+    built = (volts.listening, volts.small_step, volts.small_multisine, volts.decaying_cycles, volts.creeping_step)
+    quiet, step, sines, cycles, creep = (function(plan, 0.0, RATE) for function in built)
+    found = (quiet, step, sines, cycles, creep)
+    assert [round(voltage.size / RATE, 2) for voltage in found] == [0.5, 2.35, 12.0, 10.0, 3.2]
+    assert all(voltage[0] == voltage[-1] == 0.0 for voltage in found)
+    assert np.ptp(quiet) == 0.0 and step.max() == 0.05 * plan.span and creep.max() == 0.8 * plan.span
+    np.testing.assert_array_equal(creep[round(0.6 * RATE) : round(2.6 * RATE)], creep.max())
+    # five periods of 2 s about the middle, with a peak of 2 % of the range
+    periods = sines[round(1.0 * RATE) :][: round(10.0 * RATE)].reshape(5, -1)
+    np.testing.assert_allclose(periods, periods[:1].repeat(5, axis=0), atol=1e-9)
+    assert np.max(np.abs(periods - 50.0)) == pytest.approx(0.02 * plan.span, rel=1e-6)
+    # two cycles of 0.5 s over the whole range, then fourteen, each of them 1/3.5 of a Neper smaller
+    middle = cycles[round(1.0 * RATE) + round(0.25 * RATE) :: round(0.5 * RATE)][:16]
+    np.testing.assert_allclose(middle, 50.0 + 50.0 * np.exp(-np.maximum(np.arange(16) - 1.5, 0.0) / 3.5), rtol=1e-9)
+
+
+@pytest.mark.parametrize("radius", [1.0, 5.0])
+def test_the_width_of_a_loop_is_that_of_play(situation, radius):
+    """Of a play of radius r the branches are 2 r apart."""
+    voltage, follow = volts.decaying_cycles(situation.plan, 0.0, RATE), [0.0]
+    for value in voltage[1:]:
+        follow.append(min(max(follow[-1], value - radius), value + radius))
+    cycles = recorded(voltage)
+    cycles.signals["measured"] = GAIN * np.array(follow)
+    found = judge_hysteresis(situation, cycles)
+    assert found.figures["loop_opening_m"] == pytest.approx(2.0 * radius * GAIN, rel=1e-6)
+    sizes = [found.figures[name] for name in ("lowest_m", "highest_m", "stroke_m")]
+    assert sizes == pytest.approx([0.0, (100.0 - radius) * GAIN, (100.0 - radius) * GAIN])
+    assert f"loop width {200.0 * radius / (100.0 - radius):.2g} % of it" in found.lines[0]
+
+
+@pytest.mark.parametrize("ratio", [1.49, 1.51])
+def test_a_scan_may_have_one_and_a_half_times_the_predicted_error(situation, monkeypatch, ratio):
+    """Errors of a square wave, whose RMS is its amplitude; before the judged periods they are ten times larger."""
+    configuration = situation.configuration.override("reference_generator", minimum=0.0, maximum=100e-6)
+    situation.plan = replace(situation.plan, scan_stroke=50e-6)
+    reference = scan_reference(situation, configuration)
+    judged = judged_samples(situation, configuration)
+    square = np.where(np.arange(reference.size) >= judged.start, 1e-8, 1e-7) * (-1.0) ** np.arange(reference.size)
+
+    def run(size):
+        signals = {"reference": reference, "measured": reference - size * square}
+        return Recording(np.arange(reference.size) / RATE, signals)
+
+    monkeypatch.setattr(closed, "designed", lambda situation: configuration)
+    monkeypatch.setattr(closed, "predicted_scan", lambda *given: run(1.0))
+    found = closed.judge_scan(situation, run(ratio))
+    expected = {"rms_error_m": ratio * 1e-8, "undelayed_rms_m": ratio * 1e-8, "predicted_rms_m": 1e-8, "ratio": ratio}
+    assert {name: found.figures[name] for name in expected} == pytest.approx(expected)
+    assert found.figures["as_predicted"] == (ratio < 1.5)
+    words = "as predicted" if ratio < 1.5 else "MORE than 1.5 x the prediction"
+    start = f"triangle of 50 µm at 5 Hz: error {10.0 * ratio:.4g} nm RMS, predicted 10 nm, ratio {ratio:g}: {words}"
+    assert found.lines == [start]
+    way, errors = found.pictures
+    assert max(way.lines[0].y) == pytest.approx(75.0, rel=0.01), "µm, about the middle of the range"
+    assert [max(line.y) for line in errors.lines] == pytest.approx([10.0 * ratio, 10.0]), "nm"
+    assert errors.lines[0].x[0] == pytest.approx(judged.start / RATE)
+
+
+@pytest.mark.parametrize(("peak", "words"), [(2.4, "as predicted"), (2.6, "MORE than 1.25 x the prediction")])
+def test_the_measured_margins_are_compared_with_those_of_the_model(situation, monkeypatch, peak, words):
+    """Of an integrator with a loop at the distance 1/M_s of -1; the lower end of its range counts."""
+    frequency = np.array([10.0, 50.0, 100.0])
+    loop = MeasuredLoop(frequency, np.array([-5j, -1.0 + 1.0 / peak, -0.1 - 0.1j]), np.zeros(3), 1.0 / RATE)
+    margins = SimpleNamespace(
+        sensitivity_peak=2.0, gain_crossovers=[60.0], gain_margin=6.0, phase_margin=60.0, delay_margin_samples=3.0
+    )
+    response = SimpleNamespace(loop=loop, margins=margins, model_loop=loop.loop, figures={})
+    monkeypatch.setattr(closed, "_measured_response", lambda *given: response)
+    found = closed.judge_response(situation, recorded(np.zeros(100)))
+    assert found.lines[0] == f"M_s {peak} ({peak} … {peak}), predicted 2: {words}"
+    assert found.figures["as_predicted"] == (peak < 2.5)
+    sensitivities, plane = found.pictures
+    heights = [np.array(line.y) for line in sensitivities.lines]
+    np.testing.assert_allclose(heights[0], np.abs(1.0 / (1.0 + loop.loop)), rtol=1e-5)
+    np.testing.assert_allclose(heights[2], np.abs(loop.loop / (1.0 + loop.loop)), rtol=1e-5)
+    np.testing.assert_allclose(heights[1::2], heights[::2], rtol=1e-5, err_msg="the model is the measured loop")
+    circles = {line.label: np.array(line.x) + 1j * np.array(line.y) for line in plane.lines}
+    np.testing.assert_allclose(np.abs(1.0 / (1.0 + circles["M_s = 2"])), 2.0, rtol=1e-4)
+    np.testing.assert_allclose(np.abs(circles["|L| = 1"]), 1.0, rtol=1e-4)
+
+
+def test_an_external_plant_that_is_too_fast_for_messages_is_refused_before_anything_starts(situation, monkeypatch):
+    monkeypatch.setattr(benches, "require_ros", lambda: None)
+    monkeypatch.setattr(benches, "Graph", lambda *given, **options: pytest.fail("nodes were started"))
+    fast = situation.configuration.override("**", sample_rate=5000.0, external_plant=True)
+    with pytest.raises(ConfigurationError, match="external_plant"):
+        benches.GraphBench(True).run(single_axis(fast))

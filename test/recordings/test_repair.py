@@ -201,6 +201,15 @@ def test_a_whole_bag_is_left_alone_and_a_whole_file_gets_its_metadata(tmp_path):
     assert done.mended == () and messages_of(read_bag(done.path)) == messages_of(read_bag(tmp_path / "run"))
 
 
+def test_a_file_of_a_bag_that_cannot_be_repaired_is_named_on_the_error_stream(tmp_path):
+    write_split(tmp_path / "run")
+    first = min((tmp_path / "run").glob("*.mcap"))
+    first.write_bytes(b"no bag")
+    result = CliRunner().invoke(main, ["repair", str(tmp_path / "run")])
+    assert result.exit_code == 0 and result.stdout.count("\n") == 1
+    assert result.stderr.startswith("left out: ") and first.name in result.stderr
+
+
 def refusal(*words):
     """Return the one line with which a repair is refused."""
     result = CliRunner().invoke(main, ["repair", *map(str, words)])

@@ -119,6 +119,17 @@ def test_without_opencv_the_message_says_what_to_install(monkeypatch, tmp_path):
         Footage(tmp_path)
 
 
+def test_a_picture_of_16_bits_keeps_its_fine_grey_levels(tmp_path):
+    """White is 255 as in a picture of 8 bits, and steps of a 256th of its grey level are left."""
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: no pictures and videos")
+    deep = np.arange(0, 65536, 16, dtype=np.uint16).reshape(64, 64)
+    deep[0, 0] = 65535
+    cv2.imwrite(str(tmp_path / "0.png"), deep)
+    (found,) = Footage(tmp_path, rate=25.0)
+    np.testing.assert_allclose(found, deep * (255.0 / 65535.0), rtol=1e-6)
+    assert found.max() == pytest.approx(255.0)
+
+
 def test_numbers_in_names_count_frames_unless_they_are_times_or_not_everywhere():
     def names(*texts):
         return [(number, path.name) for number, path in numbered(map(pathlib.Path, texts))]
