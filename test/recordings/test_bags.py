@@ -12,6 +12,7 @@
 import contextlib
 import json
 import sqlite3
+import struct
 
 import numpy as np
 import pytest
@@ -316,7 +317,9 @@ def test_rate_and_jitter_come_from_the_times_of_reception(tmp_path):
     late = {25: 400_000}
     with BagWriter(tmp_path / "bag") as bag:
         axis(bag, "", received=lambda k: 5_000 + 2_000_000 * k + late.get(k, 0))
-    timing = read_recording(tmp_path / "bag").metadata["timing"]
+    metadata = read_recording(tmp_path / "bag").metadata
+    assert metadata["recorded_ns"] == 0, "no clock of the day began 5 µs ago"
+    timing = metadata["timing"]
     assert timing["rate_hz"] == pytest.approx(500.0)
     assert timing["jitter_p99_s"] == pytest.approx(400e-6)
 
@@ -327,7 +330,7 @@ def test_how_late_samples_of_a_fused_run_began_is_reception_less_stamp(tmp_path,
         f"/**:\n  ros__parameters: {{time_mode: fused}}\n"
         f"/**/plant_simulator:\n  ros__parameters: {{real_time_factor: {factor}}}\n"
     )
-    start, lateness = 10**18, np.linspace(0.0, 99e-6, 100)
+    start, lateness = 10**18 + 1, np.linspace(0.0, 99e-6, 100)
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_string("/configuration", configuration, start)
         for k, late in enumerate(lateness):
@@ -335,6 +338,7 @@ def test_how_late_samples_of_a_fused_run_began_is_reception_less_stamp(tmp_path,
             bag.write_joint_state("/joint_states", stamp, ("piezo",), (0.0,), time_ns=stamp + round(1e9 * late))
             bag.write_joint_state("/plant_simulator/state", stamp, ("displacement", "skipped"), (0.0, float(k == 5)))
     run = read_recording(tmp_path / "bag")
+    assert run.metadata["recorded_ns"] == start
     timing = run.metadata["timing"]
     if paced:
         found = [timing[f"lateness_{name}_s"] for name in ("p50", "p99", "p999", "max")]
@@ -412,6 +416,18 @@ def test_messages_are_what_the_type_store_makes_of_them(names, stamp, value):
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     both = cdr.decode_joint_states([raw, raw], "/joint_states")
     assert both.stamps.tolist() == [stamp, stamp] and (both.positions == value).all()
+
+
+def test_numbers_are_read_in_both_byte_orders_and_none_of_another_length():
+    swapped = b"\0\0\0\0" + struct.pack(">d", 2.5)
+    for raws, values in (
+        ([cdr.encode_float64(1.5), cdr.encode_float64(-3.0)], [1.5, -3.0]),
+        ([cdr.encode_float64(1.5), swapped], [1.5, 2.5]),
+        ([], []),
+    ):
+        assert cdr.decode_float64s(raws, "/voltage").tolist() == values
+    with pytest.raises(RecordingError, match="a message on /voltage is not a std_msgs/msg/Float64"):
+        cdr.decode_float64s([cdr.encode_float64(1.5), cdr.encode_float64(-3.0) + bytes(4)], "/voltage")
 
 
 def test_diagnostics_are_read(tmp_path):

@@ -93,6 +93,10 @@ def test_a_simulated_run_says_what_made_it_too(tmp_path):
     assert made.keys() >= {"hysteresis_ros", "numpy", "python"}
 
 
+def test_a_damaged_copy_of_a_file_is_no_file():
+    assert whole({"a": "base64:YQ==", "b": "base64:Y!Q==", "c": "base64:YQ", "d": "sha256:00"}) == {"a": b"a"}
+
+
 def test_files_that_parameters_name_to_be_read_are_in_the_bag(tmp_path):
     read, written, large = tmp_path / "learned.yaml", tmp_path / "next.yaml", tmp_path / "waveform.csv"
     for path, content in ((read, b"a: 1\n"), (written, b"b"), (large, b"0\n" * LARGEST)):

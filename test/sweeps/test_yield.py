@@ -19,6 +19,7 @@ import pytest
 from sweep_support import asked
 
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.laboratory.sweeps.page import Column, influence_figure, levels_figure, scatter_figure, share_figure
 from hysteresis_ros.laboratory.sweeps.plan import Levels
 from hysteresis_ros.laboratory.sweeps.summary import (
     Summary,
@@ -107,3 +108,49 @@ def test_quantiles_are_those_of_the_runs_that_have_a_value():
     text = _metric_line(Summary(replace(summary.results, parameters={"gain": np.zeros(102)}), plan), "rms_error_m")
     assert re.search(r"median 50\S* nm, 95 % below 95\S* nm, worst 100\S* nm in run 100", text), text
     assert text.endswith("; 1 runs have no value")
+
+
+def test_figures_of_a_sweep_show_values_and_bounds_in_the_displayed_unit():
+    """Two of four runs are below 2 nm, three have a value; a run without one counts as not below."""
+    column = Column("error [nm]", np.array([1e-9, 3e-9, np.inf, 2e-9]), 1e9)
+    steps, bound = share_figure(column, [2.5e-9]).axes[0].lines
+    np.testing.assert_allclose(steps.get_xdata(), [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(steps.get_ydata(), [25.0, 50.0, 75.0])
+    assert bound.get_xdata() == pytest.approx([2.5, 2.5])
+    points, bound = scatter_figure(column, {"gain": np.arange(4.0)}, [2.5e-9]).axes[0].lines
+    np.testing.assert_allclose(points.get_ydata(), [1.0, 3.0, np.nan, 2.0])
+    np.testing.assert_allclose(points.get_xdata(), np.arange(4.0))
+    assert bound.get_ydata() == pytest.approx([2.5, 2.5])
+
+
+def test_figures_at_levels_show_median_and_worst_run_and_the_yield_in_percent():
+    spread = [np.array([1e-9, 2e-9, 6e-9]), np.array([np.nan, 4e-9, np.inf])]
+    figure = levels_figure(Column("error [nm]", np.zeros(0), 1e9), "gain", [1.0, 2.0], spread, [(0.5, 0.25, 0.75)] * 2)
+    lines = {line.get_label(): line.get_ydata().tolist() for line in figure.axes[0].lines}
+    assert lines["median"] == pytest.approx([2.0, 4.0]) and lines["worst"] == pytest.approx([6.0, 4.0])
+    assert lines["95 % below"] == pytest.approx([5.6, 4.0])
+    assert figure.axes[1].lines[0].get_ydata() == pytest.approx([50.0, 50.0])
+    linear, wide, words = (
+        levels_figure(Column("e", np.zeros(0), 1.0), "gain", levels, [np.ones(2)] * 3, []).axes[0]
+        for levels in ([0.9, 1.0, 1.1], [0.1, 1.0, 10.0], ["pid", "lqg", "smc"])
+    )
+    assert [axis.get_xscale() for axis in (linear, wide, words)] == ["linear", "log", "linear"]
+    assert [text.get_text() for text in words.get_xticklabels()] == ["pid", "lqg", "smc"]
+
+
+@pytest.mark.parametrize(("names", "scale"), [(("first", "total"), 1.0), (("mean", "deviation"), 0.25)])
+def test_influences_are_fractions_of_the_variance_or_of_the_largest_effect(names, scale):
+    columns = {names[0]: np.array([1.0, 4.0]), names[1]: np.array([2.0, 3.0]), f"{names[0]}_interval": np.ones(2)}
+    (axis,) = influence_figure({"error": (("gain", "delay"), columns)}).axes
+    widths = [bar.get_width() for bar in axis.patches]
+    assert widths == pytest.approx([scale * width for name in names for width in columns[name]])
+    # the first parameter is at the top, the first figure above the second
+    assert [round(bar.get_y() + 0.18, 6) for bar in axis.patches] == [1.2, 0.2, 0.8, -0.2]
+
+
+@pytest.mark.parametrize("runs", [1, 10, 50])
+def test_the_interval_of_a_yield_has_the_confidence_of_95_percent_by_default(runs):
+    """Clopper and Pearson in closed form: no good run is likely up to the share p with (1 - p)^n = 2.5 %."""
+    none, all_ = yield_of(np.zeros(runs, dtype=bool)), yield_of(np.ones(runs, dtype=bool))
+    assert (none.low, none.high) == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / runs)))
+    assert (all_.low, all_.high) == pytest.approx((0.025 ** (1.0 / runs), 1.0))
