@@ -81,6 +81,8 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert figures["identify"]["delay_s"] == pytest.approx(1.0 / RATE, rel=0.05)
     # without removal of the delay it would be 0.33 µm; minor loops of the stage are steeper than those of the model
     assert figures["identify"]["rmse_m"] < 0.31e-6
+    residual = next(one for one in situation.found["identify"].pictures if "Residual" in one.caption)
+    assert np.max(np.abs(residual.lines[0].y)) < 5e9 * figures["identify"]["rmse_m"], "nm, of 100 µm"
     assert figures["identify"]["small_gain_over_model"] == pytest.approx(1.18, rel=0.1)
     assert figures["hysteresis"]["stroke_m"] == pytest.approx(100e-6, rel=0.05)
     assert 0.08 < figures["hysteresis"]["loop_opening_m"] / 100e-6 < 0.16
@@ -297,7 +299,10 @@ def test_the_damping_of_a_resonance_is_read_whatever_it_is(tmp_path):
         situation = sitting(folder)
         for name in ("noise", "gain", "resonance"):
             commission(situation, ForeignBench(stage), Willing(), [name])
-        assert situation.found["resonance"].figures["damping"] == pytest.approx(damping, rel=0.15)
+        found = situation.found["resonance"]
+        assert found.figures["damping"] == pytest.approx(damping, rel=0.15)
+        seen = re.fullmatch(r"resonance at (\S+) Hz, damping (\S+) %", found.lines[0])
+        assert [float(text) for text in seen.groups()] == pytest.approx([420.0, 100.0 * damping], rel=0.15)
 
 
 @pytest.mark.parametrize(("first", "last"), [(0.0, 10.0), (20.0, 30.0), (-3.0, 4.0)])

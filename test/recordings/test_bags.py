@@ -401,6 +401,18 @@ def test_names_that_change_are_followed():
     assert states.names == ("a", "b", "long name")
     assert states.stamps.tolist() == [1, -1_500_000_000]
     assert np.array_equal(states.positions, [[1.0, 2.0, np.nan], [np.nan, 3.0, 4.0]], equal_nan=True)
+    # names of one length, which differ in any one letter
+    for other in ("xbc", "axc", "abx"):
+        raws = [cdr.JointStateEncoder((name,)).encode(k, (float(k),)) for k, name in enumerate(("abc", other))]
+        assert cdr.decode_joint_states(raws, "/joint_states").names == ("abc", other)
+
+
+def test_a_setpoint_is_written_when_it_changes(tmp_path):
+    setpoint = np.array([np.nan, 1e-6, 1e-6, np.nan, 2e-6, 2e-6, 1e-6])
+    signals = {"setpoint": setpoint, "voltage": np.zeros(7), "measured": np.zeros(7)}
+    write_recording(Recording(np.arange(7) / RATE, signals), tmp_path / "bag")
+    found = read_bag(tmp_path / "bag").topics["/setpoint"]
+    assert cdr.decode_float64s(found.data, "/setpoint").tolist() == [1e-6, 2e-6, 1e-6]
 
 
 @given(
