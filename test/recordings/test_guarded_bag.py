@@ -27,7 +27,16 @@ from hysteresis_ros.recordings import Recording, bag_writer, cdr
 from hysteresis_ros.recordings.align import ChangeLog, read_recording
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
-from hysteresis_ros.recordings.provenance import FILES, LARGEST, RECORD, in_force, packed_files, provenance, whole
+from hysteresis_ros.recordings.provenance import (
+    FILES,
+    LARGEST,
+    RECORD,
+    described,
+    in_force,
+    packed_files,
+    provenance,
+    whole,
+)
 from hysteresis_ros.recordings.run_bag import SampleWriter
 
 SAMPLES = 400
@@ -91,6 +100,12 @@ def test_a_simulated_run_says_what_made_it_too(tmp_path):
     write_recording(simulate(axes(load_configuration("kim2009"))[0], duration=0.01), tmp_path / "run.mcap")
     made = read_recording(tmp_path / "run.mcap").metadata["provenance"]
     assert made.keys() >= {"hysteresis_ros", "numpy", "python"}
+
+
+def test_a_node_is_described_by_a_section_of_its_own():
+    own = "/**:\n  ros__parameters: {sample_rate: 1.0}\n/left/plant_simulator:\n  ros__parameters: {gain: 2.0}\n"
+    assert described(own, "plant_simulator", "/left") and not described(own, "plant_simulator", "/right")
+    assert not any(described(text, "motion_controller", "/left") for text in (own, "", "no: [parameters"))
 
 
 def test_a_damaged_copy_of_a_file_is_no_file():
