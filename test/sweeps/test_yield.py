@@ -154,3 +154,16 @@ def test_the_interval_of_a_yield_has_the_confidence_of_95_percent_by_default(run
     none, all_ = yield_of(np.zeros(runs, dtype=bool)), yield_of(np.ones(runs, dtype=bool))
     assert (none.low, none.high) == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / runs)))
     assert (all_.low, all_.high) == pytest.approx((0.025 ** (1.0 / runs), 1.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "words"),
+    [
+        ((1e-6, 2.5e-6), "m", "1e-06m,2.5e-06m"),
+        ((12, 14), "", "12,14"),
+        (("pid", "lqg"), "m", "pid,lqg"),
+        ((True, False), "", "true,false"),
+    ],
+)
+def test_levels_are_written_as_they_may_be_given(values, unit, words):
+    assert Levels(values).words(unit) == words
