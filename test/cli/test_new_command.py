@@ -117,6 +117,24 @@ def test_wrong_input_is_named_and_leaves_no_file(tmp_path, case):
     assert answer.output.count("\n") == 1 and not path.exists()
 
 
+@pytest.mark.parametrize(
+    ("stroke", "voltage", "rate", "refused"),
+    [
+        *[("100um", "100", rate, "") for rate in ("10Hz", "1000kHz")],
+        *[("100um", "100", rate, "--rate: ") for rate in ("0.09Hz", "1010kHz")],
+        *[("1nm", "100", "1kHz", ""), ("0.9nm", "100", "1kHz", "--stroke: ")],
+        *[("0.1m", "200", "1kHz", ""), ("0.11m", "200", "1kHz", "--stroke: ")],
+        *[("9nm", "8000", "1kHz", ""), ("9nm", "10000", "1kHz", "--stroke and --voltage: ")],
+        *[("9mm", "10", "1kHz", ""), ("11mm", "10", "1kHz", "--stroke and --voltage: ")],
+    ],
+)
+def test_values_of_another_unit_are_refused(tmp_path, stroke, voltage, rate, refused):
+    """Plausible are 1 nm to 0.1 m, 1 pm/V to 1 mm/V, and 0.1 Hz to 1 MHz."""
+    answer = called(tmp_path / "stage.yaml", "--stroke", stroke, "--voltage", voltage, "--rate", rate)
+    assert answer.exit_code == (2 if refused else 0), answer.output
+    assert refused in answer.output and ("check the units" in answer.output) == bool(refused)
+
+
 def test_an_existing_file_is_not_touched(tmp_path):
     path = tmp_path / "stage.yaml"
     path.write_text("mine")

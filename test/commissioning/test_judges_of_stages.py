@@ -75,6 +75,17 @@ def test_a_gain_may_be_off_by_a_factor_of_three_to_both_sides(situation, factor)
             judge_gain(situation, step)
 
 
+def test_without_noise_the_gain_is_exact(situation):
+    """Voltage and displacement are compared over the same samples."""
+    step = recorded(volts.small_step(situation.plan, 0.0, RATE))
+    step.signals["measured"] = GAIN * step["voltage"]
+    found = judge_gain(situation, step)
+    assert found.figures["gain_m_per_v"] == pytest.approx(GAIN, rel=1e-12)
+    assert found.lines == ["+5 V moved the stage by 5 µm: 1 µm/V, the sign is right"]
+    measured, scaled = found.pictures[0].lines
+    assert max(measured.y) == max(scaled.y) == pytest.approx(5.0), "µm"
+
+
 @pytest.mark.parametrize("size", [0.3, 0.4])
 def test_a_stage_that_still_moves_after_the_step_does_not_settle(situation, size):
     """A quarter of the step is allowed as RMS of what is left, so 0.35 of it as the amplitude of an oscillation."""
@@ -429,6 +440,8 @@ def test_the_measured_margins_are_compared_with_those_of_the_model(situation, mo
     found = closed.judge_response(situation, recorded(np.zeros(100)))
     assert found.lines[0] == f"M_s {peak} ({peak} … {peak}), predicted 2: {words}"
     assert found.figures["as_predicted"] == (peak < 2.5)
+    assert [text.split(" ")[0] for text in found.lines[1:]] == ["gain", "gain", "phase", "delay"]
+    assert found.lines[1].endswith("; predicted 60 Hz") and found.lines[2].endswith("; predicted 6.0 dB")
     sensitivities, plane = found.pictures
     heights = [np.array(line.y) for line in sensitivities.lines]
     np.testing.assert_allclose(heights[0], np.abs(1.0 / (1.0 + loop.loop)), rtol=1e-5)
