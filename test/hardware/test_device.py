@@ -22,8 +22,10 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import (
     Capabilities,
+    Compiled,
     Driver,
     DriverError,
+    Edge,
     HardwareDriver,
     Reading,
     highest_rate,
@@ -258,3 +260,21 @@ def test_a_ramp_has_equal_steps_and_ends_where_it_should(monkeypatch):
     way.clear()
     ramp(way.append, 20.0, 20.0, 0.4)
     assert way == [20.0]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda stage: stage.output_clock(Edge.LINE), "has no outputs for the clock of a scan; set scan_clock: false"),
+        (lambda stage: stage.output_trigger(1, 0.0), "has no output for triggers; set trigger_output: false"),
+        (lambda stage: stage.compare([1e-6], []), "does not compare positions; set trigger_output: false"),
+    ],
+)
+def test_what_a_driver_does_not_offer_is_refused_with_the_remedy(call, words):
+    with pytest.raises(DriverError, match=f"Stage {words}"):
+        call(Stage())
+
+
+def test_compiled_code_offers_no_clock_no_trigger_and_no_pulses_by_default():
+    code = Compiled(read=1, write=2, make_safe=3, device=4, explain=lambda number: DriverError("stage", "", ""))
+    assert (code.clock, code.trigger, code.pulses) == (0, 0, 0)

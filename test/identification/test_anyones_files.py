@@ -90,12 +90,13 @@ def test_a_sensitivity_may_be_asked_of_a_column_in_volts(tmp_path):
 @pytest.mark.parametrize(
     "content",
     [
-        {"t": TIME, "control_V": VOLTAGE, "gauge_um": 1e6 * DISPLACEMENT, "Ts": 1 / RATE},
+        {"t": TIME, "control_V": VOLTAGE, "gauge_um": 1e6 * DISPLACEMENT, "Ts": 1 / RATE, "poles": TIME[:7]},
         {"run": {"time": TIME[:, None], "data": {"control_V": VOLTAGE, "gauge_um": 1e6 * DISPLACEMENT}}},
     ],
 )
-def test_matlab_files_are_read_with_their_structures(tmp_path, content):
-    scipy.io.savemat(tmp_path / "a.mat", content)
+@pytest.mark.parametrize("compressed", [False, True])
+def test_matlab_files_are_read_with_their_structures(tmp_path, content, compressed):
+    scipy.io.savemat(tmp_path / "a.mat", content, do_compression=compressed)
     names = [name for name in ("gauge_um", "run.data.gauge_um") if name.split(".")[0] in content]
     time = None if "t" in content else "run.time:s"
     agrees(read_data(tmp_path / "a.mat", Columns(output=names[0], time=time)).data)

@@ -121,6 +121,15 @@ def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allow
     assert led.taken[-1] == 2.0
 
 
+def test_each_input_has_its_own_publisher(led):
+    other = masters.Master(led.masters, "/speed", led.taken.append)
+    led.masters._inputs.insert(0, other)
+    led.master.take(1.0, OURS)
+    pass_time(led, 1.0)
+    assert led.master.name and led.masters.publisher_of("voltage") == led.master.name
+    assert led.masters.publisher_of("speed") == other.name == "" == led.masters.publisher_of("elsewhere")
+
+
 def test_the_same_node_restarted_follows_a_silent_one(led):
     again = b"again"
     led.master.take(1.0, OURS)
