@@ -23,7 +23,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.designs.stage_excitation import PERIOD, ExcitedStage, StageExcitation, excited_stage
-from hysteresis_ros.errors import ConfigurationError, IdentificationError, RecordingError
+from hysteresis_ros.errors import ConfigurationError, IdentificationError
 from hysteresis_ros.files import read_arrays
 from hysteresis_ros.identification.coupled import StructureData
 from hysteresis_ros.identification.data import DataError
@@ -37,6 +37,7 @@ from hysteresis_ros.identification.frequency_response import (
     FrequencyResponse,
     ResponseMatrix,
     near_level,
+    reading_response,
     real_array,
     response_matrix,
     write_response_file,
@@ -369,7 +370,7 @@ def save_stage_response(path, found: StageResponse) -> None:
 
 def load_stage_response(path) -> tuple[tuple[str, ...], ResponseMatrix]:
     """Return the names of the axes and the response matrix of an NPZ file written by :func:`save_stage_response`."""
-    try:
+    with reading_response(path, "no response matrix of a stage", "hysteresis frf wrote for a stage"):
         held = read_arrays(path)
         names = tuple(str(name) for name in np.atleast_1d(held["axes"]))
         lines = real_array(held, "frequency")
@@ -390,9 +391,3 @@ def load_stage_response(path) -> tuple[tuple[str, ...], ResponseMatrix]:
         response = FrequencyResponse(lines, held["response"], float(step), degrees=degrees, **spread)
         condition = real_array(held, "condition", lines.size)
         return names, ResponseMatrix(response, held.get("noise"), held.get("total"), condition)
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
-    except (OSError, ValueError, KeyError):
-        raise RecordingError(
-            f"{path}: contains no response matrix of a stage; give the NPZ file that hysteresis frf wrote for a stage"
-        ) from None

@@ -342,9 +342,13 @@ class StructureEstimator:
         start = ModalStructure.linear(linear, scale)
         if self.plays:
             early = np.concatenate([chosen[:: max(1, len(chosen) - 1)][:EARLY_REALISATIONS] for chosen in fitted])
-            found, course = self._plays(start, linear, whole.part(early), training, held, limits, run_in)
+            found, course = self._plays(
+                start, linear, whole.part(early), training, held=held, limits=limits, run_in=run_in
+            )
         else:
-            found, course = self._refined("linear part", start, training, held, LINEAR_GROUPS, self.steps, limits)
+            found, course = self._refined(
+                "linear part", start, training, LINEAR_GROUPS, held=held, steps=self.steps, limits=limits
+            )
         parameters = found.parameters().validated()
         warnings = [text for one in responses for text in one.response.warnings]
         if not course.converged and held is None:
@@ -396,7 +400,7 @@ class StructureEstimator:
         enough = np.sqrt(errors) <= ENOUGH * np.sqrt(min(errors))
         return models[min(np.flatnonzero(enough), key=lambda i: orders[i])]
 
-    def _refined(self, name, start, training, held, groups, steps, limits):
+    def _refined(self, name, start, training, groups, *, held, steps, limits):
         def step(text: str) -> None:
             self._report(f"{name}: {text}")
 
@@ -414,7 +418,7 @@ class StructureEstimator:
             progress=step,
         )
 
-    def _plays(self, start: ModalStructure, linear: LinearModel, early, training, held, limits, run_in: int):
+    def _plays(self, start: ModalStructure, linear: LinearModel, early, training, *, held, limits, run_in: int):
         """Return the structure with plays, and the result of the last search."""
         gain = np.linalg.pinv(np.atleast_2d(linear.dc_gain))
         ahead = [
@@ -438,8 +442,8 @@ class StructureEstimator:
         groups: tuple[str, ...] = ()
         for name, added in STAGES:
             groups += added
-            model, _ = self._refined(name, model, early, held, groups, EARLY_STEPS, limits)
-        return self._refined("everything", model, training, held, groups, self.steps, limits)
+            model, _ = self._refined(name, model, early, groups, held=held, steps=EARLY_STEPS, limits=limits)
+        return self._refined("everything", model, training, groups, held=held, steps=self.steps, limits=limits)
 
 
 def _figures(result: IdentifiedStructure, data: StructureData, levels, fitted, judged) -> dict:

@@ -38,7 +38,9 @@ References
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -665,19 +667,23 @@ def write_response_file(path, arrays: dict[str, Any], table: dict[str, np.ndarra
         write(stream, arrays, table, figures)
 
 
-def load_response(path) -> Analysis:
-    """Return the response of an NPZ file written by :func:`save_response`."""
-    path = pathlib.Path(path)
+@contextlib.contextmanager
+def reading_response(path, missing: str, origin: str) -> Iterator[None]:
+    """Refuse a file of a response that does not exist, or has ``missing``, with the command that writes such a file."""
     try:
-        held = read_arrays(path)
-        if "axes" not in held:
-            return _response_of(held)
+        yield
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
     except (OSError, ValueError, KeyError):
-        raise RecordingError(
-            f"{path}: contains no frequency response; give the NPZ file that hysteresis frf wrote"
-        ) from None
+        raise RecordingError(f"{path}: contains {missing}; give the NPZ file that {origin}") from None
+
+
+def load_response(path) -> Analysis:
+    """Return the response of an NPZ file written by :func:`save_response`."""
+    with reading_response(path, "no frequency response", "hysteresis frf wrote"):
+        held = read_arrays(path)
+        if "axes" not in held:
+            return _response_of(held)
     raise RecordingError(
         f"{path}: is the response matrix of a stage, and a response of a single axis is needed; hysteresis design "
         "STAGE --response takes the matrix, and hysteresis identify takes the recording of the stage"

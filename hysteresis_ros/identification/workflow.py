@@ -362,10 +362,12 @@ def identify(
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
     with shown_in(reading.data.input_unit, reading.data.output_unit):
-        return _identified(reading, model, linear, chosen, inverse, fast, progress, given)
+        return _identified(
+            reading, model, given, linear=linear, chosen=chosen, inverse=inverse, fast=fast, progress=progress
+        )
 
 
-def _identified(reading: Reading, model, linear, chosen, inverse, fast, progress, given: Conditions) -> Identified:
+def _identified(reading: Reading, model, given: Conditions, *, linear, chosen, inverse, fast, progress) -> Identified:
     """Return the identification of a recording, after its summary."""
     recording = reading.summary
     for label, text in recording.lines if progress is not None else ():

@@ -141,11 +141,7 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         return 0
     finally:
         starting = False
-        for node in nodes:
-            node.release()  # also after an exception: no thread may continue to publish
-        _destroy(executor, nodes)
-        for claimed in filter(None, claims):
-            claimed.close()
+        _release(executor, nodes, claims)
         node = executor = None
         _collect()
         if rclpy.ok():
@@ -153,8 +149,10 @@ def run(factories, arguments=None, steered: bool = False) -> int:
         kept.close()
 
 
-def _destroy(executor, nodes: list) -> None:
-    """Release the DDS entities of the nodes, and the nodes."""
+def _release(executor, nodes: list, claims: list) -> None:
+    """Release the nodes, their DDS entities and their names."""
+    for node in nodes:
+        node.release()  # also after an exception: no thread may continue to publish
     for node in nodes:
         if executor is not None:
             executor.remove_node(node)
@@ -162,6 +160,8 @@ def _destroy(executor, nodes: list) -> None:
     if executor is not None:
         executor.shutdown()
     nodes.clear()
+    for claimed in filter(None, claims):
+        claimed.close()
 
 
 def _collect() -> None:
