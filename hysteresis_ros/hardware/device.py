@@ -12,14 +12,16 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib.util
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError, HardwareDriver
+from hysteresis_ros.hardware.driver import NOTHING_NEW, Capabilities, Compiled, DriverError, HardwareDriver
 from hysteresis_ros.signals import Edge
 
 
@@ -65,6 +67,7 @@ class Device:
         self._driver = declared.driver()
         self._open = True
         self._written: float | None = None
+        self._functions: _MethodFunctions | None = None
         #: The lock is held while the device is made safe or closed; the event stops the attempts to make it safe in the
         #: background.
         self._calling, self._over = threading.RLock(), threading.Event()
@@ -76,6 +79,16 @@ class Device:
         except Exception:
             self.close()
             raise
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device has not been released."""
+        return self._open
+
+    @property
+    def calls_python(self) -> bool:
+        """Whether the functions of :meth:`compiled` call methods in Python."""
+        return self._functions is not None
 
     def __deepcopy__(self, memo) -> Device:
         """Return the object itself, because a copy of an axis shares the device."""
@@ -90,10 +103,8 @@ class Device:
         except passed:
             raise
         except Exception as error:  # any error of a driver must make the axis safe
-            if isinstance(error, DriverError):
-                raise DriverError(self.name, f"{what}: {error.device} {error.problem}", error.remedy) from error
-            text = f"{what}: {type(error).__name__}: {error}"
-            raise DriverError(self.name, text, "check the device, its connection and its driver") from error
+            cause = _as_driver_error(error)
+            raise DriverError(self.name, f"{what}: {cause.device} {cause.problem}", cause.remedy) from error
 
     def read(self) -> tuple[float, ...]:
         """Return the position of each joint [position_unit], then the forces [N]; NaN without a measurement.
@@ -104,15 +115,18 @@ class Device:
             The device does not answer, or its answer has a wrong number of positions or forces or an infinite position.
         """
         with self._named("cannot be read"):
-            reading = self._driver.read()
-            positions, forces = tuple(map(float, reading.positions)), tuple(map(float, reading.forces))
-            if len(positions) != self.capabilities.joints:
-                raise ValueError(f"{len(positions)} positions for {self.capabilities.joints} joints")
-            if len(forces) != self.capabilities.forces:
-                raise ValueError(f"{len(forces)} forces, but Capabilities.forces is {self.capabilities.forces}")
-            if any(map(math.isinf, positions)):
-                raise ValueError("an infinite position")
-            return positions + forces
+            return self._checked_reading()
+
+    def _checked_reading(self) -> tuple[float, ...]:
+        reading = self._driver.read()
+        positions, forces = tuple(map(float, reading.positions)), tuple(map(float, reading.forces))
+        if len(positions) != self.capabilities.joints:
+            raise ValueError(f"{len(positions)} positions for {self.capabilities.joints} joints")
+        if len(forces) != self.capabilities.forces:
+            raise ValueError(f"{len(forces)} forces, but Capabilities.forces is {self.capabilities.forces}")
+        if any(map(math.isinf, positions)):
+            raise ValueError("an infinite position")
+        return positions + forces
 
     def write(self, voltages: Sequence[float]) -> None:
         """Output voltages.
@@ -129,15 +143,18 @@ class Device:
             device refuses them.
         """
         with self._named("cannot be written"):
-            low, high = self.capabilities.minimum, self.capabilities.maximum
-            if len(voltages) > self.capabilities.voltages:
-                raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages} outputs")
-            for voltage in voltages:
-                if not (math.isfinite(voltage) and low <= voltage <= high):
-                    unit = self.capabilities.voltage_unit
-                    raise ValueError(f"{voltage:g} {unit} is not within {low:g} … {high:g} {unit}")
-            self.note(float(voltages[0]))
-            self._driver.write(voltages)
+            self._write_checked(voltages)
+
+    def _write_checked(self, voltages: Sequence[float]) -> None:
+        low, high = self.capabilities.minimum, self.capabilities.maximum
+        if len(voltages) > self.capabilities.voltages:
+            raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages} outputs")
+        for voltage in voltages:
+            if not (math.isfinite(voltage) and low <= voltage <= high):
+                unit = self.capabilities.voltage_unit
+                raise ValueError(f"{voltage:g} {unit} is not within {low:g} … {high:g} {unit}")
+        self.note(float(voltages[0]))
+        self._driver.write(voltages)
 
     def output_clock(self, edges: Edge) -> None:
         """Output the scan edges of this sample: the frames, lines and pixels that begin.
@@ -208,8 +225,10 @@ class Device:
         """
         self._written = voltage
 
-    def compiled(self) -> Compiled | None:
-        """Return the functions by which machine code reads and writes the device; None if it has only Python methods.
+    def compiled(self) -> Compiled:
+        """Return the functions by which machine code reads and writes the device.
+
+        Those of a driver without a compiled form call its methods in Python, for which they take the interpreter lock.
 
         Raises
         ------
@@ -217,7 +236,12 @@ class Device:
             The driver fails.
         """
         with self._named("has no compiled form"):
-            return self._driver.compiled()
+            found = self._driver.compiled()
+        if found is not None:
+            return found
+        if self._functions is None:
+            self._functions = _MethodFunctions(self)
+        return self._functions.compiled
 
     @property
     def left_at(self) -> float | None:
@@ -237,8 +261,8 @@ class Device:
         if not self._open:
             return
         try:
-            with self._calling, self._named("cannot be made safe"):
-                self._driver.make_safe()
+            with self._named("cannot be made safe"):
+                self._make_safe()
         except DriverError as error:
             if self.left_at is None:
                 raise
@@ -246,6 +270,10 @@ class Device:
             problem = f"{error.problem}: the output is still at {self.left_at:.6g} {unit}"
             remedy = f"switch the voltage off at the device itself; {error.remedy}"
             raise DriverError(error.device, problem, remedy) from error
+
+    def _make_safe(self) -> None:
+        with self._calling:
+            self._driver.make_safe()
         self._written = None
 
     def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
@@ -303,3 +331,81 @@ class Device:
             self._driver.close()
         self._open = False
         return wrong
+
+
+#: Time after which a method in Python that does not return ends a fused run [s]; drivers have time-outs of their own.
+METHOD_PATIENCE = 5.0
+
+_NUMBERS = ctypes.POINTER(ctypes.c_double)
+_COUNT = ctypes.POINTER(ctypes.c_int64)
+
+
+class _MethodFunctions:
+    """The methods of a driver in Python as functions that machine code calls by their addresses.
+
+    An exception becomes an error code, the number of its function, which ``explain`` turns into the exception again.
+    """
+
+    def __init__(self, device: Device):
+        self._device = device
+        self._errors: dict[int, DriverError] = {}
+        can = device.capabilities
+        #: kept here, because an address does not keep its function alive
+        self._kept = [
+            self._function(1, self._read, _NUMBERS),
+            self._function(2, self._write, _NUMBERS),
+            self._function(3, device._make_safe),
+            self._function(4, self._clock, ctypes.c_int64),
+            self._function(5, device._driver.output_trigger, ctypes.c_int64, ctypes.c_double),
+            self._function(6, self._pulses, _COUNT),
+        ]
+        read, write, make_safe, clock, trigger, pulses = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept
+        )
+        self.compiled = Compiled(
+            read,
+            write,
+            make_safe,
+            0,
+            self._errors.__getitem__,
+            clock if can.clock else 0,
+            trigger if can.trigger_rate and not can.compares else 0,
+            pulses if can.trigger_input else 0,
+            METHOD_PATIENCE,
+        )
+
+    def _function(self, number: int, method: Callable[..., int | None], *arguments: Any) -> Any:
+        def call(handle, *given) -> int:
+            try:
+                if not self._device.is_open:
+                    raise ValueError("it is closed")
+                return method(*given) or 0
+            except Exception as error:  # any error of a driver must make the axis safe
+                self._errors[number] = _as_driver_error(error)
+                return number
+
+        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, *arguments)(call)
+
+    def _read(self, positions) -> int:
+        values = self._device._checked_reading()
+        if math.isnan(values[0]):
+            return NOTHING_NEW
+        for place, value in enumerate(values):
+            positions[place] = value
+        return 0
+
+    def _write(self, voltages) -> None:
+        self._device._write_checked((voltages[0],))
+
+    def _clock(self, edges: int) -> None:
+        self._device._driver.output_clock(Edge(edges))
+
+    def _pulses(self, count) -> None:
+        count[0] = int(self._device._driver.pulses())
+
+
+def _as_driver_error(error: Exception) -> DriverError:
+    """Return the error of a driver as one that names what to do."""
+    if isinstance(error, DriverError):
+        return error
+    return DriverError(f"{type(error).__name__}:", str(error), "check the device, its connection and its driver")

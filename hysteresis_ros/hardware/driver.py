@@ -122,6 +122,8 @@ class Compiled(NamedTuple):
     trigger: int = 0
     #: ``int32_t pulses(void *device, int64_t *count)``: 0 or an error code; 0: no trigger input.
     pulses: int = 0
+    #: Time after which a function that does not return ends the run [s].
+    patience: float = 0.5
 
 
 #: Remedy for a device without triggers.
@@ -265,8 +267,8 @@ class Driver(ABC):
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code accesses the open device; None: it has only Python methods.
 
-        The functions stay valid until :meth:`close`. The fused loop refuses a driver without them, because it would
-        have to wait for Python's lock in each sample.
+        The functions stay valid until :meth:`close`. Without them the fused loop calls the methods, and waits for
+        Python's interpreter lock in each sample.
         """
         return None
 

@@ -7,9 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device that replaces the simulated plant, accessed by a driver in Python or by two compiled functions.
+"""A device that replaces the simulated plant, accessed from Python or by functions that machine code calls.
 
-The compiled functions do not need Python's lock and allocate no memory. The voltages are monitored as those of the
+Functions of a driver in C do not need Python's lock and allocate no memory; those of a driver in Python call its
+methods. The voltages are monitored as those of the
 simulated plant. A device that returns an error, or a position that is not a number, stops the axis in that sample: it
 is made safe immediately and not used until the axis is started again.
 
@@ -734,11 +735,7 @@ class CompiledPlant(DrivenPlant):
         compiled = joints = None
         if linked:
             compiled, joints = self._opened.compiled(), self.capabilities
-            if compiled is None:
-                self.close()
-                problem = "is written in Python, which would wait for the interpreter lock in each sample"
-                remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
-                raise DriverError(f"driver {parameters.driver}:", problem, remedy)
+            self.patience, self.calls_python = compiled.patience, self._opened.calls_python
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
         positions, voltages = map(np.zeros, sizes)
         self.arrays = DevicePlantArrays(
@@ -772,10 +769,7 @@ class CompiledPlant(DrivenPlant):
         if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
             return self._failure
         failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
-        compiled = self._opened.compiled()
-        if compiled is None:
-            raise RuntimeError(f"driver {self.parameters.driver} has lost its compiled form")
-        explain = compiled.explain
+        explain = self._opened.compiled().explain
         error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
         text = f"driver {self.parameters.driver}: cannot {_DEEDS.get(failed, 'be written')}: {error}"
         if not safe_code:
@@ -796,6 +790,27 @@ class CompiledPlant(DrivenPlant):
     def _made_safe(self) -> None:
         super()._made_safe()
         self.arrays.answer[SAFE_CODE] = 0
+
+    def recover(self) -> bool:
+        """Make a device safe that was left at another voltage: otherwise its first voltage after a start is a step.
+
+        Returns whether it was left. The loop does not call a device that has failed, so this may be another thread.
+
+        Raises
+        ------
+        DriverError
+            It still cannot be made safe.
+        """
+        if not self._linked or not self._is_left():
+            return False
+        self._opened.desist()
+        try:
+            self._opened.make_safe()
+        except DriverError:
+            self._opened.insist(self.insists_every, self._is_left, self._made_safe)
+            raise
+        self._made_safe()
+        return True
 
     def make_safe(self) -> None:
         """Bring the device to its safe state."""

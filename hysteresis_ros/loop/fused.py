@@ -164,15 +164,21 @@ def shallow_sleep():
         yield held is not None
 
 
+def boost(parameters: RealtimeParameters) -> None:
+    """Let the calling thread run just below the priority of the loop's thread, if permitted."""
+    if parameters.priority:
+        priority = os.sched_param(max(parameters.priority - 1, 1))
+        with contextlib.suppress(AttributeError, OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority)
+
+
 @contextlib.contextmanager
 def boosted(parameters: RealtimeParameters):
     """Run just below the priority of the loop's thread, if permitted, so that the loop comes first on a shared core."""
-    priority = max(parameters.priority - 1, 1)
     before = None
-    if parameters.priority:
-        with contextlib.suppress(AttributeError, OSError):
-            before = os.sched_getscheduler(0), os.sched_getparam(0)
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    with contextlib.suppress(AttributeError, OSError):
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+    boost(parameters)
     try:
         yield
     finally:
@@ -205,8 +211,6 @@ def _reason(error: Exception) -> str:
 INTERPRETED_RATE = 200.0
 #: Time for which samples are kept for readers [s], and smallest and largest number of kept samples.
 KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
-#: Duration of a sample after which the device counts as blocked [s].
-BLOCKED = 0.5
 #: Time allowed for a suspended process to continue [s].
 WAKING = 0.02
 #: Time from the start to the first sample [ns].
@@ -336,15 +340,20 @@ class FusedLoop:
         self._ending = True
         self._state[at.LEAVE] = 1
         while not self.is_blocked:
-            if self.join(BLOCKED):
+            if self.join(self.patience):
                 return True
         return False
 
     @property
+    def patience(self) -> float:
+        """Duration of a sample after which a device counts as blocked [s]."""
+        return max(one.plant.patience for one in self.axis.axes)
+
+    @property
     def is_blocked(self) -> bool:
-        """Whether the device has not returned from the present sample for :data:`BLOCKED` seconds."""
+        """Whether a device has not returned from the present sample for :attr:`patience` seconds."""
         begun = int(self._state[at.AT_WORK])
-        if not begun or time.monotonic_ns() - begun < 1e9 * BLOCKED or not self.running:
+        if not begun or time.monotonic_ns() - begun < 1e9 * self.patience or not self.running:
             return False
         time.sleep(WAKING)  # the process itself may have been suspended
         return int(self._state[at.AT_WORK]) == begun
@@ -526,7 +535,7 @@ class FusedLoop:
         """Raise a LoopError while nothing can be changed."""
         if self.is_blocked:
             raise LoopError(
-                f"the device has not returned from sample {self.sample} for {BLOCKED:g} s: the change is refused"
+                f"the device has not returned from sample {self.sample} for {self.patience:g} s: the change is refused"
             )
 
     def _rehearse(self, place: int, change: Change | None) -> Parameters | None:

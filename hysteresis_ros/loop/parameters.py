@@ -31,7 +31,7 @@ from hysteresis_ros.configuration import (
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
-from hysteresis_ros.hardware.driver import Driver, DriverError
+from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.registry import DRIVERS, driver_of, options_of
 from hysteresis_ros.hardware.simulated_camera import SimulatedCameraParameters
 from hysteresis_ros.hardware.tracker import CameraParameters
@@ -314,14 +314,6 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         return options_of(driver_of(self.driver), self.driver_options)
 
     @property
-    def driver_is_compiled(self) -> bool:
-        """Whether machine code reads and writes the device."""
-        try:
-            return driver_of(self.driver).driver.compiled is not Driver.compiled
-        except DriverError:
-            return True  # a missing driver is reported elsewhere
-
-    @property
     def resting_effort(self) -> float:
         """Effort of the first joint before anything is measured [N]: the preload of an actuator."""
         return 0.0 if self.type == "inchworm" else self.preload.force
@@ -351,12 +343,6 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.time_mode == "lockstep":
             remedy = (
                 "a device does not wait for nodes: give time_mode: realtime, or remove driver for the simulated plant"
-            )
-            yield Problem("driver", self.driver, remedy)
-        if self.time_mode == "fused" and not self.driver_is_compiled:
-            remedy = (
-                "is written in Python, which would wait for the interpreter lock in each sample: give time_mode: "
-                "realtime, or a driver with a compiled form (docs/hardware.md)"
             )
             yield Problem("driver", self.driver, remedy)
         if self.real_time_factor != 1.0:
@@ -1011,7 +997,5 @@ def in_time(axis: AxisParameters) -> AxisParameters:
     """Return the axis, in fused mode if messages between its nodes are too slow for its rate in real time."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
-        return axis
-    if plant.driver and not plant.driver_is_compiled:
         return axis
     return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis

@@ -363,6 +363,12 @@ class Plant:
     #: Whether its samples run in machine code.
     is_compiled = True
 
+    #: Whether a sample in machine code calls methods in Python.
+    calls_python = False
+
+    #: Duration of a sample after which its device counts as blocked [s].
+    patience = 0.5
+
     #: Indices in the row of additional inputs of a run with this plant.
     given: tuple[int, ...] = ()
 
@@ -427,6 +433,10 @@ class Plant:
         self._watch_x.trip[TRIP] = 0.0
         self.lost = ""
         self.forgive()
+
+    def recover(self) -> bool:
+        """Make a device safe before a start, from another thread than that of the loop; return whether it was not."""
+        return False
 
     def lose(self, name: str) -> None:
         """Stop the axis until it is started again, because one of its nodes is lost; an earlier reason is kept."""

@@ -17,6 +17,7 @@ The nodes keep their names, topics, parameters, services and diagnostics. Reques
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 import threading
 import time
@@ -27,10 +28,11 @@ import numpy as np
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.fused import BLOCKED, FusedLoop, require_speed
+from hysteresis_ros.loop.fused import FusedLoop, boost, require_speed
 from hysteresis_ros.loop.pacing import Reader
-from hysteresis_ros.loop.parameters import AxisParameters, RecorderNodeParameters
+from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters, RecorderNodeParameters
 from hysteresis_ros.loop.stage import Stage
 from hysteresis_ros.loop.stage_parameters import StageParameters
 from hysteresis_ros.nodes.realtime import RealTime
@@ -83,6 +85,9 @@ class LoopPace:
 RETURN = 2.0
 #: Maximum time for which Python blocks the loop while it applies a change [s].
 SWITCH_INTERVAL = 5e-4
+
+#: The same for a loop that calls a driver in Python [s].
+PYTHON_SWITCH_INTERVAL = 1e-4
 
 #: Time after which a loop that is not ready is assumed to be compiling [s]; loading it from the cache takes less.
 COMPILING = 2.0
@@ -182,6 +187,8 @@ class FusedAxis:
         for one, part in zip(self.together, axis.axes, strict=True):
             one._enter(loop, part)
         sys.setswitchinterval(SWITCH_INTERVAL)
+        if any(device.calls_python for device in devices):
+            _give_way(plant.parameters.realtime)
         for one in self.together:
             if "recorder" in one.nodes:
                 one.nodes["recorder"].record_loop(one)
@@ -340,9 +347,15 @@ class FusedAxis:
             self.loop.halt()
 
     def go_on(self) -> None:
-        """Restart all parts after an emergency stop or a trip, without a step."""
+        """Restart all parts after an emergency stop or a trip, without a step, unless a device cannot be made safe."""
         if self.loop is None:
             return
+        try:
+            recovered = [one.plant.part.recover() for one in self.together]
+        except DriverError:
+            return  # the plant states this error, and stays tripped
+        if any(recovered):
+            self.await_samples(2)  # a sample of the stopped axis states the safe voltage
         self._start("plant_simulator", self.together)
         for name in STOPPABLE:
             self._start(name, [one for one in self.together if one.nodes[name].running])
@@ -408,8 +421,8 @@ class FusedAxis:
             else "does not exist, so nothing makes it safe"
         )
         return (
-            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is sent; "
-            f"the device's own watchdog {acts}; remove what blocks the driver"
+            f"driver {driver} has not returned from sample {self.loop.sample} for {self.loop.patience:g} s: "
+            f"no voltage is sent; the device's own watchdog {acts}; remove what blocks the driver"
         )
 
     def _show(self, samples) -> None:
@@ -441,6 +454,17 @@ class FusedAxis:
                         "parameters": change.parameters,
                     }
                 )
+
+
+def _give_way(realtime: RealtimeParameters) -> None:
+    """Shorten the times for which this process holds Python's lock, for which the loop waits in each sample.
+
+    Garbage is sought among new objects only, and other programs do not interrupt the calling thread, which publishes.
+    """
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(PYTHON_SWITCH_INTERVAL)
+    boost(realtime)
 
 
 class Fused(RealTime):

@@ -414,13 +414,6 @@ def test_a_device_that_is_not_what_the_axis_needs_is_refused(library, options, w
         fused_plant_of(parameters(library, *options))
 
 
-def test_a_driver_in_python_is_refused_by_the_fused_loop_with_the_reason():
-    configuration = load_configuration("kim2009").override("", time_mode="realtime")
-    given = AxisParameters.from_configuration(configuration.override("plant_simulator", driver="simulated"))
-    with pytest.raises(DriverError, match="driver simulated: is written in Python, .* lock .* without --fused"):
-        fused_plant_of(given.plant_simulator)
-
-
 @pytest.mark.parametrize("left_out", [FUNCTIONS[:1], FUNCTIONS[:2], FUNCTIONS[2:4]])
 def test_a_library_without_the_functions_is_refused_by_their_names_and_nothing_moves(tmp_path, left_out):
     functions = "".join(f"void {name}(void) {{}}\n" for name in FUNCTIONS if name not in left_out)

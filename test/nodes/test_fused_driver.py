@@ -90,20 +90,87 @@ def test_a_stage_that_dies_is_named_and_the_axis_stays_stopped(processes, observ
         assert up.leave(signal.SIGINT)[0] == 0
 
 
-@pytest.mark.parametrize(
-    ("driver", "words"),
-    [
-        ("simulated", "driver = 'simulated': is written in Python, which would wait for the interpreter lock"),
-        (None, "stage /nowhere_at_all is not there; start `stage_device"),
-    ],
-)
-def test_what_the_fused_loop_cannot_drive_is_refused(processes, tmp_path, driver, words):
-    path = written(tmp_path, "/nowhere_at_all", driver)
-    if driver is not None:
-        path_text = (tmp_path / "axis.yaml").read_text().replace("    driver_options: ['name=/nowhere_at_all']\n", "")
-        (tmp_path / "axis.yaml").write_text(path_text)
-    up = processes.command("up", path, "--fused")
+def test_a_stage_without_its_process_is_refused(processes, tmp_path):
+    up = processes.command("up", written(tmp_path, "/nowhere_at_all"), "--fused")
+    words = "stage /nowhere_at_all is not there; start `stage_device"
     assert up.wait() == 2 and words in up.output and "Traceback" not in up.output, up.output
+
+
+#: A driver in Python that notes its voltages, and does not answer while a file exists.
+PLUGGED = """
+import pathlib
+from dataclasses import dataclass
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.hardware.driver import Capabilities, Driver, HardwareDriver, Reading
+
+
+@dataclass(frozen=True)
+class Options(Parameters):
+    folder: str = parameter("", description="folder of its files")
+
+
+class Plugged(Driver):
+    def open(self, parameters, sample_rate):
+        folder = pathlib.Path(parameters.folder)
+        self.unplugged, self.log, self.voltage = folder / "unplugged", (folder / "log").open("w", buffering=1), 0.0
+        return Capabilities(1, 1, 0.0, 100.0, highest_rate=1e4)
+
+    def answer(self):
+        if self.unplugged.exists():
+            raise OSError("no cable")
+
+    def read(self):
+        self.answer()
+        return Reading((1e-7 * self.voltage,))
+
+    def write(self, voltages):
+        self.answer()
+        self.voltage = voltages[0]
+        print(self.voltage, file=self.log)
+
+    def make_safe(self):
+        self.answer()
+        self.voltage = 0.0
+        print("safe", file=self.log)
+
+    def close(self):
+        self.log.close()
+
+
+DRIVER = HardwareDriver(name="plugged", title="a stage with a cable", parameters=Options, driver=Plugged)
+"""
+
+
+def test_a_driver_in_python_is_fused_above_300_hz_and_made_safe_before_a_start(processes, observer, tmp_path):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+    from std_srvs.srv import Trigger
+
+    (tmp_path / "plugged.py").write_text(PLUGGED)
+    axis, bag = written(tmp_path, "", "./plugged.py"), tmp_path / "bag"
+    (tmp_path / "axis.yaml").write_text((tmp_path / "axis.yaml").read_text().replace("'name='", f"'folder={tmp_path}'"))
+    joints = observer.listen(JointState, "/joint_states")
+    setpoint = observer.talk(Float64, "/setpoint")
+    up = processes.command("up", axis, "--record", str(bag), "--verify")
+    until(lambda: joints and setpoint.get_subscription_count(), what="the axis")
+    assert "fused" in up.output
+    setpoint.publish(Float64(data=5.0e-6))
+    until(lambda: joints[-1].position[0] > 4.0e-6, what="the stage near 50 V")
+    (tmp_path / "unplugged").touch()
+    until(lambda: joints[-1].header.frame_id == "tripped", what="the axis to stop")
+    log = (tmp_path / "log").read_text().split()
+    assert float(log[-1]) > 40.0, "it could not be made safe"
+    (tmp_path / "unplugged").unlink()
+    assert observer.call(Trigger, "/plant_simulator/start", Trigger.Request()).success
+    until(lambda: joints[-1].header.frame_id == "" and joints[-1].position[0] > 4.0e-6, what="the axis to return")
+    code, _ = up.leave(signal.SIGINT)
+    assert code == 0 and "equal" in up.output, up.output
+    log = (tmp_path / "log").read_text().split()
+    voltages = [0.0 if word == "safe" else float(word) for word in log]
+    steps = [after - before for before, after in zip(voltages, voltages[1:], strict=False)]
+    # one step down only by make_safe of the driver
+    assert all(step > -20.0 or word == "safe" for step, word in zip(steps, log[1:], strict=True))
 
 
 def test_a_driver_that_does_not_return_ends_the_run_by_its_name(processes, tmp_path):

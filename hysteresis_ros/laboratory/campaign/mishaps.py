@@ -310,8 +310,6 @@ def _of_devices():
             "misbehave",
             fault,
             amounts=(2.0 if fault in ("slow", "silent") else 1.0,),
-            ways=MESSAGES,
-            elsewhere="its driver is written in Python, which a fused loop refuses",
             graph=DEVICE,
         )
 

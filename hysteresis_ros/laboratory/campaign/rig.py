@@ -35,6 +35,7 @@ from hysteresis_ros.laboratory.campaign.judging import REACHED, Samples, Trace, 
 from hysteresis_ros.laboratory.campaign.mishaps import FUSED, PROCESSES, Mishap
 from hysteresis_ros.laboratory.campaign.witness import REMAP, Relay, Witness
 from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.plant import DEVICE_FAILED
 from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.recordings.align import read_recording
@@ -385,6 +386,8 @@ class Rig:
         for life, bag in enumerate(self.group.bags):
             run = read_recording(bag, self.axis.namespace, further=True)
             time_ = run.time + 1e-9 * run.metadata["start_time_ns"]
-            columns = (time_, run.time, run["plant_voltage"], run["displacement"], np.full(len(run), life))
+            # counts as restarts: the output of a device that does not answer is unknown
+            lives = life * len(run) + np.cumsum(run["tripped"] == DEVICE_FAILED)
+            columns = (time_, run.time, run["plant_voltage"], run["displacement"], lives)
             found.append(np.vstack(columns).T)
         return Samples.of(np.vstack(found) if found else ())
