@@ -197,7 +197,7 @@ def remedy_for_late_voltages(device: bool, alone: bool) -> str:
     """Return what makes voltages come in time, for a device or a simulation, whose node is alone in its process."""
     remedies = ["lower sample_rate" if device else "lower sample_rate or real_time_factor"]
     remedies += ["run the nodes composed"] if alone else []
-    remedies += ["use a driver in C in a fused axis" if device else "run in lockstep"]
+    remedies += ["run the axis fused" if device else "run in lockstep"]
     return f"{', '.join(remedies[:-1])}, or {remedies[-1]}"
 
 

@@ -122,12 +122,20 @@ class VoltageInput:
         self.full_name = self.topic
 
 
+def explain_loss(lost: str, own: str) -> str:
+    """Return why the loss of a node has stopped the axis of the plant ``own``, and how to resume."""
+    if lost == own:
+        cause = "it was inactive or suspended, or this machine was too busy"
+        return f"the other nodes received no messages of this node for a while ({cause}); call ~/start to resume"
+    return f"{lost} is lost: it sends no messages; start it again, then call ~/start"
+
+
 def explain_trip(part, runner) -> str:
     """Return why a plant has stopped the axis, and how to resume."""
     if part.failure:
         return f"{part.failure}; ~/start tries the device again, cleanup and configure open it again"
     if part.lost:
-        return f"{part.lost} is lost: it sends no messages; start it again, then call ~/start"
+        return explain_loss(part.lost, runner.node.get_fully_qualified_name())
     if part.finding_home:
         return "its relative sensor is being homed at the safe voltage; then the axis resumes by itself"
     if part.halted:
@@ -391,7 +399,8 @@ class PlantSimulatorNode(AxisNode):
         if not self.part.tripped:
             self.log_change("halt")
         elif self.part.lost != name:
-            self.warn("tripped", f"axis stopped: {name} is lost: it sends no messages", error=True, every=0.0)
+            why = explain_loss(name, self.get_fully_qualified_name())
+            self.warn("tripped", f"axis stopped: {why}", error=True, every=0.0)
         self.part.lose(name)
 
     def _on_start(self, request, response):

@@ -97,10 +97,19 @@ def more(plant, samples: int) -> None:
 def test_the_remedy_for_late_voltages_is_one_that_the_axis_allows():
     from hysteresis_ros.nodes.plant_runners import remedy_for_late_voltages
 
-    of_device = "lower sample_rate, or use a driver in C in a fused axis"
+    of_device = "lower sample_rate, or run the axis fused"
     assert remedy_for_late_voltages(device=True, alone=False) == of_device
     simulated = "lower sample_rate or real_time_factor, run the nodes composed, or run in lockstep"
     assert remedy_for_late_voltages(device=False, alone=True) == simulated
+
+
+def test_the_plant_does_not_call_itself_lost():
+    from hysteresis_ros.nodes.plant_simulator import explain_loss
+
+    other = explain_loss("/motion_controller", "/plant_simulator")
+    assert other == "/motion_controller is lost: it sends no messages; start it again, then call ~/start"
+    own = explain_loss("/plant_simulator", "/plant_simulator")
+    assert "is lost" not in own and "this node" in own and own.endswith("call ~/start to resume")
 
 
 @pytest.mark.parametrize("delay", [1, 3])
