@@ -323,16 +323,15 @@ def describes(config: str, name: str, value) -> bool:
 def too_fast_for_messages(config: str, factor: str = "") -> bool:
     """Return whether the parameter file requests real time at a rate that is too high for nodes that exchange messages.
 
-    False with a driver, which perhaps only such nodes can call, and without Numba, because then nothing is faster. A
-    given ``factor`` replaces that of the file.
+    False without Numba, because then nothing is faster. A given ``factor`` replaces that of the file.
     """
     with open(config, encoding="utf-8") as stream:
         content = yaml.safe_load(stream)
-    modes, drivers = set(values_of(content, "time_mode")), [name for name in values_of(content, "driver") if name]
+    modes = set(values_of(content, "time_mode"))
     slowed = float(factor) if factor else min(values_of(content, "real_time_factor"), default=1.0)
     rate = max(values_of(content, "sample_rate"), default=1000.0) * slowed
     compiled = importlib.util.find_spec("numba") is not None
-    return modes <= {"realtime"} and not drivers and compiled and rate > MESSAGE_RATE
+    return modes <= {"realtime"} and compiled and rate > MESSAGE_RATE
 
 
 def has_section(config: str, namespace: str, node: str) -> bool:

@@ -71,7 +71,9 @@ def in_force(recording: Recording) -> str:
         if not known.keys() >= LOGGED:
             return text
         namespace = one.metadata.get("namespace", "")
-        nodes = {node: configured(text, node, namespace) for node in OPTIONAL} | known
+        # only if it is described: values for all nodes (/**) would add it to any axis
+        optional = [node for node in OPTIONAL if described(text, node, namespace)]
+        nodes = {node: configured(text, node, namespace) for node in optional} | known
         found |= {f"{namespace}/{node}": values for node, values in nodes.items()}
     if recording.axes:
         namespace = recording.metadata.get("namespace", "")

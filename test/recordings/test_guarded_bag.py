@@ -223,6 +223,12 @@ def test_what_the_nodes_were_configured_with_wins_over_the_file():
     found = parse_configuration(in_force(run), "test")
     assert found.node("plant_simulator", "/left") == {"sample_rate": 500.0, "joint": "new"}
     assert found.node("motion_controller", "/left")["joint"] == "old"
+    assert not found.describes("displacement_camera", "/left"), "a value for all nodes makes no camera"
+    camera = file + "/left/displacement_camera:\n  ros__parameters: {rotation: 0.1}\n"
+    run.metadata["configuration"] = camera
+    seen = parse_configuration(in_force(run), "test").node("displacement_camera", "/left")
+    assert seen == {"sample_rate": 1000.0, "rotation": 0.1}
+    run.metadata["configuration"] = file
     assert [item["node"] for item in log.changes] == ["motion_controller"]
     del log.parameters["plant_simulator"]
     assert in_force(run) == file
