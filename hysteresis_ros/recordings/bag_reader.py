@@ -516,7 +516,9 @@ def _stream_notes(file: pathlib.Path, result: StreamResult) -> list[str]:
     notes = []
     if result.damaged_chunks:
         notes.append(f"{file.name}: {result.damaged_chunks} chunks are damaged and omitted")
-    if not result.complete:
+    if file.stat().st_size > result.size:
+        notes.append(f"{file.name} is still being written: it was read up to byte {result.whole}")
+    elif not result.complete:
         notes.append(
             f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records, {result.salvaged} "
             "messages were recovered from the open chunk"

@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings import COLUMNS, Recording, cdr
+from hysteresis_ros.recordings import COLUMNS, Recording, bag_reader, cdr
 from hysteresis_ros.recordings.align import _within_run, align, read_recording, setpoints_per_sample
 from hysteresis_ros.recordings.bag_reader import SMALL, _of_whole_pages, most, read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
@@ -160,6 +160,23 @@ def test_a_file_cut_anywhere_gives_all_its_whole_chunks(stream, tmp_path_factory
     assert values == [k / 7 for k in range(len(values))]
     if len(values) < 120:
         assert not bag.complete and "cut off" in bag.notes[0]
+
+
+def test_a_file_that_is_still_being_written_is_not_called_cut_off(stream, tmp_path, monkeypatch):
+    content, ends = stream
+    path = tmp_path / "growing.mcap"
+    path.write_bytes(content[: ends[5][0]])
+    read = bag_reader.read_stream
+
+    def read_while_it_grows(*arguments):
+        result = read(*arguments)
+        path.write_bytes(content)
+        return result
+
+    monkeypatch.setattr(bag_reader, "read_stream", read_while_it_grows)
+    bag = read_bag(path)
+    assert bag.notes == [f"growing.mcap is still being written: it was read up to byte {ends[5][0]}"]
+    assert len(bag.topics["/voltage"].data) == ends[5][1]
 
 
 def test_an_uncompressed_chunk_gives_its_messages_up_to_the_last_whole_one(tmp_path):
