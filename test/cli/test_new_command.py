@@ -124,12 +124,13 @@ def test_wrong_input_is_named_and_leaves_no_file(tmp_path, case):
         *[("100um", "100", rate, "--rate: ") for rate in ("0.09Hz", "1010kHz")],
         *[("1nm", "100", "1kHz", ""), ("0.9nm", "100", "1kHz", "--stroke: ")],
         *[("0.1m", "200", "1kHz", ""), ("0.11m", "200", "1kHz", "--stroke: ")],
+        *[("100um", "100", "5Hz", ""), ("100um", "100", "4.9Hz", "--rate: ")],
         *[("9nm", "8000", "1kHz", ""), ("9nm", "10000", "1kHz", "--stroke and --voltage: ")],
         *[("9mm", "10", "1kHz", ""), ("11mm", "10", "1kHz", "--stroke and --voltage: ")],
     ],
 )
 def test_values_of_another_unit_are_refused(tmp_path, stroke, voltage, rate, refused):
-    """Plausible are 1 nm to 0.1 m, 1 pm/V to 1 mm/V, and 0.1 Hz to 1 MHz."""
+    """Plausible are 1 nm to 0.1 m, 1 pm/V to 1 mm/V, and 5 Hz to 1 MHz."""
     answer = called(tmp_path / "stage.yaml", "--stroke", stroke, "--voltage", voltage, "--rate", rate)
     assert answer.exit_code == (2 if refused else 0), answer.output
     assert refused in answer.output and ("check the units" in answer.output) == bool(refused)
