@@ -29,7 +29,7 @@ from typing import Any, ClassVar, get_type_hints
 import yaml
 
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean, shortened
-from hysteresis_ros.files import BoundsError, read_text, read_yaml
+from hysteresis_ros.files import FAST_LOADER, BoundsError, read_text, read_yaml
 
 #: Types of a ROS 2 parameter and their names for users.
 TYPE_NAMES = {
@@ -357,7 +357,7 @@ OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 STAGE = "stage"
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(FAST_LOADER):
     """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 requires ``5.0e-6``).
 
     A duplicate key in a mapping is refused, because one of its two values would be lost silently.
