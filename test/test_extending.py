@@ -62,29 +62,35 @@ def run(script: str, folder: pathlib.Path, *places: pathlib.Path, **environment)
     return done.stdout
 
 
-@pytest.fixture
-def copy(tmp_path) -> pathlib.Path:
-    """A copy of the package with configurations, contract tests and the tables of parameters."""
-    package = pathlib.Path(hysteresis_ros.__file__).parent
-    shutil.copytree(package, tmp_path / "hysteresis_ros", ignore=shutil.ignore_patterns("__pycache__"))
+#: Where a chapter puts its file.
+FILES = {
+    "A hysteresis model": "models/hysteresis/dahl.py",
+    "A controller": "control/laws/leaky_pi.py",
+    "A reference": "references/waveforms/trapezoid.py",
+    "A driver": "hardware/drivers/tcp_stage.py",
+}
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory) -> pathlib.Path:
+    """A copy of the package with the file of each chapter, configurations, contract tests and tables of parameters."""
+    folder, package = tmp_path_factory.mktemp("copy"), pathlib.Path(hysteresis_ros.__file__).parent
+    shutil.copytree(package, folder / "hysteresis_ros", ignore=shutil.ignore_patterns("__pycache__"))
     tests = [f"test/{name}.py" for name in (*CONTRACTS, "stage_support")]
     for name in ("docs/parameters.md", *tests, "pyproject.toml"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        shutil.copy(ROOT / name, tmp_path / name)
-    shutil.copytree(ROOT / "config", tmp_path / "config")
-    return tmp_path
-
-
-def document(folder: pathlib.Path) -> None:
-    """Update the tables of parameters, as their test requires."""
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, folder / name)
+    shutil.copytree(ROOT / "config", folder / "config")
+    for chapter, place in FILES.items():
+        (folder / "hysteresis_ros" / place).write_text(printed(chapter, "python"))
+    # the contract tests compare the tables of parameters with the declarations
     path = folder / "docs" / "parameters.md"
     head = path.read_text(encoding="utf-8").split("## Every node")[0]
     path.write_text(head + run("hysteresis parameters", folder, folder, NUMBA_DISABLE_JIT="1"), encoding="utf-8")
+    return folder
 
 
 def test_a_hysteresis_model_is_one_file(copy):
-    (copy / "hysteresis_ros/models/hysteresis/dahl.py").write_text(printed("A hysteresis model", "python"))
-    document(copy)
     output = run(printed("A hysteresis model", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert output.startswith("dahl: Dahl's friction curve") and "width [V]" in output
     assert re.search(r"^rmse_percent_of_stroke +0\.0\d", output, re.MULTILINE)
@@ -97,24 +103,36 @@ def test_a_hysteresis_model_is_one_file(copy):
         assert found[f"hysteresis.dahl.{name}"] == pytest.approx(wanted, rel=0.03)
 
 
-def outside(folder: pathlib.Path, chapter: str, name: str) -> None:
-    """Put the file of a chapter into a separate package, with the entry point as printed."""
-    group, entry = re.search(r'entry-points\."(.+)"\]\n(.+)\n', printed(chapter, "toml"), re.MULTILINE).groups()
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory) -> pathlib.Path:
+    """A separate package with the file of each chapter, and its entry points as printed."""
+    folder = tmp_path_factory.mktemp("outside")
     package, information = folder / "my_package", folder / "my_package-1.0.dist-info"
     package.mkdir()
     information.mkdir()
     (package / "__init__.py").touch()
-    (package / f"{name}.py").write_text(printed(chapter, "python"))
+    entries = ""
+    for chapter, place in FILES.items():
+        group, entry = re.search(r'entry-points\."(.+)"\]\n(.+)\n', printed(chapter, "toml"), re.MULTILINE).groups()
+        (package / pathlib.Path(place).name).write_text(printed(chapter, "python"))
+        entries += f"[{group}]\n{entry}\n".replace('"', "")
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(f"[{group}]\n{entry}\n".replace('"', ""))
+    (information / "entry_points.txt").write_text(entries)
+    return folder
 
 
-def test_a_hysteresis_model_may_be_in_a_package_of_its_own(tmp_path):
+def test_models_controllers_references_and_drivers_may_be_in_a_package_of_their_own(outside):
     """With compiled kernels."""
-    outside(tmp_path, "A hysteresis model", "dahl")
-    contract = f"pytest -q {ROOT}/test/test_registries.py -k 'dahl and (plain_python or inverses or fitted)'"
-    output = run(f"hysteresis models dahl --yaml\n{contract}", tmp_path, tmp_path)
-    assert "type: dahl" in output and re.search(r"^4 passed", output, re.MULTILINE)
+    assert "type: dahl" in run("hysteresis models dahl --yaml", outside, outside)
+    files = " ".join(f"{ROOT}/test/{name}.py" for name in CONTRACTS)
+    chosen = (
+        "(dahl and (plain_python or inverses or fitted)) or ((leaky_pi or trapezoid) and plain_python)"
+        " or (tcp_stage and (moves or master))"
+    )
+    output = run(f"pytest -v {files} -k '{chosen}'", outside, outside)
+    for name, count in {"dahl": 4, "leaky_pi": 1, "trapezoid": 1, "tcp_stage": 2}.items():
+        assert len(re.findall(rf"^\S+\[{name}(-\w+)?\] PASSED", output, re.MULTILINE)) == count, output
+    assert re.search(r"^=+ 8 passed", output, re.MULTILINE), output
 
 
 def passed(output: str) -> int:
@@ -125,8 +143,6 @@ def passed(output: str) -> int:
 
 
 def test_a_controller_is_one_file(copy):
-    (copy / "hysteresis_ros/control/laws/leaky_pi.py").write_text(printed("A controller", "python"))
-    document(copy)
     output = run(printed("A controller", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert re.search(r"^bandwidth reached +10 Hz", output, re.MULTILINE) and "type leaky_pi" in output
     # alone, and in succession with every other controller
@@ -135,35 +151,17 @@ def test_a_controller_is_one_file(copy):
 
 
 def test_a_reference_is_one_file(copy):
-    (copy / "hysteresis_ros/references/waveforms/trapezoid.py").write_text(printed("A reference", "python"))
-    document(copy)
     output = run(printed("A reference", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert "from 0.0 to 2e-05 m" in output
     assert passed(output) == 7
 
 
-@pytest.mark.parametrize(("chapter", "name"), [("A controller", "leaky_pi"), ("A reference", "trapezoid")])
-def test_a_controller_or_a_reference_may_be_in_a_package_of_its_own(tmp_path, chapter, name):
-    """With compiled kernels."""
-    outside(tmp_path, chapter, name)
-    output = run(f"pytest -q {ROOT}/test/test_registries_control.py -k '{name} and plain_python'", tmp_path, tmp_path)
-    assert re.search(r"^1 passed", output, re.MULTILINE)
-
-
 def test_a_driver_is_one_file(copy):
     """Its emulator is a device with its own clock, over TCP."""
-    (copy / "hysteresis_ros/hardware/drivers/tcp_stage.py").write_text(printed("A driver", "python"))
     (copy / "stage.yaml").write_text(printed("A driver", "yaml"))
-    document(copy)
     output = run(printed("A driver", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert "planned.npz: 50 samples at 100 Hz" in output
     assert re.search(r"^=+ 9 passed, \d+ deselected", output, re.MULTILINE), output
-
-
-def test_a_driver_may_be_in_a_package_of_its_own(tmp_path):
-    outside(tmp_path, "A driver", "tcp_stage")
-    contract = f"pytest -q {ROOT}/test/test_registries_hardware.py -k 'tcp_stage and (moves or master)'"
-    assert re.search(r"^2 passed", run(contract, tmp_path, tmp_path), re.MULTILINE)
 
 
 @needs_compiler
