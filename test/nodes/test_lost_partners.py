@@ -134,12 +134,51 @@ def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph):
         assert f"/{victim} is lost" in said
         answer = graph.start()
         assert not answer.success and victim in answer.message and graph.tripped()
-        graph.nodes[victim] = graph.processes.node(victim, graph.path)
+        restarted_moves_nothing(graph, victim)
         until(lambda: graph.start().success, what=f"the restarted {victim} heard")
         if victim == "reference_generator":  # it stays where it found the axis until a setpoint arrives
             # the sample after the start tells it that the axis continues
             until(lambda: graph.observer.trigger("/reference_generator/start").success, what="that it works")
         graph.until_at(SETPOINT)
+    restarted_plant_stands_still(graph)
+    reset_says_that_a_partner_is_still_lost(graph)
+
+
+def restarted_moves_nothing(graph, victim: str) -> None:
+    """Restart a node: it works again, and nothing moves."""
+    heard = graph.observer.listen(*command_topic())
+    graph.nodes[victim] = graph.processes.node(victim, graph.path)
+    until(lambda: "active" in graph.nodes[victim].output, what=f"the restarted {victim}")
+    if victim == "motion_controller":
+        heard.clear()
+        until(lambda: heard, what="commands of the restarted controller")
+    graph.more(20)
+    assert graph.tripped() and abs(graph.voltage()) < 0.01
+
+
+def restarted_plant_stands_still(graph) -> None:
+    """Kill the plant and restart it: it stands still until a person starts it."""
+    graph.at_work()
+    graph.nodes["plant_simulator"].kill()
+    until(lambda: "plant_simulator is lost" in graph.nodes["motion_controller"].output, what="the loss")
+    graph.states.clear()
+    graph.nodes["plant_simulator"] = graph.processes.node("plant_simulator", graph.path)
+    until(lambda: graph.states and graph.tripped(), what="the new plant stopped")
+    graph.more(15)
+    assert graph.tripped() and max(state.position[0] for state in graph.states) < 0.2 * SETPOINT
+    graph.start_until_at(SETPOINT)
+
+
+def reset_says_that_a_partner_is_still_lost(graph) -> None:
+    """Kill the controller and reset the plant: the reply names the controller, and the axis stays safe."""
+    graph.at_work()
+    graph.nodes["motion_controller"].kill()
+    graph.until_safe()
+    answer = graph.observer.trigger("/plant_simulator/reset")
+    assert answer.message == (
+        "reset; before the reset it did not run: /motion_controller is lost; it runs only when this is resolved"
+    )
+    graph.until_safe()
 
 
 @pytest.mark.parametrize(
@@ -182,31 +221,6 @@ def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, vict
     graph.until_at(SETPOINT)
 
 
-@pytest.mark.parametrize("graph", [10.0], indirect=True)
-def test_a_restarted_node_moves_nothing_by_itself(graph):
-    graph.at_work()
-    graph.nodes["motion_controller"].kill()
-    graph.until_safe()
-    graph.processes.node("motion_controller", graph.path)
-    commands = graph.observer.listen(*command_topic())
-    until(lambda: commands, what="commands of the restarted controller")
-    graph.more(20)
-    assert graph.tripped() and abs(graph.voltage()) < 0.01
-
-
-@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
-def test_a_restarted_plant_stands_still_until_a_person_starts_it(graph):
-    graph.at_work()
-    graph.nodes["plant_simulator"].kill()
-    until(lambda: "plant_simulator is lost" in graph.nodes["motion_controller"].output, what="the loss")
-    graph.states.clear()
-    graph.nodes["plant_simulator"] = graph.processes.node("plant_simulator", graph.path)
-    until(lambda: graph.states and graph.tripped(), what="the new plant stopped")
-    graph.more(15)
-    assert graph.tripped() and max(state.position[0] for state in graph.states) < 0.2 * SETPOINT
-    graph.start_until_at(SETPOINT)
-
-
 @pytest.mark.parametrize("graph", [200.0], indirect=True)
 def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain):
     from std_msgs.msg import Float64
@@ -242,7 +256,7 @@ def join(graph, joining: str, folder) -> None:
         until(lambda: "html" in urllib.request.urlopen(address, timeout=10.0).read().decode(), what="its text")
         until(lambda: graph.observer.node.count_subscribers("/plant_simulator/state") > 1, what="that the page listens")
     elif joining == "recorder":
-        graph.processes.node("recorder", graph.path, "-p", f"path:={folder / 'bag'}")
+        graph.nodes[joining] = graph.processes.node(joining, graph.path, "-p", f"path:={folder / 'bag'}")
         until(lambda: (folder / "bag").exists(), what="the recorder")
     elif joining == "motion_controller":
         assert graph.nodes[joining].leave()[0] == 0  # a regular exit, which is not a loss
@@ -273,11 +287,12 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
             assert max(abs(state.position[0] - SETPOINT) for state in graph.states[since:]) < 1e-8
             assert max(abs(state.position[2] - 60.0) for state in graph.states[since:]) < 0.1
         graph.until_at(SETPOINT)
+    joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path)
 
 
-@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
-def test_a_node_that_joins_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path):
+def joining_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, folder) -> None:
     """The path requires 12 V/s, the limit is 24 V/s: after a late sample the voltage catches up within this limit."""
+    graph.nodes["recorder"].leave()
     graph.be_patient()
     for node in ("hysteresis_compensator", "plant_simulator"):
         assert graph.observer.set_parameters(f"/{node}", limits__slew_rate=24.0, safe_slew_rate=24.0) == (True, "")
@@ -289,8 +304,8 @@ def test_a_node_that_joins_a_moving_axis_makes_no_larger_step_of_its_voltage(gra
     since = len(graph.states)
     other = Observer(domain)
     heard = other.listen(*state_topic())
-    graph.processes.node("recorder", graph.path, "-p", f"path:={tmp_path / 'bag'}")
-    until(lambda: heard and (tmp_path / "bag").exists(), what="both")
+    graph.nodes["recorder"] = graph.processes.node("recorder", graph.path, "-p", f"path:={folder / 'moving'}")
+    until(lambda: heard and (folder / "moving").exists(), what="both")
     graph.more(20)
     other.close()
     states = graph.states[since:]
@@ -334,18 +349,6 @@ def test_services_answer_what_has_happened_also_between_two_samples(graph):
     assert stopped.success and stopped.message == "stopped: no samples are computed, and the voltage stays at 60 V"
     assert trigger("/plant_simulator/start").message == "running"
     graph.more(3)
-
-
-@pytest.mark.parametrize("graph", [10.0], indirect=True)
-def test_a_reset_says_that_a_partner_is_still_lost(graph):
-    graph.at_work()
-    graph.nodes["motion_controller"].kill()
-    graph.until_safe()
-    answer = graph.observer.trigger("/plant_simulator/reset")
-    assert answer.message == (
-        "reset; before the reset it did not run: /motion_controller is lost; it runs only when this is resolved"
-    )
-    graph.until_safe()
 
 
 def longest_gap(states) -> float:
