@@ -164,5 +164,8 @@ def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer,
 def test_what_cannot_be_is_refused(processes, axis, options, words):
     up = processes.command("up", axis, "--plant", "external", *options)
     assert up.wait() == 2 and words in up.output and "Traceback" not in up.output
+
+
+def test_the_plant_of_the_package_refuses_to_be_the_external_one(processes, axis):
     node = processes.node("plant_simulator", axis, "-p", "external_plant:=true")
     assert node.wait() == 2 and "your own node replaces this one" in node.output
