@@ -248,7 +248,7 @@ class Judged(NamedTuple):
     Parameters
     ----------
     bandwidth : float
-        [Hz]
+        [Hz]; NaN if it was not asked for.
     sensitivity_peak : float
         M_s.
     delay_margin : float
@@ -286,7 +286,9 @@ class Judged(NamedTuple):
 UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf)
 
 
-def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300) -> Judged:
+def judge(
+    controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300, *, with_bandwidth: bool = True
+) -> Judged:
     """Return the figures of a linear loop for a search.
 
     Parameters
@@ -296,6 +298,8 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
         Sample time [s].
     grid : int
         Number of frequencies, in addition to those around the poles.
+    with_bandwidth : bool
+        Whether to search for the bandwidth, which takes as long as all other figures together.
     """
     whole = close(controller, plant)
     poles = whole.poles
@@ -307,7 +311,7 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
     hertz = 1.0 / (2.0 * np.pi * sample_time)
     complementary = np.abs(values) * sensitivity
     return Judged(
-        _bandwidth(whole, angles, SEARCHED_STEPS) * hertz,
+        _bandwidth(whole, angles, SEARCHED_STEPS) * hertz if with_bandwidth else np.nan,
         float(np.max(sensitivity)),
         _coarse_delay_margin(angles, values),
         _noise_gain(angles, complementary),

@@ -122,7 +122,14 @@ class PossiblePlant:
         return replace(self, plant=closing(self.plant))
 
 
-def judge_worst(controller: StateSpace, plants, sample_time: float, required: Requirements | None = None) -> Judged:
+def judge_worst(
+    controller: StateSpace,
+    plants,
+    sample_time: float,
+    required: Requirements | None = None,
+    *,
+    with_bandwidth: bool = True,
+) -> Judged:
     """Return the bandwidth on the first plant, and the worst of all other figures on all plants.
 
     The delay margin counts from the delay of the model, so an additional delay of a plant is included in it.
@@ -137,10 +144,12 @@ def judge_worst(controller: StateSpace, plants, sample_time: float, required: Re
         [s]
     required : Requirements, optional
         If given, the evaluation ends at the first plant that does not meet them.
+    with_bandwidth : bool
+        Whether to search for the bandwidth; NaN otherwise.
     """
     found: list[Judged] = []
     for one in plants:
-        judged = judge(controller, one.plant, sample_time)
+        judged = judge(controller, one.plant, sample_time, with_bandwidth=with_bandwidth and not found)
         if judged is UNSTABLE:
             return UNSTABLE
         found.append(judged._replace(delay_margin=judged.delay_margin + one.late))

@@ -196,7 +196,7 @@ def is_certain(found: Designed, response: ResponseUncertainty, sample_time: floa
     if response.gain == 1.0:
         return True
     controller, plant = whole_loop(found.parameters, sample_time)
-    return judge(controller, plant.scaled(response.gain), sample_time).meets()
+    return judge(controller, plant.scaled(response.gain), sample_time, with_bandwidth=False).meets()
 
 
 #: Corners of a roll-off per decade, and decades below half the sample rate; steps of the search for the gain at each.
@@ -224,7 +224,8 @@ def rolled_off_design(
         changed: dict = {"pid": gains}
         found = Designed(replace(first.parameters, **changed), first.margins)
         try:
-            judged = judge(*linear_loop(found.parameters, sample_time), sample_time)
+            loop = linear_loop(found.parameters, sample_time)
+            judged = judge(*loop, sample_time, with_bandwidth=bandwidth is not None)
         except ParameterError:  # unstable on the model
             return None
         slow = bandwidth is None or judged.bandwidth <= bandwidth
@@ -611,7 +612,8 @@ def design_lines(result: AxisDesign) -> list[str]:
     ]
     if result.gain > 1.0:
         controller, plant = whole_loop(result.parameters, result.sample_time)
-        peak = judge(controller, plant.scaled(result.gain), result.sample_time).sensitivity_peak
+        scaled = plant.scaled(result.gain)
+        peak = judge(controller, scaled, result.sample_time, with_bandwidth=False).sensitivity_peak
         rows.append(("gain of small loops", f"up to {100.0 * (result.gain - 1.0):.3g} % higher; M_s there {peak:.3f}"))
     least = modes(found.poles.astype(complex), result.sample_time)[:1]
     rows += [("least damped mode", f"{hertz:.4g} Hz, damping {damping:.2g}") for hertz, damping in least]

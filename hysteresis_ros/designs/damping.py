@@ -187,9 +187,10 @@ class _Search:
                 return False
             if loop.source != COMMAND and not self._damps(poles):
                 return False
-            if not judge(outer, around, self.sample_time).sensitivity_peak <= REQUIRED.sensitivity_peak:
+            outside = judge(outer, around, self.sample_time, with_bandwidth=False)
+            if not outside.sensitivity_peak <= REQUIRED.sensitivity_peak:
                 return False
-            both = judge(whole, one.plant, self.sample_time)
+            both = judge(whole, one.plant, self.sample_time, with_bandwidth=False)
             if not (both.sensitivity_peak <= REQUIRED.sensitivity_peak and both.delay_margin >= late):
                 return False
         return True

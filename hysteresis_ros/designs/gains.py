@@ -314,7 +314,7 @@ def tune(
     def cost(values) -> float:
         candidate = with_gains(control, gains(values))
         own = candidate.before_damping(sample_time)
-        if not judge(*tuning.loop(own, sample_time), sample_time=sample_time).meets(required):
+        if not judge(*tuning.loop(own, sample_time), sample_time=sample_time, with_bandwidth=False).meets(required):
             return np.inf
         try:
             # the loop subtracts the preload's offset before the law

@@ -507,11 +507,14 @@ def design_pid(
         weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0, "roll_off": 0.0}
         return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
 
-    def judged(g):
-        return judge_worst(pid_state_space(gains(g), sample_time).scaled(scale), plants, sample_time)
+    def judged(g, **options):
+        return judge_worst(pid_state_space(gains(g), sample_time).scaled(scale), plants, sample_time, **options)
+
+    def allowed(g):
+        return judged(g, required=aimed, with_bandwidth=False)
 
     leading = dynamics.matrices.dc_gain
-    most = _largest_gain(judged, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
+    most = _largest_gain(allowed, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
     if bandwidth is None:
         return gains(most)
     reachable = judged(most).bandwidth
@@ -556,7 +559,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
         return replace(given, Kp=0.0, Ki=Ki, Kd=0.0, roll_off=0.0)
 
     def judged(Ki):
-        return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time)
+        return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time, with_bandwidth=False)
 
     return gains(_largest_gain(judged, CALM, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
 
