@@ -154,7 +154,7 @@ JUDGES = {
         "@",
         "from scipy.optimize import minimize",
         "math.log10",
-        "math.log",
+        "np.log",
         "np.exp",
     },
     # paths that are written into files; the loop runs no scan

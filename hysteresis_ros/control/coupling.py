@@ -266,19 +266,23 @@ def _peak(function, angles, place: int) -> tuple[float, float]:
     return best
 
 
-def _balanced(matrix) -> tuple[np.ndarray, float]:
-    """Return logarithmic scalings that balance rows and columns (Osborne), and the largest singular value with them."""
-    size = np.abs(matrix)
-    np.fill_diagonal(size, 0.0)
-    logs = np.zeros(len(matrix))
+def _balanced(matrices) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithmic scalings that balance rows and columns (Osborne), and the largest singular values with them.
+
+    Shapes: ``matrices`` (F, n, n), scalings (F, n), singular values (F,).
+    """
+    size, count = np.abs(matrices), matrices.shape[1]
+    size[:, range(count), range(count)] = 0.0
+    logs = np.zeros(size.shape[:2])
     for _ in range(SWEEPS):
-        for i in range(len(matrix)):
+        for i in range(count):
             scales = np.exp(logs)
-            into = np.linalg.norm(size[i] / scales) * scales[i]
-            out = np.linalg.norm(size[:, i] * scales) / scales[i]
-            if into > 0.0 and out > 0.0:
-                logs[i] += 0.5 * math.log(out / into)
-    return logs, _scaled(matrix, logs)
+            into = np.linalg.norm(size[:, i] / scales, axis=1) * scales[:, i]
+            out = np.linalg.norm(size[:, :, i] * scales, axis=1) / scales[:, i]
+            both = (into > 0.0) & (out > 0.0)
+            logs[both, i] += 0.5 * np.log(out[both] / into[both])
+    scales = np.exp(logs)
+    return logs, np.linalg.norm(matrices * scales[:, :, None] / scales[:, None, :], 2, axis=(1, 2))
 
 
 def _scaled(matrix, logs) -> float:
@@ -289,23 +293,23 @@ def _scaled(matrix, logs) -> float:
 
 def _structured(matrix, accuracy: float = KEPT) -> float:
     """Return the bound on the structured singular value of a matrix for independent complex factors."""
-    logs, size = _balanced(matrix)
+    (logs,), (size,) = _balanced(matrix[None])
     if len(matrix) == 1:
-        return size
+        return float(size)
     from scipy.optimize import minimize
 
     options = {"xatol": math.sqrt(accuracy), "fatol": accuracy * size, "maxiter": 400 * len(matrix)}
     free = minimize(
         lambda some: _scaled(matrix, np.append(some, 0.0)), logs[:-1] - logs[-1], method="Nelder-Mead", options=options
     )
-    return min(size, float(free.fun))
+    return min(float(size), float(free.fun))
 
 
 def _worst(grid) -> int:
     """Return the index of the largest structured singular value; matrices with a lower balanced bound are skipped."""
     if grid.shape[1] == 1:
         return int(np.argmax(np.abs(grid[:, 0, 0])))
-    sizes = np.array([_balanced(matrix)[1] for matrix in grid])
+    _, sizes = _balanced(grid)
     best, found = -1.0, 0
     for place in np.argsort(-sizes):
         if sizes[place] <= best * (1.0 + SOUGHT):
