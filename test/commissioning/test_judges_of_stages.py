@@ -427,6 +427,26 @@ def test_a_scan_may_have_one_and_a_half_times_the_predicted_error(situation, mon
     assert errors.lines[0].x[0] == pytest.approx(judged.start / RATE)
 
 
+def test_the_error_of_a_scan_is_also_stated_without_periods_that_a_skipped_sample_disturbed(situation, monkeypatch):
+    configuration = situation.configuration.override("reference_generator", minimum=0.0, maximum=100e-6)
+    situation.plan = replace(situation.plan, scan_stroke=50e-6)
+    reference, period = scan_reference(situation, configuration), scan_period(situation)
+    judged = judged_samples(situation, configuration)
+    skipped, error = np.zeros(reference.size), np.full(reference.size, 1e-8)
+    skipped[judged.start + 2 * period + 5] = 1.0
+    error[judged.start + 2 * period : judged.start + 4 * period] = 3e-7
+    run = Recording(
+        np.arange(reference.size) / RATE,
+        {"reference": reference, "measured": reference - error, "skipped": skipped},
+    )
+    monkeypatch.setattr(closed, "designed", lambda situation: configuration)
+    monkeypatch.setattr(closed, "predicted_scan", lambda *given: run)
+    lines = closed.judge_scan(situation, run).lines
+    count = (judged.stop - judged.start) // period
+    kept = f"{count - 2} of {count} periods"
+    assert lines[1:] == [f"deadlines were missed; error of the {kept} that they have not disturbed: 10 nm RMS"]
+
+
 @pytest.mark.parametrize(("peak", "words"), [(2.4, "as predicted"), (2.6, "MORE than 1.25 x the prediction")])
 def test_the_measured_margins_are_compared_with_those_of_the_model(situation, monkeypatch, peak, words):
     """Of an integrator with a loop at the distance 1/M_s of -1; the lower end of its range counts."""

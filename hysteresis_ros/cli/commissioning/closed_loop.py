@@ -223,6 +223,14 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
         f"{verdict(ratio, ERROR_AS_PREDICTED)}"
     ]
     judged = judged_samples(situation, configuration)
+    if recording.has("skipped"):
+        whole = slice(judged.stop - JUDGED_PERIODS * scan_period(situation), judged.stop)
+        error = np.full(len(recording), np.nan)  # without the samples ahead of the evaluated ones
+        error[judged] = error_of(configuration, namespace, recording)[judged]
+        by_period = error[whole].reshape(JUDGED_PERIODS, -1)
+        kept = in_time(recording["skipped"][whole].reshape(JUDGED_PERIODS, -1))
+        undisturbed = float(np.sqrt(np.nanmean(by_period[kept] ** 2))) if np.any(kept) else math.nan
+        lines.append(missed_line(undisturbed, kept))
     time = recording.time - recording.time[0]
     errors = [
         line(label, time[judged], 1e9 * error_of(configuration, namespace, run)[judged])
