@@ -160,6 +160,8 @@ def test_deactivated_the_device_goes_to_safe_and_cleaned_up_it_is_let_go(inside,
     assert observer.transition("/plant_simulator", "cleanup") and stage.closed == 1
     assert observer.transition("/plant_simulator", "configure")
     assert observer.transition("/plant_simulator", "activate")
+    if plant.part.lost:  # on a busy machine it was away for longer than the others wait
+        assert observer.trigger("/plant_simulator/start").success
     moved(observer)
     assert not plant.part.tripped
 

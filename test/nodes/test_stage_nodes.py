@@ -263,6 +263,8 @@ def test_in_real_time_an_emergency_stop_of_one_axis_stops_the_stage_until_a_star
     assert {one[-1].header.frame_id for one in heard.values()} == {""}
     estop.publish(Bool(data=True))
     until(lambda: all(one[-1].header.frame_id for one in heard.values()), what="a stage that is stopped")
+    counts = {name: len(one) for name, one in heard.items()}
+    until(lambda: all(len(one) > counts[name] + 10 for name, one in heard.items()), what="samples of the stopped stage")
     assert observer.trigger("/y/plant_simulator/start").success
     until(lambda: not any(one[-1].header.frame_id for one in heard.values()), what="a stage that goes on")
     # ~/stop of one plant stops the time of both
