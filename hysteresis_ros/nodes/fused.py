@@ -188,7 +188,7 @@ class FusedAxis:
             one._enter(loop, part)
         sys.setswitchinterval(SWITCH_INTERVAL)
         if any(device.calls_python for device in devices):
-            _give_way(plant.parameters.realtime)
+            _hold_the_lock_briefly(plant.parameters.realtime)
         for one in self.together:
             if "recorder" in one.nodes:
                 one.nodes["recorder"].record_loop(one)
@@ -456,7 +456,7 @@ class FusedAxis:
                 )
 
 
-def _give_way(realtime: RealtimeParameters) -> None:
+def _hold_the_lock_briefly(realtime: RealtimeParameters) -> None:
     """Shorten the times for which this process holds Python's lock, for which the loop waits in each sample.
 
     Garbage is sought among new objects only, and other programs do not interrupt the calling thread, which publishes.
