@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 from dataclasses import replace
 
@@ -173,6 +174,19 @@ def test_the_clock_of_a_stage_by_messages_is_refused_at_its_devices():
         parameters("simulated", x="scan_clock: true", mode="realtime")
 
 
-def test_a_fused_stage_needs_drivers_with_a_compiled_form():
-    with pytest.raises(ParameterError, match="driver = 'gcs'"):
-        parameters("gcs")
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for a stage")
+def test_a_fused_stage_of_drivers_in_python_is_repeated_bit_for_bit():
+    given = parameters("simulated")
+    ranges = zip(given.axes, given.travel(), strict=True)
+    stage = Stage(given, [fused_plant_of(axis.plant_simulator, travel=travel) for axis, travel in ranges])
+    loop = FusedLoop(stage, math.inf, samples=600)
+    readers = [loop.reader(place) for place in (0, 1)]
+    loop.start()
+    assert loop.join(60.0) and not loop.failure and not any(plant.failure for plant in stage.plants)
+    assert loop.patience > 1.0, "drivers in Python have time-outs of their own"
+    run = recorded(loop, readers)
+    assert np.ptp(run["x/measured"]) > 1e-6 and np.ptp(run["y/measured"]) > 1e-6
+    assert stage_differences(run, given) == {}
+    for plant in stage.plants:
+        plant.make_safe()
+        plant.close()
