@@ -15,6 +15,7 @@ import importlib
 import math
 import pathlib
 import time
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -123,6 +124,7 @@ class Part:
 class Runner:
     by_message, exact = True, False
     late_samples = 0
+    node = SimpleNamespace(get_fully_qualified_name=lambda: "/plant_simulator")
 
     def explain_trip(self):
         return "late"
