@@ -185,8 +185,8 @@ class Margins:
     sensitivity_peak, complementary_peak : float
         M_s and M_t.
     bandwidth : float
-        Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if there
-        is none below half the sample rate.
+        Lowest frequency at which the response to the reference, without feedforward, is -3 dB [Hz]; infinite if it
+        is not below half the sample rate.
     noise_gain, command_noise_gain : float
         RMS of displacement and of command per RMS of white noise of the sensor, [m/m].
     poles : ndarray

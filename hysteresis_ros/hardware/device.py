@@ -80,16 +80,6 @@ class Device:
             self.close()
             raise
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the device has not been released."""
-        return self._open
-
-    @property
-    def calls_python(self) -> bool:
-        """Whether the functions of :meth:`compiled` call methods in Python."""
-        return self._functions is not None
-
     def __deepcopy__(self, memo) -> Device:
         """Return the object itself, because a copy of an axis shares the device."""
         return self
@@ -372,12 +362,13 @@ class _MethodFunctions:
             trigger if can.trigger_rate and not can.compares else 0,
             pulses if can.trigger_input else 0,
             METHOD_PATIENCE,
+            calls_python=True,
         )
 
     def _function(self, number: int, method: Callable[..., int | None], *arguments: Any) -> Any:
         def call(handle, *given) -> int:
             try:
-                if not self._device.is_open:
+                if not self._device._open:
                     raise ValueError("it is closed")
                 return method(*given) or 0
             except Exception as error:  # any error of a driver must make the axis safe

@@ -124,6 +124,8 @@ class Compiled(NamedTuple):
     pulses: int = 0
     #: Time after which a function that does not return ends the run [s].
     patience: float = 0.5
+    #: Whether the functions call methods in Python, for which they wait for its interpreter lock.
+    calls_python: bool = False
 
 
 #: Remedy for a device without triggers.

@@ -372,9 +372,9 @@ class SharedLibrary(Driver):
             return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 if hasattr(library, name) else 0
 
         names = "hysteresis_read", "hysteresis_write", "hysteresis_make_safe", CLOCK, TRIGGER, PULSES
-        read, write, make_safe, *optional = map(address, names)
+        read, write, make_safe, clock, trigger, pulses = map(address, names)
         device = self._device.value if self._device is not None else None
-        return Compiled(read, write, make_safe, device or 0, self._error, *optional)
+        return Compiled(read, write, make_safe, device or 0, self._error, clock, trigger, pulses)
 
     def close(self) -> None:
         """Release the device."""

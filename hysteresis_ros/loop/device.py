@@ -694,7 +694,7 @@ class DrivenPlant(Plant):
         self._left = ""
 
     def close(self) -> str:
-        """Release the device; return the problem that remains, empty when there is none."""
+        """Release the device; return the problem that remains, or an empty text."""
         return self._opened.close()
 
 
@@ -735,7 +735,7 @@ class CompiledPlant(DrivenPlant):
         compiled = joints = None
         if linked:
             compiled, joints = self._opened.compiled(), self.capabilities
-            self.patience, self.calls_python = compiled.patience, self._opened.calls_python
+            self.patience, self.calls_python = compiled.patience, compiled.calls_python
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
         positions, voltages = map(np.zeros, sizes)
         self.arrays = DevicePlantArrays(
@@ -804,11 +804,7 @@ class CompiledPlant(DrivenPlant):
         if not self._linked or not self._is_left():
             return False
         self._opened.desist()
-        try:
-            self._opened.make_safe()
-        except DriverError:
-            self._opened.insist(self.insists_every, self._is_left, self._made_safe)
-            raise
+        self.make_safe()
         self._made_safe()
         return True
 
@@ -819,7 +815,7 @@ class CompiledPlant(DrivenPlant):
             super().make_safe()
 
     def close(self) -> str:
-        """Release the device; return the problem that remains, empty when there is none."""
+        """Release the device; return the problem that remains, or an empty text."""
         return super().close() if self._linked else ""
 
 

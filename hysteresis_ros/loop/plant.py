@@ -487,7 +487,7 @@ class Plant:
         """Bring a device to its safe state."""
 
     def close(self) -> str:
-        """Release a device; return the problem that remains, empty when there is none."""
+        """Release a device; return the problem that remains, or an empty text."""
         return ""
 
 

@@ -112,7 +112,7 @@ def deviated(axis: AxisParameters, gain: float, opening: float, slowness: float,
 def entry(error: np.ndarray, tolerance: float, dwell: int) -> float:
     """Return the first sample from which errors [m], shape (N,), are within a tolerance [m] for a number of samples.
 
-    It is infinite if there is none.
+    It is infinite if they do not stay within it.
     """
     outside = np.flatnonzero(~(np.abs(error) <= tolerance))
     begins = np.concatenate([[0], outside + 1])

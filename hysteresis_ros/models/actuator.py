@@ -163,7 +163,7 @@ class Actuator(Chain):
         return interpreted(actuator_measure)(self.ps, self.xs)
 
     def measure_force(self) -> float:
-        """Return the reading [N] of the force sensor, NaN if there is none; call it once per sample: it draws noise."""
+        """Return the reading [N] of the force sensor, NaN without one; call it once per sample: it draws noise."""
         return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:

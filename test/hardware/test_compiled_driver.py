@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plant_rows import rows_of
+from fused_support import assert_equal_to_twin, fused, run
 from stage_support import compile_c, listed_library, needs_compiler
 from waiting import until
 
@@ -93,18 +93,6 @@ def axis_parameters(library, *options: str, **changes) -> AxisParameters:
 
 def parameters(library, *options: str, **changes):
     return axis_parameters(library, *options, **changes).plant_simulator
-
-
-def run(plant, voltages) -> np.ndarray:
-    return rows_of(plant, CompiledPlant.kernels[:1], voltages)
-
-
-def fused(axis_parameters: AxisParameters, samples: int) -> tuple[FusedLoop, np.ndarray]:
-    """Run an axis in its thread without deadlines; return its rows, too."""
-    loop = FusedLoop(Axis(axis_parameters, fused_plant_of(axis_parameters.plant_simulator)), math.inf, samples)
-    loop.start()
-    assert loop.join(60.0) and not loop.failure
-    return loop, loop.take().table
 
 
 def test_machine_code_and_python_drive_it_alike(library):
@@ -262,17 +250,6 @@ def test_a_reference_faster_than_the_way_back_is_reached_and_what_is_recorded_is
     np.testing.assert_allclose(applied, 1e-7 * voltage, rtol=0.0, atol=1e-7 * 1e-9)
     assert_equal_to_twin(given, loop, table)
     loop.axis.plant.close()
-
-
-def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarray) -> None:
-    twin = Axis(given, fused_plant_of(given.plant_simulator, linked=False))
-    taken = {"measured": at.MEASURED, "tripped": at.TRIPPED, "plant_voltage": at.PLANT_VOLTAGE}
-    answers = {name: table[place] for name, place in taken.items()}
-    options = {"changes": loop.changes, "skipped": table[at.SKIPPED], "answers": answers}
-    options["pulses"] = table[at.TRIGGER_IN]
-    again = twin.run(table[at.SETPOINT], **options)
-    for place, signal in enumerate(at.ACTUATOR.row):
-        np.testing.assert_array_equal(again[signal.name], table[place], err_msg=signal.name)
 
 
 @pytest.mark.parametrize("option", ["fail_read=1000", "fail_write=1000", "nonsense=1001"])

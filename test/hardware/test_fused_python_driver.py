@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plant_rows import rows_of
+from fused_support import assert_equal_to_twin, fused, run
 from waiting import until
 
 from hysteresis_ros import signals as at
@@ -25,7 +25,7 @@ from hysteresis_ros.hardware.driver import DriverError, Reading
 from hysteresis_ros.hardware.drivers.simulated import SimulatedDriver
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.device import CompiledPlant, DrivenPlant, fused_plant_of
+from hysteresis_ros.loop.device import CompiledPlant, DrivenPlant
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import DEVICE_FAILED
@@ -107,10 +107,6 @@ def axis_of(source=None, **changes) -> AxisParameters:
     configuration = configuration.override("reference_generator", **(source or {}))
     asked = {"driver": "simulated", "late_limit": -1, "realtime__priority": 0} | changes
     return AxisParameters.from_configuration(configuration.override("plant_simulator", **asked))
-
-
-def run(plant, voltages) -> np.ndarray:
-    return rows_of(plant, CompiledPlant.kernels[:1], voltages)
 
 
 def test_machine_code_and_python_call_it_alike(noting):
@@ -203,25 +199,12 @@ def test_before_a_start_one_that_was_left_at_a_voltage_is_made_safe(noting):
     plant.close()
 
 
-def fused(parameters: AxisParameters, samples: int) -> tuple[FusedLoop, np.ndarray]:
-    """Run an axis in its thread without deadlines; return its rows, too."""
-    loop = FusedLoop(Axis(parameters, fused_plant_of(parameters.plant_simulator)), math.inf, samples)
-    loop.start()
-    assert loop.join(60.0) and not loop.failure
-    return loop, loop.take().table
-
-
 def test_a_fused_run_has_a_twin(noting):
     parameters = axis_of()
     loop, table = fused(parameters, 1200)
     sent = [voltage for (voltage,) in noting.last.sent]
     assert sent[-1200:] == table[at.PLANT_VOLTAGE].tolist() and np.ptp(table[at.MEASURED]) > 1e-6
-    twin = Axis(parameters, fused_plant_of(parameters.plant_simulator, linked=False))
-    answers = {"measured": at.MEASURED, "tripped": at.TRIPPED, "plant_voltage": at.PLANT_VOLTAGE}
-    answers = {name: table[place] for name, place in answers.items()}
-    again = twin.run(table[at.SETPOINT], changes=loop.changes, skipped=table[at.SKIPPED], answers=answers)
-    for place, signal in enumerate(at.ACTUATOR.row):
-        np.testing.assert_array_equal(again[signal.name], table[place], err_msg=signal.name)
+    assert_equal_to_twin(parameters, loop, table)
     loop.axis.plant.make_safe()
     assert noting.last.safes
     loop.axis.plant.close()

@@ -223,14 +223,8 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
         f"{verdict(ratio, ERROR_AS_PREDICTED)}"
     ]
     judged = judged_samples(situation, configuration)
-    if recording.has("skipped"):
-        whole = slice(judged.stop - JUDGED_PERIODS * scan_period(situation), judged.stop)
-        error = np.full(len(recording), np.nan)  # without the samples ahead of the evaluated ones
-        error[judged] = error_of(configuration, namespace, recording)[judged]
-        by_period = error[whole].reshape(JUDGED_PERIODS, -1)
-        kept = in_time(recording["skipped"][whole].reshape(JUDGED_PERIODS, -1))
-        undisturbed = float(np.sqrt(np.nanmean(by_period[kept] ** 2))) if np.any(kept) else math.nan
-        lines.append(missed_line(undisturbed, kept))
+    delayed = _by_period(situation, error_of(configuration, namespace, recording), UNJUDGED_PERIODS)
+    lines += _missed_lines(situation, recording, delayed)
     time = recording.time - recording.time[0]
     errors = [
         line(label, time[judged], 1e9 * error_of(configuration, namespace, run)[judged])
@@ -464,10 +458,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
         "ratio": ratio,
         "as_predicted": ratio <= ERROR_AS_PREDICTED,
     }
-    if recording.has("skipped"):
-        kept = in_time(_by_period(situation, recording["skipped"]))[count:]
-        undisturbed = root_mean_square(runs["measured"][count:][kept]) if np.any(kept) else math.nan
-        lines.append(missed_line(undisturbed, kept))
+    lines += _missed_lines(situation, recording, runs["measured"])
     numbers = np.arange(1, count + JUDGED_PERIODS + 1)
     falling = [line(name, numbers, 1e9 * np.sqrt(np.mean(each**2, axis=1))) for name, each in runs.items()]
     time = np.arange(scan_period(situation)) / situation.rate
@@ -483,6 +474,16 @@ def in_time(skipped: np.ndarray) -> np.ndarray:
     """Return which periods are undisturbed: without a missed deadline in them or in the period before."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
+
+
+def _missed_lines(situation: Situation, recording: Recording, errors: np.ndarray) -> list[str]:
+    """Return the sentence about missed deadlines, if they are known; ``errors`` [m], shape (periods, samples)."""
+    if not recording.has("skipped"):
+        return []
+    unjudged = len(errors) - JUDGED_PERIODS
+    kept = in_time(_by_period(situation, recording["skipped"], unjudged))[unjudged:]
+    undisturbed = root_mean_square(errors[unjudged:][kept]) if np.any(kept) else math.nan
+    return [missed_line(undisturbed, kept)]
 
 
 def missed_line(error: float, kept: np.ndarray) -> str:
@@ -511,9 +512,11 @@ def _period_errors(situation: Situation, recording: Recording) -> np.ndarray:
     offset = single_axis(
         _learning_configuration(situation), situation.axis.namespace
     ).motion_controller.model.preload.offset
-    return _by_period(situation, recording["reference"] - (recording["measured"] - offset))
+    error = recording["reference"] - (recording["measured"] - offset)
+    return _by_period(situation, error, learning_periods(situation))
 
 
-def _by_period(situation: Situation, values: np.ndarray) -> np.ndarray:
+def _by_period(situation: Situation, values: np.ndarray, unjudged: int) -> np.ndarray:
+    """Return the values of the unjudged periods of a scan and of the evaluated ones, shape (periods, samples)."""
     begin, period = scan_begin(situation), scan_period(situation)
-    return values[begin : begin + (learning_periods(situation) + JUDGED_PERIODS) * period].reshape(-1, period)
+    return values[begin : begin + (unjudged + JUDGED_PERIODS) * period].reshape(-1, period)

@@ -262,7 +262,7 @@ def require_force(kind: str, force: ForceParameters | None) -> None:
 def closing(
     damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
-    """Return a function that takes a plant in SI units and returns the damped plant, or the plant if damping is none.
+    """Return a function that takes a plant in SI units and returns the damped plant, or without a damping itself.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from hysteresis_ros.models.block import kernel
 
 @kernel
 def open_loop(p, x, reference, measured):
-    """Return the feedforward's command, or the reference if there is none; the estimate is the measurement."""
+    """Return the feedforward's command, or without one the reference; the estimate is the measurement."""
     command = x[FEEDFORWARD] if p[FED] != 0.0 else reference
     x[ESTIMATED] = measured
     x[STARTED] = 1.0
