@@ -149,6 +149,12 @@ def text_of(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
 
 
+def test_every_module_of_the_tests_has_a_name_of_its_own():
+    """pytest imports them by their names alone: of two with the same name, both folders would get the first."""
+    names = [path.stem for path in TESTS if path.stem != "conftest"]
+    assert {name for name in names if names.count(name) > 1} == set()
+
+
 def test_version_is_the_same_everywhere():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
     arguments = setup_arguments()

@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fused_support import assert_equal_to_twin, fused, run
+from driven_loops import assert_equal_to_twin, fused, run
 from stage_support import compile_c, listed_library, needs_compiler
 from waiting import until
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fused_support import assert_equal_to_twin, fused, run
+from driven_loops import assert_equal_to_twin, fused, run
 from waiting import until
 
 from hysteresis_ros import signals as at

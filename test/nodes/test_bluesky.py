@@ -99,10 +99,9 @@ def test_an_axis_is_moved_scanned_and_flown(laboratory):
     position = np.array([event["data"]["stage"] for event in flown])
     assert np.all(np.diff(stamps) > 0.0)
     assert position[0] == pytest.approx(2.5, abs=0.05) and position[-1] == pytest.approx(8.5, abs=0.05)
-    # the line of 5 um/s, sample by sample; a busy machine may delay samples, but not change them
-    part = position[(position > 3.2) & (position < 7.8)]
-    assert np.median(np.diff(part)) == pytest.approx(5.0 / RATE, rel=0.02) and np.all(np.diff(part) > 0.0)
-    assert len(part) > 0.8 * 0.92 * RATE
+    line = (position > 3.2) & (position < 7.8)  # 5 um/s; a busy machine delays single samples
+    assert np.polyfit(stamps[line], position[line], 1)[0] == pytest.approx(5.0, rel=0.1)
+    assert np.all(np.diff(position[line]) > 0.0) and np.sum(line) > 0.8 * 0.92 * RATE
 
     until(lambda: laboratory.stage._connected().look().setpoint > 8e-6, what="the end of the flight as setpoint")
     with pytest.raises(FailedStatus) as refused:
