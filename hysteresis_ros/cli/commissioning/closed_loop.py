@@ -223,8 +223,12 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
         f"{verdict(ratio, ERROR_AS_PREDICTED)}"
     ]
     judged = judged_samples(situation, configuration)
-    delayed = _by_period(situation, error_of(configuration, namespace, recording), UNJUDGED_PERIODS)
+    delayed, ideal = (
+        _by_period(situation, error_of(configuration, namespace, run), UNJUDGED_PERIODS)
+        for run in (recording, simulated)
+    )
     lines += _missed_lines(situation, recording, delayed)
+    lines.append(repetition_line(*(each[UNJUDGED_PERIODS:] for each in (delayed, ideal))))
     time = recording.time - recording.time[0]
     errors = [
         line(label, time[judged], 1e9 * error_of(configuration, namespace, run)[judged])
@@ -459,6 +463,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
         "as_predicted": ratio <= ERROR_AS_PREDICTED,
     }
     lines += _missed_lines(situation, recording, runs["measured"])
+    lines.append(repetition_line(*(errors[count:] for errors in runs.values())))
     numbers = np.arange(1, count + JUDGED_PERIODS + 1)
     falling = [line(name, numbers, 1e9 * np.sqrt(np.mean(each**2, axis=1))) for name, each in runs.items()]
     time = np.arange(scan_period(situation)) / situation.rate
@@ -500,6 +505,23 @@ def missed_line(error: float, kept: np.ndarray) -> str:
         f"deadlines were missed; error of the {count} of {len(kept)} periods that they have not "
         f"disturbed: {1e9 * error:.4g} nm RMS"
     )
+
+
+def unrepeated(errors: np.ndarray) -> float:
+    """Return the RMS deviation [m] of periods from their mean; ``errors`` [m], shape (periods, samples)."""
+    return float(np.sqrt(np.mean(np.var(errors, axis=0, ddof=1))))
+
+
+def repetition_line(measured: np.ndarray, predicted: np.ndarray) -> str:
+    """Return a sentence about the part of the error that neither a better model nor learning removes.
+
+    Units: both [m], shape (periods, samples).
+    """
+    found, expected = unrepeated(measured), unrepeated(predicted)
+    said = f"{1e9 * found:.4g} nm RMS of it do not repeat from period to period, predicted {1e9 * expected:.4g} nm"
+    if found <= ERROR_AS_PREDICTED * expected:
+        return said
+    return f"{said}: disturbances, missed deadlines or instants that vary; the model is judged by what repeats"
 
 
 def _signals(recording: Recording) -> dict[str, np.ndarray]:
