@@ -11,9 +11,9 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # The tests start hundreds of processes: where nothing may be kept, each compiles every source again.
 unexport PYTHONDONTWRITEBYTECODE
-# Workers of the tests, one more than the cores of a small machine, because graphs of nodes wait most of their time:
-# graphs whose clock needs a core run one after the other in one of them, the rest beside.
-WORKERS ?= 3
+# Workers of the tests, one more than the cores, because graphs of nodes wait most of their time: graphs whose clock
+# needs a core run one after the other in one of them, the rest beside. More than eight would wait for that one.
+WORKERS ?= $(shell cores=$$(nproc 2>/dev/null || echo 2); echo $$(( cores < 8 ? cores + 1 : 8 )))
 # The versions that were tested; `make setup CONSTRAINTS=` takes the newest of everything instead.
 CONSTRAINTS ?= constraints.txt
 INSTALL := $(BIN)/python -m pip install --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))

@@ -609,7 +609,7 @@ def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple
     return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # libyaml where it is present
     """YAML that PyYAML and ROS read as the same numbers: every double has a decimal point, and there are no aliases."""
 
     def ignore_aliases(self, data) -> bool:

@@ -123,7 +123,7 @@ def graph(processes, observer, tmp_path, request):
     return Graph(processes, observer, tmp_path, request.param)
 
 
-@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
+@pytest.mark.parametrize("graph", [10.0, 50.0], indirect=True)
 def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph):
     for victim in ("motion_controller", "hysteresis_compensator", "reference_generator"):
         graph.at_work()
@@ -183,7 +183,7 @@ def reset_says_that_a_partner_is_still_lost(graph) -> None:
 
 @pytest.mark.parametrize(
     ("victim", "graph"),
-    [(name, 200.0) for name in NODES] + [(name, 10.0) for name in ("plant_simulator", "reference_generator")],
+    [(name, 50.0) for name in NODES] + [(name, 10.0) for name in ("plant_simulator", "reference_generator")],
     indirect=["graph"],
 )
 def test_a_node_killed_as_soon_as_the_axis_runs_stops_it_too(graph, victim):
@@ -221,7 +221,7 @@ def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, vict
     graph.until_at(SETPOINT)
 
 
-@pytest.mark.parametrize("graph", [200.0], indirect=True)
+@pytest.mark.parametrize("graph", [50.0], indirect=True)
 def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain):
     from std_msgs.msg import Float64
 
@@ -234,15 +234,15 @@ def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain):
         since = len(graph.states)
         for pause in (0.2, 0.6, 1.6):
             graph.nodes["motion_controller"].send(signal.SIGSTOP)
-            graph.more(round(200 * pause))
+            graph.more(round(graph.rate * pause))
             if pause > 0.4:
                 graph.until_safe()
             graph.nodes["motion_controller"].send(signal.SIGCONT)
-            graph.more(100)
+            graph.more(25)
             if pause > 0.4:  # command_timeout
                 assert graph.tripped() and abs(graph.voltage()) < 0.01
             graph.start_until_at(SETPOINT)
-            graph.more(50)
+            graph.more(15)
         assert max(state.position[0] for state in graph.states[since:]) < SETPOINT + 1e-7
     finally:
         stranger.close()
@@ -264,7 +264,7 @@ def join(graph, joining: str, folder) -> None:
         until(lambda: "active" in graph.nodes[joining].output, what="the restarted controller")
 
 
-@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
+@pytest.mark.parametrize("graph", [10.0, 50.0], indirect=True)
 def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path):
     """Stamps count the samples: all intervals are one period, except for losses caused by a busy machine."""
     graph.be_patient()
