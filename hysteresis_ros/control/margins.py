@@ -122,8 +122,9 @@ def loop_parts(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
 #: Number of frequencies of the grid, and number added around each pole.
 GRID = 3000
 AROUND_POLE = 61
-#: Steps of bisection for the bandwidth in a search, to 1e-7 of the distance between two points of the grid.
-SEARCHED_STEPS = 24
+#: Parts into which an interval that contains a crossing is divided, and how often: to rounding, and in a search to
+#: 1e-7 of the distance between two points of the grid.
+PARTS, ROUNDS, SEARCHED_ROUNDS = 64, 9, 4
 #: −3 dB.
 HALF_POWER = np.sqrt(0.5)
 #: Lowest angle of the grid.
@@ -299,23 +300,22 @@ def judge(
     grid : int
         Number of frequencies, in addition to those around the poles.
     with_bandwidth : bool
-        Whether to search for the bandwidth, which takes as long as all other figures together.
+        Whether to search for the bandwidth.
     """
-    whole = close(controller, plant)
-    poles = whole.poles
+    poles = close(controller, plant).poles
     if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
         return UNSTABLE
     angles = _grid([*poles, *plant.poles], grid)
-    values = loop_transfer(controller, plant, np.exp(1j * angles))
+    values, feedback, tracking = _responses(controller, plant, angles)
     sensitivity = 1.0 / np.abs(1.0 + values)
     hertz = 1.0 / (2.0 * np.pi * sample_time)
     complementary = np.abs(values) * sensitivity
     return Judged(
-        _bandwidth(whole, angles, SEARCHED_STEPS) * hertz if with_bandwidth else np.nan,
+        _bandwidth(controller, plant, angles, tracking, SEARCHED_ROUNDS) * hertz if with_bandwidth else np.nan,
         float(np.max(sensitivity)),
         _coarse_delay_margin(angles, values),
         _noise_gain(angles, complementary),
-        _noise_gain(angles, _feedback(controller, angles) * sensitivity),
+        _noise_gain(angles, feedback * sensitivity),
         _up_to(angles, sensitivity >= HALF_POWER) * hertz,
         _up_to(angles, complementary < HALF_POWER) * hertz,
         float(np.max(1.0 / np.abs(1.0 + values * np.exp(-1j * angles)))),
@@ -360,25 +360,23 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
     sample_time : float
         Sample time [s].
     """
-    whole = close(controller, plant)
-    poles = whole.poles
+    poles = close(controller, plant).poles
     poles = poles[np.argsort(-np.abs(poles))]
     angles = _grid([*poles, *plant.poles, *controller.poles], GRID)
+    values, feedback, tracking = _responses(controller, plant, angles)
 
-    def loop(angle):
-        return loop_transfer(controller, plant, np.exp(1j * np.atleast_1d(angle)))
+    def loop(angles):
+        return loop_transfer(controller, plant, np.exp(1j * angles))
 
-    values = loop(angles)
-    gain_at = _crossings(lambda angle: np.log(np.abs(loop(angle)[0]) + 1e-300), angles, np.log(np.abs(values) + 1e-300))
-    phase_at = _crossings(lambda angle: loop(angle)[0].imag, angles, values.imag)
-    phase_at = np.array([angle for angle in phase_at if loop(angle)[0].real < 0.0])
+    gain_at = _crossings(lambda angles: np.abs(loop(angles)) - 1.0, angles, np.abs(values) - 1.0)
+    phase_at = _crossings(lambda angles: loop(angles).imag, angles, values.imag)
+    phase_at = phase_at[loop(phase_at).real < 0.0]
     if values[-1].real < 0.0:
         phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
     if _flat_and_negative(loop(LOWEST * np.array([1.0, 2.0]))):
         phase_at = np.append(LOWEST, phase_at)  # and at frequency zero, if the loop has no integrator
-    phases = np.array([np.angle(loop(angle)[0]) for angle in gain_at]) + np.pi
-    phases = np.mod(phases, 2.0 * np.pi)
-    factors = 20.0 * np.log10([1.0 / max(abs(loop(angle)[0]), 1e-300) for angle in phase_at])
+    phases = np.mod(np.angle(loop(gain_at)) + np.pi, 2.0 * np.pi)
+    factors = -20.0 * np.log10(np.maximum(np.abs(loop(phase_at)), 1e-300))
     difference = np.abs(1.0 + values)
     hertz = 1.0 / (2.0 * np.pi * sample_time)
     return Margins(
@@ -390,17 +388,21 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
         phase_crossovers=np.where(phase_at > LOWEST, phase_at, 0.0) * hertz,
         sensitivity_peak=float(np.max(1.0 / difference)),
         complementary_peak=float(np.max(np.abs(values) / difference)),
-        bandwidth=_bandwidth(whole, angles) * hertz,
+        bandwidth=_bandwidth(controller, plant, angles, tracking) * hertz,
         noise_gain=_noise_gain(angles, np.abs(values) / difference),
-        command_noise_gain=_noise_gain(angles, _feedback(controller, angles) / difference),
+        command_noise_gain=_noise_gain(angles, feedback / difference),
         poles=poles,
         sample_time=sample_time,
     )
 
 
-def _feedback(controller: StateSpace, angles) -> np.ndarray:
-    """Return the magnitude of the controller's transfer function from measurement to command."""
-    return np.abs(controller.response(np.exp(1j * angles))[:, 0, 1])
+def _responses(controller: StateSpace, plant: StateSpace, angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return L, |command per measurement| without the loop, and |displacement per reference| with it."""
+    z = np.exp(1j * angles)
+    commands, displacements = controller.response(z), plant.response(z)
+    loop = np.sum(-commands[:, 0, 1:] * displacements[:, :, 0], axis=1)
+    tracking = np.abs(commands[:, 0, 0] * displacements[:, 0, 0] / (1.0 + loop))
+    return loop, np.abs(commands[:, 0, 1]), tracking
 
 
 def _least(values) -> float:
@@ -423,35 +425,34 @@ def _flat_and_negative(values) -> bool:
     return bool(values[0].real < 0.0 and abs(values[1] - values[0]) < 1e-3 * abs(values[0]))
 
 
-def _crossings(function, angles, values, steps: int = 60) -> np.ndarray:
-    """Return the zeros of a function sampled at ``angles``, refined by bisection."""
+def _crossings(function, angles, values, rounds: int = ROUNDS) -> np.ndarray:
+    """Return the zeros of a function of angles, sampled at ``angles``, refined by dividing each interval again."""
     found = []
     for i in np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0)):
         low, high, below = angles[i], angles[i + 1], values[i] < 0.0
-        for _ in range(steps):
-            middle = 0.5 * (low + high)
-            if (function(middle) < 0.0) == below:
-                low = middle
-            else:
-                high = middle
+        for _ in range(rounds):
+            within = np.linspace(low, high, PARTS + 1)
+            beyond = int(np.argmax(np.append((function(within[1:-1]) < 0.0) != below, True))) + 1
+            low, high = within[beyond - 1], within[beyond]
         found.append(0.5 * (low + high))
     return np.array(found)
 
 
-def _bandwidth(whole: StateSpace, angles, steps: int = 60) -> float:
-    def level(angle):
-        return np.abs(whole.response(np.exp(1j * np.atleast_1d(angle)))[:, 0, 0])
-
-    values = level(angles)
-    wanted = values[0] / np.sqrt(2.0)
-    below = np.flatnonzero(values < wanted)
+def _bandwidth(controller: StateSpace, plant: StateSpace, angles, tracking, rounds: int = ROUNDS) -> float:
+    """Return the lowest angle at which the response to the reference, sampled at ``angles``, is at -3 dB."""
+    wanted = tracking[0] * HALF_POWER
+    below = np.flatnonzero(tracking < wanted)
     if not len(below) or not wanted > 0.0:
         return np.inf
     i = below[0]
     if i == 0:
         return float(angles[0])
     around = slice(i - 1, i + 1)
-    return float(_crossings(lambda angle: level(angle)[0] - wanted, angles[around], values[around] - wanted, steps)[0])
+
+    def level(within):
+        return _responses(controller, plant, within)[2] - wanted
+
+    return float(_crossings(level, angles[around], tracking[around] - wanted, rounds)[0])
 
 
 @dataclass(frozen=True)
