@@ -78,6 +78,11 @@ def test_the_area_below_the_spectrum_is_the_variance_and_a_line_stands_where_it_
     assert density.max() == pytest.approx(amplitude / np.sqrt(3.0 * rate / 4096), rel=0.1)
 
 
+def test_the_spectrum_begins_with_the_lowest_frequency_above_zero():
+    found, density = amplitude_density(np.sin(2.0 * np.pi * np.arange(8000) * 7.0 / 1024.0), 1000.0)
+    assert found[0] == pytest.approx(np.min(np.diff(found)), rel=1e-9) and density.size == found.size
+
+
 def test_without_enough_samples_there_is_no_spectrum():
     assert amplitude_density(np.full(1000, np.nan), 1000.0)[0].size == 0
     assert amplitude_density(np.zeros(20), 1000.0)[0].size == 0

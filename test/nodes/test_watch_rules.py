@@ -153,6 +153,17 @@ def test_a_page_without_new_samples_gets_nothing_and_goes_on_where_it_was():
     assert not header["fresh"] and header["first"] * header["length"] == 500 and bins.shape[1] == 10
 
 
+def test_a_page_shows_as_many_bins_as_its_window_has_and_begins_with_the_first():
+    """A window of 1 s at 1000 samples per second, in 100 bins: the last 1000 samples; of fewer samples, all."""
+    history = History(len(SHOWN), 10_000)
+    history.append(np.ones((len(SHOWN), 10)))
+    header, _ = parts_of(View(1.0, 100, 1000.0, 0).frame(history))
+    assert (header["first"], header["bins"]) == (0, 1)
+    history.append(np.ones((len(SHOWN), 4990)))
+    header, _ = parts_of(View(1.0, 100, 1000.0, 0).frame(history))
+    assert (header["length"], header["first"], header["bins"]) == (10, 400, 100)
+
+
 def parts_of(frame: bytes) -> tuple[dict, np.ndarray]:
     """Return the header of a frame and its signals, shape (signals, bins, 2)."""
     (length,) = struct.unpack("<I", frame[:4])

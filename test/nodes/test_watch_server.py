@@ -274,6 +274,14 @@ def test_an_axis_is_started_when_each_of_its_nodes_has_said_so(monkeypatch):
         linked(()).start()
 
 
+def test_nothing_is_recorded_of_an_axis_whose_nodes_are_missing():
+    link = linked()
+    link.recording = link._axis = None
+    with pytest.raises(AbsentError, match="nothing to record"):
+        link.record(True)
+    assert link.record(False) == "no recording is running"
+
+
 def test_only_known_parameters_of_nodes_that_are_there_are_set():
     for node, name, words in (
         ("recorder", "rate", "no node recorder"),

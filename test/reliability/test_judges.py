@@ -177,5 +177,7 @@ def test_every_mishap_can_be_chosen_by_its_name_or_group_and_what_is_none_is_ref
     assert chosen_ways("fused, processes") == ["fused", "processes"]
     with pytest.raises(ConfigurationError, match="no way 'fusd'; did you mean fused"):
         chosen_ways("fusd")
+    with pytest.raises(ConfigurationError, match="--ways: name at least one of"):
+        chosen_ways(" , ")
     for mishap in CATALOGUE.values():
         assert set(mishap.ways) <= set(WAYS) and bool(mishap.elsewhere) == (set(mishap.ways) != set(WAYS))

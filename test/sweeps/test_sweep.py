@@ -201,6 +201,13 @@ def test_a_run_whose_reference_is_beyond_its_range_is_refused():
     assert "out of range" in found.refused[0] and found.refused[1] == "" and np.isnan(found.metrics["rms_error_m"][0])
 
 
+def test_a_run_without_an_end_is_refused():
+    study, plan = asked(("plant_simulator.samples=0,20",), runs=2)
+    found = sweep(study, plan)
+    assert "the run has no end" in found.refused[0] and np.isnan(found.metrics["rms_error_m"][0])
+    assert found.refused[1] == "" and found.metrics["rms_error_m"][1] >= 0.0
+
+
 @pytest.mark.parametrize("preview", [0, 3])
 def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview):
     """The voltage is held while the reference continues: r(t) − r_k grows from zero to a step within each sample."""

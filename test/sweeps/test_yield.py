@@ -24,6 +24,7 @@ from hysteresis_ros.laboratory.sweeps.plan import Levels
 from hysteresis_ros.laboratory.sweeps.summary import (
     Summary,
     _metric_line,
+    _yield_lines,
     met,
     parse_bound,
     sensitivity,
@@ -108,6 +109,26 @@ def test_quantiles_are_those_of_the_runs_that_have_a_value():
     text = _metric_line(Summary(replace(summary.results, parameters={"gain": np.zeros(102)}), plan), "rms_error_m")
     assert re.search(r"median 50\S* nm, 95 % below 95\S* nm, worst 100\S* nm in run 100", text), text
     assert text.endswith("; 1 runs have no value")
+
+
+def test_the_median_is_not_the_mean():
+    found = to_json(Summary(results([1e-9, 2e-9, 9e-9]), asked(runs=4)[1]))["metrics"]["rms_error_m"]
+    assert found["median"] == pytest.approx(2e-9)
+
+
+def test_of_many_levels_those_with_the_largest_yield_are_listed_and_the_others_counted():
+    """The k-th level, 1 to 30, has k good runs of 30."""
+    levels, draws = 30, 30
+    varied = (f"reference_generator.initial_setpoint=1um:2um:lin{levels}", "plant_simulator.gain=uniform(1.1,1.3)")
+    plan = asked(varied, runs=draws)[1]
+    numbers = np.arange(levels * draws)
+    level, draw = numbers % levels, numbers // levels
+    parameters = {name: level for name in (one.label for one in plan.variations)}
+    given = replace(results(np.where(draw <= level, 1e-9, 1e-6)), parameters=parameters)
+    listed = _yield_lines(Summary(given, plan, (parse_bound("rms_error_m=10nm"),)))[1:]
+    assert len(listed) == 26 and listed[-1] == "  … 5 more"
+    shares = [int(re.search(r"(\d+) of 30", line)[1]) for line in listed[:-1]]
+    assert shares == list(range(30, 5, -1)), listed
 
 
 def test_figures_of_a_sweep_show_values_and_bounds_in_the_displayed_unit():
