@@ -282,8 +282,8 @@ def read_learned(path) -> Learned:
         raise refused(f"cannot be read: {error.strerror or error}") from None
     except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
         raise refused("is not a file of a learned correction, as `save` of motion_controller writes it") from None
-    sizes = {len(array) for array in arrays if array.ndim == 1 and np.all(np.isfinite(array))}
-    if len(sizes) != 1 or any(array.ndim != 1 or not np.all(np.isfinite(array)) for array in arrays):
+    same = arrays[0].ndim == 1 and arrays[0].shape == arrays[1].shape
+    if not (same and np.all(np.isfinite(arrays))):
         raise refused("correction and reference must have the same length and contain finite numbers")
     if not (0.0 < period < np.inf and 0.0 < sample_time < np.inf):
         raise refused(f"period {period:g} s and sample_time {sample_time:g} s must be above 0")

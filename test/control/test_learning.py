@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_support import RATE, REFERENCE, N, followed, learning
@@ -23,10 +24,12 @@ from hysteresis_ros.control import learning as at
 from hysteresis_ros.control.learning import (
     FORGETTING,
     FROZEN,
+    KIND,
     LEARNING,
     LIMITED,
     Learned,
     learned_correction,
+    read_learned,
     shown,
     write_learned,
 )
@@ -327,3 +330,27 @@ def test_the_limit_is_reached_when_the_correction_is_there_whatever_the_errors_a
     for block, there, sign in ((frozen, False, 1.0), (learns, True, 1.0), (down, True, -1.0)):
         _, e = followed(block, (0.0, 0.3), 5, sign * np.abs(REFERENCE))
         assert np.max(np.abs(e[-1])) > 2e-7 and block.at_maximum == there
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"correction": [0.0, 1e-9]}, "the same length"),
+        ({"correction": [0.0, 1e-9, float("nan")]}, "finite numbers"),
+        ({"reference": [0.0, float("inf"), 2e-6]}, "finite numbers"),
+        ({"correction": 1e-9, "reference": 1e-6}, "the same length"),
+        ({"period": 0.0}, "must be above 0"),
+        ({"sample_time": float("inf")}, "must be above 0"),
+        ({"period": "soon"}, "is not a file of a learned correction"),
+    ],
+)
+def test_a_file_of_a_learned_correction_has_two_finite_signals_of_one_length(tmp_path, changed, said):
+    whole = {"correction": [0.0, 1e-9, -1e-9], "reference": [0.0, 1e-6, 2e-6], "period": 3e-3, "sample_time": 1e-3}
+    path = tmp_path / "learned.yaml"
+    path.write_text(yaml.safe_dump({KIND: whole}))
+    found = read_learned(path)
+    assert (found.period, found.sample_time) == (3e-3, 1e-3)
+    np.testing.assert_array_equal([found.correction, found.reference], [whole["correction"], whole["reference"]])
+    path.write_text(yaml.safe_dump({KIND: whole | changed}))
+    with pytest.raises(ParameterError, match=said):
+        read_learned(path)
